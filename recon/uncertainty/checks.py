@@ -11,7 +11,7 @@ from typing import Literal
 NO_VOLUME = "this scan cannot give a volume: "
 """Prefix of every such verdict."""
 
-State = Literal["good", "fair", "bad", "untold"]
+State = Literal["good", "fair", "bad", "unknown"]
 Name = Literal[
     "scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight", "resolution", "corrections"
 ]
@@ -39,7 +39,7 @@ class Check:
 
     name: Name
     state: State
-    """``bad``: the volume is not trusted; ``untold``: the pictures do not show it."""
+    """``bad``: the volume is not trusted; ``unknown``: the pictures do not show it."""
     value: float | None
     """Measured value; None if it could not be measured."""
     unit: str
@@ -151,9 +151,9 @@ def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: 
     Returns
     -------
     Check
-        In the state ``untold``.
+        In the state ``unknown``.
     """
-    return stated(name, "untold", None, unit, limits, found, advice)
+    return stated(name, "unknown", None, unit, limits, found, advice)
 
 
 def state_of(value: float, fair: float, bad: float) -> State:

@@ -29,18 +29,18 @@ def exposed(*gain: float, clipped: float = 0.0, level: float = 0.7, uneven: floa
 
 
 CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {
-    "scan, finished": (lambda: of_scan({"complete": True, "planned_views": 3}, FRAMES), "good", "all of its 3"),
+    "scan, finished": (lambda: of_scan({"complete": True, "planned_views": 3}, FRAMES), "good", "complete (3 pictures)"),
     "scan, stopped": (lambda: of_scan({"complete": False, "planned_views": 40}, FRAMES), "bad", "stopped after 3 of 40"),
     "scan, sketch": (lambda: of_scan({"complete": True, "settings": {"twin": {"fidelity": "sketch"}}}, FRAMES), "bad", "sketches"),
     "curve, as stated": (lambda: curve(LINEAR, 0.001), "good", ""),
     "curve, corrected": (lambda: curve(SRGB, 0.001), "fair", ""),
     "curve, unknown gamma": (lambda: curve(transfer.power(1.5), 0.001), "bad", ""),
-    "curve, no markers": (lambda: curve(LINEAR, None), "untold", ""),
+    "curve, no markers": (lambda: curve(LINEAR, None), "unknown", ""),
     "exposure, wanders": (lambda: exposed(0.9, 1.1), "fair", "10 %"),
-    "exposure, clipped": (lambda: exposed(1.0, 1.0, clipped=0.1), "bad", "10 % of the panel are at full scale"),
+    "exposure, clipped": (lambda: exposed(1.0, 1.0, clipped=0.1), "bad", "10 % of the panel is at full scale"),
     "exposure, dark": (lambda: exposed(1.0, 1.0, level=0.02), "bad", "only 2 %"),
-    "exposure, uneven": (lambda: exposed(1.0, 1.0, uneven=0.07), "bad", "from place to place"),
-    "exposure, no panel": (lambda: of_exposure(None), "untold", "no bare panel"),
+    "exposure, uneven": (lambda: exposed(1.0, 1.0, uneven=0.07), "bad", "across the panel"),
+    "exposure, no panel": (lambda: of_exposure(None), "unknown", "no empty panel"),
     "views, all round": (lambda: of_views(list(range(0, 360, 9)), 40), "good", ""),
     "views, half a turn": (lambda: of_views(list(range(0, 180, 9)), 20), "bad", ""),
     "views, half left out": (lambda: of_views(list(range(0, 360, 18)), 40), "bad", ""),
@@ -48,12 +48,12 @@ CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {
     "sight, much missed": (lambda: of_sight(missed=0.2, unexplained=0.0, fill=0.1), "bad", ""),
     "sharpness, alike": (lambda: of_sharpness(0.4, 0.1), "good", ""),
     "sharpness, apart": (lambda: of_sharpness(0.9, 1.4), "bad", "1.40 px more than others"),
-    "motion, no roots": (lambda: of_motion(None), "untold", ""),
+    "motion, no roots": (lambda: of_motion(None), "unknown", ""),
     "motion, they sway": (lambda: of_motion(0.3), "bad", ""),
     "water, clear": (lambda: of_dirt(0.0, 0.001), "good", ""),
     "water, milky": (lambda: of_dirt(0.0, 0.05), "bad", "5.0 %"),
-    "water, not measured": (lambda: of_dirt(None, None), "untold", ""),
-    "canister, no edges": (lambda: of_canister(None, Scene()), "untold", ""),
+    "water, not measured": (lambda: of_dirt(None, None), "unknown", ""),
+    "canister, no edges": (lambda: of_canister(None, Scene()), "unknown", ""),
     "canister, no edges in a tank": (lambda: of_canister(None, Scene(tank=Tank())), "bad", ""),
 }
 
@@ -77,4 +77,4 @@ def test_a_failed_check_takes_the_trust_away_and_says_why() -> None:
     again = distrusted.distrusted(["another reason"])
     assert again.verdict.count(checks.NO_VOLUME) == 1
     assert again.verdict.endswith("another reason")
-    assert "how it is turned" in checks.failed([of_canister(None, Scene(tank=Tank()))])[0]
+    assert "its rotation is unknown" in checks.failed([of_canister(None, Scene(tank=Tank()))])[0]

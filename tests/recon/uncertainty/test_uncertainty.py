@@ -58,7 +58,7 @@ def test_the_interval_holds_what_is_one_sided_nine_times_of_ten(even: float) -> 
     ("changes", "says"),
     [
         ({"views": TrustSettings().least_views - 1}, "only 7 views"),
-        ({"unexplained": 0.3}, "30 % of what the pictures show"),
+        ({"unexplained": 0.3}, "30 % of the coverage"),
         ({"fill": 0.6}, "60 % of the root zone"),
         ({"terms": (term(1.0, 1.0), term(2.0, 40.0, "missing roots"))}, "of the missing roots"),
         ({"terms": (term(20.0, 0.0, "hull"), term(20.0, 0.0, "faces"), term(0.0, 24.0, "missing roots"))}, "of the hull"),
@@ -116,7 +116,7 @@ def test_only_a_round_wall_bends_light_away(monkeypatch: pytest.MonkeyPatch, sce
     bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.of(scene)))
     why = sight.occluded(bank, cast(DistanceMaps, None), block, Water(70.0, -8.0, -150.0)).why
     assert "towards the wall" in why
-    assert ("bends light away" in why) == bends
+    assert ("refracts light away" in why) == bends
 
 
 @pytest.mark.parametrize(
