@@ -60,7 +60,7 @@ def readable(px: Vector2f, width: int, height: int) -> Bool:
 
 def numbers(values: NDArray[np.generic]) -> Float:
     """Return an array (...) as mi.Float, flattened."""
-    return mi.Float(_aligned(values, np.dtype(np.float32)))
+    return mi.Float(_align(values, np.dtype(np.float32)))
 
 
 def halves(pictures: Sequence[NDArray[np.generic]]) -> Kernel:
@@ -69,7 +69,7 @@ def halves(pictures: Sequence[NDArray[np.generic]]) -> Kernel:
     Half precision stores a coverage to 1/4096, a twentieth of the noise of a picture.
     """
     size = pictures[0].size
-    placed = room(len(pictures) * size, np.dtype(np.float16))
+    placed = aligned_empty(len(pictures) * size, np.dtype(np.float16))
     for k, picture in enumerate(pictures):
         placed[k * size : (k + 1) * size] = picture.ravel()
     return mi.Float16(placed)
@@ -87,16 +87,16 @@ def points(values: NDArray[np.generic]) -> Point3f:
 
 def wholes(values: NDArray[np.generic]) -> UInt32:
     """Return an array (...) of integers as mi.UInt32, flattened."""
-    return mi.UInt32(_aligned(values, np.dtype(np.uint32)))
+    return mi.UInt32(_align(values, np.dtype(np.uint32)))
 
 
-def _aligned(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[np.generic]:
-    placed = room(values.size, kind)
+def _align(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[np.generic]:
+    placed = aligned_empty(values.size, kind)
     placed[:] = values.ravel()
     return placed
 
 
-def room(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
+def aligned_empty(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
     """Return an aligned array (count,) to be filled, which Dr.Jit uses in place."""
     buffer = np.empty(count * kind.itemsize + _ALIGNED, np.uint8)
     begin = -buffer.ctypes.data % _ALIGNED
@@ -116,7 +116,7 @@ def release() -> None:
         trim(0)
 
 
-def some_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
+def select_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
     """Return some of the consecutive parts, of ``size`` elements each, of an array."""
     lane, length = dr.arange(mi.UInt32, len(which) * size), dr.opaque(mi.UInt32, size)
     part = lane // length

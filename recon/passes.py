@@ -27,7 +27,7 @@ def add(kind: Pass) -> None:
         counts[kind] += 1
 
 
-def counted() -> dict[str, int]:
+def get_counts() -> dict[str, int]:
     """Return the number of passes of every kind since `begin`."""
     counts = _counts.get() or Counter()
     return {kind: counts[kind] for kind in get_args(Pass)}

@@ -10,7 +10,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import agreement, carve, parsimony, surface
+from rhizotwin.recon.hull import agreement, carve, surface, trimming
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Hull, Leaves
@@ -26,8 +26,8 @@ from rhizotwin.recon.uncertainty import (
     canister_uncertainty,
     diameter_uncertainty,
     hidden_top,
+    occlusion,
     shape_checks,
-    sight,
     solid_uncertainty,
     tube_uncertainty,
     wall_contact,
@@ -91,13 +91,13 @@ def carve_hull(
     """
     numbers = sorted(cameras.order)
     order = [numbers[place] for place in carve.spread(len(numbers))]
-    cameras = cameras.ordered(order)
+    cameras = cameras.reorder(order)
     with monitor.stage("outlines"):
         drawn = tuple(coverage.silhouettes[k] for k in order)
-        maps = DistanceMaps.drawn(drawn, "outlines", monitor)
+        maps = DistanceMaps.compute(drawn, "outlines", monitor)
     with monitor.stage("carve"):
-        bank = projection.ViewBank.of(cameras.views, cameras.optics)
-        water = water_of(dataset.scene, cameras)
+        bank = projection.ViewBank.pack(cameras.views, cameras.optics)
+        water = water_space(dataset.scene, cameras)
         grid = water.grid(finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
             hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
@@ -120,13 +120,13 @@ def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, 
         Receives the progress.
     """
     with monitor.stage("wrong views"):
-        bank = projection.ViewBank.of(cameras.views, cameras.optics)
+        bank = projection.ViewBank.pack(cameras.views, cameras.optics)
         silhouettes = [coverage.silhouettes[k] for k in cameras.order]
-        found = agreement.find_wrong_views(bank, silhouettes, water_of(dataset.scene, cameras))
+        found = agreement.find_wrong_views(bank, silhouettes, water_space(dataset.scene, cameras))
     return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or truncated" for view in found}
 
 
-def water_of(scene: Scene, cameras: Cameras) -> Water:
+def water_space(scene: Scene, cameras: Cameras) -> Water:
     """Return the space between the floor and the net pot, or the surface of the water."""
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
@@ -151,10 +151,10 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
 def missed_share(carved: Carved) -> float:
     """Return the fraction of the coverage that no part of the hull explains."""
     leaves = carved.hull.leaves
-    leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
+    leaves = leaves.select(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
     views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
     edge_mm = leaves.grid.size_mm * leaves.size.astype(np.float64)
-    return agreement.compare(carved.bank.chosen(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
+    return agreement.compare(carved.bank.select(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
 
 
 def find_roots(
@@ -171,7 +171,7 @@ def find_roots(
     scene : Scene
         Positions of the plants.
     known : TubeAttenuation, optional
-        See `rooting.find`.
+        See `rooting.find_tree`.
     monitor : Monitor
         Receives the progress.
 
@@ -180,8 +180,8 @@ def find_roots(
     RootTree or None
         Tubes and solids, not yet divided into roots.
     """
-    seen = replace(Evidence.of(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
-    return rooting.find(seen, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
+    seen = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
+    return rooting.find_tree(seen, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 
 def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
@@ -208,11 +208,11 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     hull = carved.hull
     with monitor.stage("trim"):
         part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
-        solids = parsimony.trim(carved.bank, carved.maps, part)
+        solids = trimming.trim(carved.bank, carved.maps, part)
     leaves, tubes = solids.leaves, None
     if system is not None:
         with monitor.stage("unite"):
-            tubes = tube_volume.paint(solids.leaves, system, hull.widest)
+            tubes = tube_volume.combine(solids.leaves, system, hull.widest)
         leaves = tubes.leaves
     volume = leaves.volume_mm3()
     # Upper bound: the hull with outlines moved out. Lower bound: the shape, minus the effect on solids of moving them
@@ -222,7 +222,7 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
     with monitor.stage("uncertainty"):
         missed = missed_share(carved)
-        roots = () if system is None else diameter_uncertainty.told(system.roots(), system)
+        roots = () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
         hidden = _hidden_top(roots, carved)
         budget = _budget(
             carved, leaves, system, solids, part, wide=leaves if tubes is None else tubes.thick, missed=missed, settings=settings
@@ -249,14 +249,14 @@ def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop |
     if not main:
         return None
     tops_mm = np.array([root.points_mm[0] for root in main])
-    return hidden_top.find(main, sight.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
+    return hidden_top.estimate_hidden(main, occlusion.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
 
 
 def _budget(
     carved: Carved,
     leaves: Leaves,
     system: RootSystem | None,
-    solids: parsimony.Trimmed,
+    solids: trimming.Trimmed,
     part: Leaves,
     *,
     wide: Leaves,
@@ -278,7 +278,7 @@ def _budget(
     edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
         *(() if told is None else told.terms),
-        *solid_uncertainty.estimate(
+        *solid_uncertainty.estimate_terms(
             carved.bank,
             carved.hull,
             part,
@@ -288,16 +288,16 @@ def _budget(
             missed=missed,
             binary=all(silhouette.binary for silhouette in carved.silhouettes),
         ),
-        sight.occluded(carved.bank, carved.maps, leaves, carved.water),
+        occlusion.occlusion_term(carved.bank, carved.maps, leaves, carved.water),
         wall_contact.wall_contact(wide, carved.water),
-        solid_uncertainty.water(volume_mm3),
-        *bare_uncertainty.terms(
+        solid_uncertainty.water_term(volume_mm3),
+        *bare_uncertainty.camera_terms(
             carved.cameras.bare,
             leaves,
             views=carved.bank.count,
             mm3_per_px=solid_uncertainty.mm3_per_px(carved.hull, slack_px=settings.hull.slack_px),
         ),
-        canister_uncertainty.canister(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
+        canister_uncertainty.canister_term(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
     )
     fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
@@ -307,13 +307,13 @@ def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[C
     """Check the agreement of views and shape."""
     asked = None if system is None else system.cameras.roots
     sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
-    agreed = shape_checks.of_sight(
+    agreed = shape_checks.check_agreement(
         missed=missed,
         unexplained=budget.unexplained,
         fill=budget.fill,
         trust=budget.trust,
     )
-    return shape_checks.of_motion(sway_mm, budget.trust), agreed
+    return shape_checks.check_motion(sway_mm, budget.trust), agreed
 
 
 def measure(

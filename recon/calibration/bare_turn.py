@@ -51,7 +51,7 @@ def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[
     for k, picture in enumerate(stack):
         covered = 1.0 - picture[np.ix_(rows, columns)] / empty
         covered[covered < LEAST_COVERAGE] = 0.0
-        covered *= _upright(covered.astype(np.float32))
+        covered *= _vertical_cosine(covered.astype(np.float32))
         mass[k] = covered.sum(axis=1, dtype=np.float64)
         across = columns - (edges.axis_px[k, 0] + edges.axis_px[k, 1] * (rows - edges.middle))[:, None]
         for n in range(2):
@@ -59,7 +59,7 @@ def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[
     return mass, moments
 
 
-def _upright(covered: NDArray[np.float32]) -> NDArray[np.float32]:
+def _vertical_cosine(covered: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the cosine (R, C) of the angle of roots from the vertical in a picture, from the structure tensor.
 
     A row cuts an opaque root of diameter d over d / cos(angle), and the angle changes from view to view; times the

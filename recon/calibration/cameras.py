@@ -50,7 +50,7 @@ class Camera:
     sha256: str = ""
     """Checksum of the picture's file; empty if not computed."""
 
-    def placed(self, cam_from_canister: Array, covariance: Array) -> Camera:
+    def with_pose(self, cam_from_canister: Array, covariance: Array) -> Camera:
         """Return the camera with a pose (4, 4) and covariance (6, 6)."""
         return replace(
             self,
@@ -190,7 +190,7 @@ class Cameras:
     warnings: tuple[str, ...] = ()
 
     @staticmethod
-    def given(views: Sequence[View], optics: Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
+    def from_views(views: Sequence[View], optics: Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
         """Return cameras of views (V,) with one lens."""
         every = tuple(
             Camera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank) for view in views
@@ -218,11 +218,11 @@ class Cameras:
             raise ValueError(f"{self.all[frame].file} has no camera pose")
         return pose
 
-    def ordered(self, order: Sequence[int]) -> Cameras:
+    def reorder(self, order: Sequence[int]) -> Cameras:
         """Return the same cameras with another order of frames (V,)."""
         return replace(self, order=tuple(order))
 
-    def without(self, reasons: Mapping[int, str], *, unread: Sequence[LeftOut] = ()) -> Cameras:
+    def leave_out(self, reasons: Mapping[int, str], *, unread: Sequence[LeftOut] = ()) -> Cameras:
         """Return the cameras with some frames left out, by number with the reason, and unread frames appended."""
         every = tuple(replace(camera, used=False, reason=reasons[k]) if k in reasons else camera for k, camera in enumerate(self.all))
         said = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
@@ -230,7 +230,7 @@ class Cameras:
         every += tuple(Camera(file=frame.file, ring=frame.ring, used=False, reason=reason) for frame, reason in unread)
         return replace(self, all=every, order=order, warnings=(*self.warnings, *said))
 
-    def moved(self, views: Sequence[View], optics: Optics) -> Cameras:
+    def with_views(self, views: Sequence[View], optics: Optics) -> Cameras:
         """Return cameras with other poses of the used views (V,), all of one lens, and other optics."""
         every = list(self.all)
         for k, view in zip(self.order, views, strict=True):

@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View, known_tank, matrix, project_inner
+from rhizotwin.recon.optics.cameras import View, matrix, project_inner, tank_pose
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import MAD, inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
@@ -133,7 +133,7 @@ def find_canister(
         None if the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
         surroundings).
     """
-    edges = _Edges.through([_edge_pixels(view, images(k), scene) for k, view in enumerate(views)], views, Optics.of(scene))
+    edges = _Edges.from_pixels([_edge_pixels(view, images(k), scene) for k, view in enumerate(views)], views, Optics.from_scene(scene))
     prior, scale = (part[: _OPEN if scene.tank is None else None] for part in (PRIOR, _SCALE))
     if len(edges.view) < LEAST_EDGES:
         return None
@@ -183,7 +183,7 @@ class _Edges:
     """(N,) index of the pixel of the edge, merged with neighbours along the edge over `TOGETHER_MM`."""
 
     @staticmethod
-    def through(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
+    def from_pixels(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
         """Return the lines of sight through each view's pixels (M, 2)."""
         px = np.concatenate([pixels for pixels, _ in found])
         of = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
@@ -213,7 +213,7 @@ class _Edges:
             turned = np.einsum("ni,nij->nj", self.ray, np.array([view.cam_from_canister[:3, :3] for view in self.views])[self.view])
             return np.array([view.centre_mm for view in self.views])[self.view], turned
         turn = frames.rotation_z(tank_turn_rad)
-        poses = np.array([known_tank(view) @ turn for view in self.views])
+        poses = np.array([tank_pose(view) @ turn for view in self.views])
         centre = np.array([frames.invert(pose)[:3, 3] for pose in poses])[self.view]
         q = np.einsum("ni,nij->nj", self.ray, poses[:, :3, :3][self.view])
         point, p, _ = tank.in_liquid(self.optics.tank, centre, q[:, 1], q[:, 2])
@@ -238,9 +238,9 @@ class _Edges:
         rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "ray")}
         return replace(self, **rows)
 
-    def displaced(self, step: Array) -> _Edges:
+    def displace(self, step: Array) -> _Edges:
         """Return the same pixels' lines after every camera moved by a left-hand twist (6,) of ``cam_from_canister``."""
-        return replace(self, views=[view.moved(twist(step)) for view in self.views])
+        return replace(self, views=[view.move_camera(twist(step)) for view in self.views])
 
 
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
@@ -264,7 +264,7 @@ def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, setting
     covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(told, told)]
     if errors is None:
         return covariance, np.zeros((len(told), 1))
-    by_pose = _slopes(lambda step: edges.displaced(step).off(found), np.zeros(6), _POSE_SCALE)
+    by_pose = _slopes(lambda step: edges.displace(step).off(found), np.zeros(6), _POSE_SCALE)
     follow = np.zeros((len(edges.views), len(found), 6))
     np.add.at(follow, edges.view, -stiff * jacobian[:, :, None] * by_pose[:, None, :])
     follow = (bread @ follow)[:, told]
@@ -296,7 +296,7 @@ def _edge_pixels(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
         away_mm = scene.tank.front_mm + scene.tank.n_liquid * (away_mm - scene.tank.front_mm)
     azimuth, half = np.arctan2(centre[1], centre[0]), np.arccos(np.clip(canister.outer_radius_mm / away_mm, -1.0, 1.0))
     found = [
-        _measured(view, image, *(_pixels(view, scene, _circle(azimuth + side * half, r, z)) for r in (canister.outer_radius_mm, 0.0)))
+        _measure_edge(view, image, *(_pixels(view, scene, _circle(azimuth + side * half, r, z)) for r in (canister.outer_radius_mm, 0.0)))
         for side in (-1.0, 1.0)
     ]
     return np.concatenate(found), np.repeat([0, 1], [len(px) for px in found])
@@ -318,10 +318,12 @@ def _pixels(view: View, scene: Scene, points_mm: Array) -> Array:
 def _liquid(scene: Scene, around: Tank) -> Optics:
     """Return the optics of a tank without a canister."""
     radius_mm = around.front_mm - around.wall_mm
-    return replace(Optics.of(scene), outer_radius_mm=radius_mm, inner_radius_mm=radius_mm, n_wall=around.n_liquid, n_water=around.n_liquid)
+    return replace(
+        Optics.from_scene(scene), outer_radius_mm=radius_mm, inner_radius_mm=radius_mm, n_wall=around.n_liquid, n_water=around.n_liquid
+    )
 
 
-def _measured(view: View, image: Grey, at: Array, inner: Array) -> Array:
+def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
     """Return the pixels (M, 2) of the edge near the tangent points, one per height where the edge is clear."""
     outward = at - inner
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)

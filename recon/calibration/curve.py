@@ -31,7 +31,7 @@ _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
 """Gammas that are tried, in addition to the stated curve, if no known curve fits."""
 
 
-def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
+def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
     """Test with the marker edges whether the pictures were read with the correct curve.
 
     If they clearly were not, they are read again with the estimated curve.
@@ -58,7 +58,7 @@ def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
     return replace(pictures, images=tuple(images), curve=found, warnings=(*pictures.warnings, found.warning))
 
 
-def bend_of(detected: Sequence[Markers]) -> tuple[float | None, int]:
+def median_bend(detected: Sequence[Markers]) -> tuple[float | None, int]:
     """Return the median bend of all measured markers, and their number."""
     bends = np.concatenate([np.zeros(0), *(markers.bend for markers in detected if markers.bend is not None)])
     return (float(np.median(bends)) if len(bends) >= LEAST_MARKERS else None), len(bends)
@@ -76,13 +76,13 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
     again : callable
         Function that reads some of the pictures with another curve and returns their markers.
     """
-    bend, count = bend_of(detected)
+    bend, count = median_bend(detected)
     if bend is None or abs(bend) <= MOST_BEND:
         return CurveFound(curve=stated, stated=stated, bend=bend, stated_bend=bend, markers=count)
     best, least = stated, bend
     for known in (transfer.LINEAR, transfer.SRGB):
         if not known.same(stated):
-            other, _ = bend_of(again(known))
+            other, _ = median_bend(again(known))
             if other is not None and abs(other) < abs(least):
                 best, least = known, other
     if abs(least) > MOST_BEND:
@@ -92,7 +92,7 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
 
 def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
     """Return the gamma, applied after the stated curve, without a bend; otherwise the best curve so far."""
-    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := bend_of(again(_upon(stated, exponent)))[0]) is not None]
+    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_upon(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T
     signs = np.flatnonzero(np.diff(np.sign(bends)))
     if not len(signs):
@@ -100,7 +100,7 @@ def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Se
     k = int(signs[0])
     share = bends[k] / (bends[k] - bends[k + 1])
     curve = _upon(stated, float(exponents[k] * (exponents[k + 1] / exponents[k]) ** share))
-    bend, _ = bend_of(again(curve))
+    bend, _ = median_bend(again(curve))
     return (curve, bend) if bend is not None and abs(bend) < abs(least) else (best, least)
 
 

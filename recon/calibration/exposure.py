@@ -65,7 +65,7 @@ class Exposures:
     """(V,) standard deviation of the panel beside the canister relative to the station, after division by gain and
     ``beside``."""
 
-    def chosen(self, places: Sequence[int]) -> Exposures:
+    def select(self, places: Sequence[int]) -> Exposures:
         """Return the exposures of a subset of the pictures, by index."""
         return replace(
             self,

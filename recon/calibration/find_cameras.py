@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
-from rhizotwin.recon.calibration.chain import Chain
+from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
@@ -56,7 +56,7 @@ def find_cameras(
     UserError
         If too few pictures have a camera.
     """
-    scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
+    scene, optics = pictures.dataset.scene, Optics.from_scene(pictures.dataset.scene)
     if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
         raise UserError(
             f"{pictures.dataset.folder}: the pose of the tank is estimated from the markers of all views together: "
@@ -64,12 +64,14 @@ def find_cameras(
         )
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
-        return _usable(pictures, _exact(pictures, scene.camera, poses_given))
+        return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
         with monitor.stage("canister"):
             bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
         lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
-        return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), bare=bare.uncertainty, warnings=bare.notes(scene)))
+        return _require_views(
+            pictures, replace(_exact_cameras(pictures, lens, bare.cam_from_canister), bare=bare.uncertainty, warnings=bare.notes(scene))
+        )
     detected = _markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
@@ -77,21 +79,23 @@ def find_cameras(
     left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
         canister = None if single_view else _canister(pictures, solved, lens, settings)
-    chain = Chain.of(solved, canister)
-    found = tuple(_in_tank(chain.camera(k, view), canister) if scene.tank else chain.camera(k, view) for k, view in enumerate(solved.views))
+    chain = StripToCanister.combine(solved, canister)
+    found = tuple(
+        _rotate_tank(chain.camera(k, view), canister) if scene.tank else chain.camera(k, view) for k, view in enumerate(solved.views)
+    )
     cameras = Cameras(
         lens=lens,
         optics=optics,
         all=found,
-        order=_used(found),
+        order=_used_frames(found),
         uncertainty=chain.uncertainty(pictures.frames, focus=FOCUS_GIVEN if solved.focal_scale == 1.0 else 0.0),
         markers=_calibration(pictures.frames, detected, solved, canister, chain),
         warnings=(*solved.warnings, *left_out),
     )
-    return _usable(pictures, cameras)
+    return _require_views(pictures, cameras)
 
 
-def _in_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
+def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
     """Rotate a view's tank by the estimate from the canister's edges; leave the view out if its tank is unknown."""
     if camera.cam_from_tank is None:
         return replace(camera, used=False, reason=camera.reason or "its table angle is unknown, and therefore the pose of its tank")
@@ -111,19 +115,19 @@ def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[marker
         return monitor.each(find, "markers", range(len(pictures.images)))
 
 
-def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
+def _exact_cameras(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
     """Return cameras of one lens with exact poses (F, 4, 4)."""
     every = tuple(
         Camera(file=frame.file, ring=frame.ring, used=True, cam_from_canister=lens.pinhole_pose(pose), table_deg=frame.table_deg)
         for frame, pose in zip(pictures.frames, poses, strict=True)
     )
-    optics = Optics.of(pictures.dataset.scene)
+    optics = Optics.from_scene(pictures.dataset.scene)
     if pictures.dataset.masks and optics.straight:
-        optics = _nothing_hidden(optics, poses)
-    return Cameras(lens=lens.as_pinhole(), optics=optics, all=every, order=_used(every))
+        optics = _unobstructed_optics(optics, poses)
+    return Cameras(lens=lens.as_pinhole(), optics=optics, all=every, order=_used_frames(every))
 
 
-def _nothing_hidden(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
+def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
     """Return straight optics without rim and floor, which masks rendered in air do not have.
 
     A line of sight enters the wall between the height of the camera and that of the point.
@@ -149,11 +153,11 @@ def _table_deg(pictures: Pictures) -> list[float]:
     return told
 
 
-def _used(found: Sequence[Camera]) -> tuple[int, ...]:
+def _used_frames(found: Sequence[Camera]) -> tuple[int, ...]:
     return tuple(k for k, view in enumerate(found) if view.used)
 
 
-def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
+def _require_views(pictures: Pictures, cameras: Cameras) -> Cameras:
     """Return the cameras if there are enough of them."""
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
@@ -169,9 +173,9 @@ def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, setti
     keys = [k for k, view in enumerate(solved.views) if view.used and (view.cam_from_tank is not None or not pictures.dataset.scene.tank)]
     if not keys:
         return None
-    poses_found = Cameras(lens=lens, optics=Optics.of(pictures.dataset.scene), all=solved.views, order=tuple(keys))
+    poses_found = Cameras(lens=lens, optics=Optics.from_scene(pictures.dataset.scene), all=solved.views, order=tuple(keys))
     views = poses_found.views
-    errors = None if solved.errors is None else solved.errors.of(keys, [None] * len(keys))
+    errors = None if solved.errors is None else solved.errors.reorder(keys, [None] * len(keys))
     return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 
@@ -180,7 +184,7 @@ def _calibration(
     detected: Sequence[markers.Markers],
     solved: poses.Poses,
     canister: CanisterPose | None,
-    chain: Chain,
+    chain: StripToCanister,
 ) -> MarkerCalibration:
     """Collect the results of all views together."""
     turned = [

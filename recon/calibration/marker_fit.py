@@ -120,7 +120,7 @@ def fit_marker(
     shift_px = float(np.max(np.linalg.norm(corners - window.start, axis=1))) * window.scale_px
     if shift_px > max(MOST_SHIFT_PX, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > MOST_BULGE:
         return None
-    corners_from_h = _corners_by_homography(warp)
+    corners_from_h = _corner_derivatives(warp)
     return MarkerFit(
         corners_px=corners * window.scale_px + window.centre_px,
         covariance_px2=corners_from_h @ covariance[:8, :8] @ corners_from_h.T * window.scale_px**2,
@@ -204,7 +204,7 @@ def _gauss_newton(
         except np.linalg.LinAlgError:
             return None
         contrast = amounts[3] + amounts[4] * s + amounts[5] * t
-        _by_warp(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
+        _fill_warp_derivatives(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
         rows[11] = contrast * by_log_blur / blur
         products = _products(rows)
         normal = products[:18, :18]
@@ -259,7 +259,9 @@ def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
     return s, t
 
 
-def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]) -> None:
+def _fill_warp_derivatives(
+    rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]
+) -> None:
     """Fill rows 0 to 10 with the derivatives of the model by H and b, at fixed pixels."""
     s_x, s_y, t_x, t_y = to_h
     bulge = 1.0 - s * s
@@ -321,7 +323,7 @@ def _homography_through(corners: Array) -> Array:
     return np.linalg.solve(np.concatenate([rows_x, rows_y]), np.concatenate([x, y]))
 
 
-def _corners_by_homography(warp: Array) -> Array:
+def _corner_derivatives(warp: Array) -> Array:
     """Return the derivatives of the corners (8: x, y of each) by h (8); the bulge does not move them."""
     found = np.zeros((4, 2, 8))
     for k, ((s, t), (x, y)) in enumerate(zip(CORNERS, _project(_matrix(warp), CORNERS), strict=True)):

@@ -53,7 +53,7 @@ class Markers:
     """Reason if no markers were found."""
 
 
-def dictionary_of(strip: MarkerStrip) -> cv2.aruco.Dictionary:
+def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
     """Return OpenCV's dictionary of a strip.
 
     Raises
@@ -93,7 +93,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     UserError
         If OpenCV does not know the strip's dictionary.
     """
-    dictionary = dictionary_of(strip)
+    dictionary = marker_dictionary(strip)
     ids, corners_px, foreign = _search(image, dictionary, strip, subpix=not measure)
     if len(ids) and not measure:
         return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
@@ -108,7 +108,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
         return Markers(
             ids=np.zeros(0, np.int64),
             corners_px=np.zeros((0, 4, 2)),
-            diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
+            diagnosis=_diagnose(image, strip, blurred=len(ids), foreign=foreign),
         )
     return Markers(
         ids=np.array(list(found)),
@@ -131,7 +131,7 @@ def _search(
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
     foreign: dict[int, Array] = {}
-    for tone in (_linear, _root, _equalised):
+    for tone in (_linear, _square_root, _equalise):
         corners, ids, _ = detector.detectMarkers(tone(small))
         for marker_id, four in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
             group = own if 0 <= marker_id - strip.first_id < strip.rows * strip.columns else foreign
@@ -166,7 +166,7 @@ def _linear(image: Picture) -> Bytes:
     return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, _BRIGHTEST), 1.0)), np.uint8)
 
 
-def _root(image: Picture) -> Bytes:
+def _square_root(image: Picture) -> Bytes:
     """Scale to 8 bits by a square root, which brightens a strip much darker than the backlight."""
     low, top = _percentile(image, 0.5), _percentile(image, _BRIGHTEST)
     return (255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))).astype(np.uint8)
@@ -177,12 +177,12 @@ def _percentile(image: Picture, percent: float) -> float:
     return float(np.percentile(image[::3, ::3].astype(np.float32), percent))
 
 
-def _equalised(image: Picture) -> Bytes:
+def _equalise(image: Picture) -> Bytes:
     """Equalise the local contrast of the square root."""
-    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_root(image)), np.uint8)
+    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_square_root(image)), np.uint8)
 
 
-def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
+def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
     """Return the reason why no markers were found in a picture."""
     last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
@@ -192,7 +192,7 @@ def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
     if len(foreign) >= 3:
         return others
     picture = _linear(image)
-    mirrored = _detector(dictionary_of(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
+    mirrored = _detector(marker_dictionary(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
     if mirrored is not None and len(mirrored) >= 3:
         return "the picture is mirrored: its markers are only found in its mirror image"
     for name in OTHER_DICTIONARIES:

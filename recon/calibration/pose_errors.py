@@ -29,7 +29,7 @@ class PoseErrors:
         """Return the covariance (V, 6, 6) of each pose."""
         return np.asarray(self.carry @ self.shared @ self.carry.transpose(0, 2, 1) + self.own)
 
-    def of(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
+    def reorder(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
         """Return the errors of views in another order.
 
         None denotes a view without shared errors, with its own covariance (6, 6) in ``alone``.

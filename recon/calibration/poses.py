@@ -83,11 +83,11 @@ def find_poses(
     """
     if len(detected) != len(captured):
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
-    _refuse_strangers(detected, scene, captured)
+    _reject_foreign_markers(detected, scene, captured)
     views: list[Camera] = []
     seen: dict[int, Sightings] = {}
     for k, (markers, frame) in enumerate(zip(detected, captured, strict=True)):
-        view, sight = _alone(markers, scene, frame, polish=not single_view)
+        view, sight = _fit_single_view(markers, scene, frame, polish=not single_view)
         views.append(view)
         if sight is not None:
             seen[k] = sight
@@ -104,12 +104,12 @@ def find_poses(
             if not single_view and len(seen) > 1:
                 del seen[k]
     if single_view:
-        _need_one(views, captured)
+        _require_camera(views, captured)
         return Poses(views=tuple(views), after_px=median_px)
-    return _together(views, seen, scene, captured, settings)
+    return _fit_all_views(views, seen, scene, captured, settings)
 
 
-def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
+def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
     """Reject pictures that show the strip's markers among others of similar size.
 
     Poses from a part of another strip would be wrong.
@@ -126,7 +126,7 @@ def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Seque
         )
 
 
-def _alone(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
+def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
     """Estimate a view's pose from its own markers."""
     count = len(markers.ids)
     nothing = Camera(file=frame.file, ring=frame.ring, used=False, markers=count)
@@ -139,19 +139,19 @@ def _alone(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tup
         reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
         return replace(nothing, reason=reason), None
     local = view_fit.linearise(seen, pose)
-    view = _placed(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
+    view = _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
     return replace(view, single_view_px=local.rms_px), seen
 
 
-def _refocused(view: Camera, seen: Sightings, focal_scale: float) -> Camera:
+def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
     """Estimate the pose of a view outside the rig with the refined focal length."""
-    pose = view_fit.single_view(replace(seen, camera=seen.camera.focused(focal_scale))) if view.used else None
+    pose = view_fit.single_view(replace(sightings, camera=sightings.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
 
-def _placed(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
+def _add_pose(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
     outliers = int(np.count_nonzero(local.weight < OUTLIER_WEIGHT))
-    return replace(view.placed(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
+    return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
 
 
 def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
@@ -161,28 +161,28 @@ def _misfit(error_px: float | None, median_px: float, settings: CalibrationSetti
     return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
 
 
-def _need_one(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
+def _require_camera(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
     if not any(view.used for view in views):
         raise UserError(
             f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
         )
 
 
-def _together(
-    views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
+def _fit_all_views(
+    views: list[Camera], sightings: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
 ) -> Poses:
     """Fit the rig to the views, leave out those that moved, and fit again.
 
     Views of cameras that were moved freely keep their own pose.
     """
-    keys = _rig_keys(views, sorted(seen), scene, captured)
+    keys = _rig_keys(views, sorted(sightings), scene, captured)
     if not keys:
-        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in seen])))
+        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in sightings])))
     while True:
-        first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
-        sights = [seen[k] for k in keys]
+        first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+        sights = [sightings[k] for k in keys]
         fit = fit_rig(sights, first.rig, first.command_rad, first.known, replace(settings, focus_prior=AS_CALIBRATED))
-        worst = _moved(fit, keys, settings)
+        worst = _find_moved_views(fit, keys, settings)
         if not worst:
             break
         for k, moved in worst.items():
@@ -193,11 +193,11 @@ def _together(
     # Otherwise the calibration is more accurate: focus is hard to separate from distance.
     if abs(refocused.rig.focal_scale - 1.0) > settings.focus_sure * refocused.focal_sigma:
         fit, focal_scale = refocused, refocused.rig.focal_scale
-        for k in set(seen) - set(keys):
-            views[k] = _refocused(views[k], seen[k], focal_scale)
+        for k in set(sightings) - set(keys):
+            views[k] = _refocus(views[k], sightings[k], focal_scale)
     covariance = fit.errors.covariance()
     for i, k in enumerate(keys):
-        view = _placed(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
+        view = _add_pose(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         cam_from_rig = fit.rig.own[i] @ fit.rig.cam_from_rig[fit.rig.ring[i]]
         reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
@@ -209,13 +209,13 @@ def _together(
             table_deg=float(turn) if first.known[i] else None,
             cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
         )
-    _need_one(views, captured)
+    _require_camera(views, captured)
     place = {k: i for i, k in enumerate(keys)}
     turn_sigma = np.zeros(len(views))
     turn_sigma[keys] = fit.turn_sigma_rad
     return Poses(
         views=tuple(views),
-        errors=fit.errors.of([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
+        errors=fit.errors.reorder([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
         turn_sigma_rad=turn_sigma,
         rings=_rings(fit, first.stations),
         table_from_canister=fit.rig.table_from_canister,
@@ -223,7 +223,7 @@ def _together(
         focal_scale=focal_scale,
         focal_found=refocused.rig.focal_scale,
         focal_sigma=refocused.focal_sigma,
-        before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
+        before_px=float(np.median([view_fit.linearise(sightings[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),
         warnings=first.warnings,
     )
@@ -249,18 +249,18 @@ def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]
     )
 
 
-def _found(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
+def _view_poses(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
     return [pose for k in keys if (pose := views[k].cam_from_canister) is not None]
 
 
 def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
     """Return the views of the rings with a static camera, apart from small movements."""
-    first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+    first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
     loose = np.any(first.rig.spread > LOOSE, axis=1)
     return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
-def _moved(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
+def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
     """Return, with the reason, the views whose camera pose deviates from that of the other views of the ring."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):

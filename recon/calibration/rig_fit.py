@@ -101,7 +101,9 @@ class RigFit:
         return self.errors.shared[own, own]
 
 
-def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings) -> RigFit:
+def fit_rig(
+    sightings: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings
+) -> RigFit:
     """Fit the rig to all pictures by Gauss-Newton.
 
     Each step reduces a picture to the normal equations of its pose, without loss of information.
@@ -112,7 +114,7 @@ def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: ND
 
     Parameters
     ----------
-    seen : sequence of Sightings
+    sightings : sequence of Sightings
         Markers of each view.
     start : Rig
         Initial rig, near the solution; ``own`` such that the views' poses are those of the single views.
@@ -125,25 +127,25 @@ def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: ND
     """
     rig, scale = start, 1.0
     angle_sigma = np.where(known, np.deg2rad(settings.table_prior_deg), FREE_PRIOR_RAD)
-    weight = np.ones(len(seen))
+    weight = np.ones(len(sightings))
     for _ in range(MOST_STEPS):
-        views = _linearised(seen, rig, scale)
+        views = _linearise_views(sightings, rig, scale)
         scale = max(scale * _misfit(views), LEAST_SCALE)
-        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
+        system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
         spread, weight = system.find_spread(rig.spread, weight)
         shared, local = system.solve(spread, weight)[:2]
-        rig = _stepped(replace(rig, spread=spread), shared, local)
+        rig = _apply_step(replace(rig, spread=spread), shared, local)
         if max(np.abs(local).max(), np.abs(shared).max()) < ENOUGH:
             break
-    views = _linearised(seen, rig, scale)
-    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
-    rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(seen)]
-    return system.report(seen, weight, views, scale, np.array(rig_px))
+    views = _linearise_views(sightings, rig, scale)
+    system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
+    rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(sightings)]
+    return system.report(sightings, weight, views, scale, np.array(rig_px))
 
 
-def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
+def _linearise_views(sightings: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
     shared = {"inset_px": rig.inset_px, "focal_scale": rig.focal_scale, "scale": scale}
-    return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(seen))
+    return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(sightings))
 
 
 def _misfit(views: Sequence[Linearised]) -> float:
@@ -151,7 +153,7 @@ def _misfit(views: Sequence[Linearised]) -> float:
     return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / _CHI2_MEDIAN))
 
 
-def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
+def _apply_step(rig: Rig, shared: Array, local: Array) -> Rig:
     """Apply a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns to a rig."""
     rings = shared[2:-4].reshape(-1, 6)
     canister = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
@@ -191,7 +193,7 @@ class _System:
     settings: CalibrationSettings
 
     @classmethod
-    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, settings: CalibrationSettings) -> "_System":
+    def build(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, settings: CalibrationSettings) -> "_System":
         count, rings = len(views), len(rig.cam_from_rig)
         by_shared, by_local = np.zeros((count, 8, 2 + 6 * rings + 4)), np.zeros((count, 8, 7))
         by_shared[:, 6, 0] = by_shared[:, 7, 1] = 1.0
@@ -262,7 +264,7 @@ class _System:
     def _members(self) -> list[NDArray[np.bool_]]:
         return [self.rig.ring == ring for ring in range(len(self.rig.cam_from_rig))]
 
-    def report(self, seen: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
+    def report(self, sightings: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
         """Assemble the errors of the poses."""
         shared, given, gain = self.solve(self.rig.spread, weight)[2:]
         scores, curvatures, view = [], [], []
@@ -276,7 +278,7 @@ class _System:
         rows, parts = np.concatenate(scores), np.concatenate(curvatures)
         known = np.diag(self._shared_prior())
         normal = parts.sum(axis=0) + known
-        meat = scatter(rows, np.concatenate(view), _places(seen, self.rig), curvatures=parts, normal=normal)
+        meat = scatter(rows, np.concatenate(view), _places(sightings, self.rig), curvatures=parts, normal=normal)
         carry = self.by_shared[:, :6] - self.by_local[:, :6] @ gain
         own = self.by_local[:, :6] @ given @ self.by_local[:, :6].transpose(0, 2, 1)
         errors = PoseErrors(shared=sandwich(normal, meat + known, shared), carry=carry, own=own)
@@ -284,14 +286,14 @@ class _System:
         return RigFit(rig=self.rig, views=views, rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn), scale=scale)
 
 
-def _places(seen: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
+def _places(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
     """Return the index of the place (M,) of each marker in the pictures: squares of a marker's size.
 
     A static camera shows markers of all views on the same pixels, at the same angle to the strip's curve, so that an
     error there is the same in every view: errors of markers' centres correlate by 0.1 up to 8 px apart, and are
     uncorrelated beyond (400x300, markers of 12 px).
     """
-    side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in seen])))
-    square = [np.floor(one.px.mean(axis=1) / side_px) for one in seen]
+    side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in sightings])))
+    square = [np.floor(one.px.mean(axis=1) / side_px) for one in sightings]
     row = np.concatenate([np.column_stack([np.full(len(at), rig.ring[k]), at]) for k, at in enumerate(square)])
     return np.asarray(np.unique(row.astype(np.int64), axis=0, return_inverse=True)[1].ravel(), np.int64)

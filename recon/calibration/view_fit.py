@@ -89,13 +89,13 @@ def sightings(markers: Markers, scene: Scene) -> Sightings:
 
 
 def linearise(
-    seen: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, focal_scale: float = 1.0, scale: float = 1.0
+    sightings: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, focal_scale: float = 1.0, scale: float = 1.0
 ) -> Linearised:
     """Linearise a picture's reprojection about a pose.
 
     Parameters
     ----------
-    seen : Sightings
+    sightings : Sightings
         Corners and their positions on the strip.
     cam_from_canister : (4, 4) array
         The pose.
@@ -111,14 +111,14 @@ def linearise(
     Linearised
         Residuals, Jacobian and weights.
     """
-    count, camera = len(seen.px), seen.camera.focused(focal_scale)
-    cam = frames.apply(cam_from_canister, seen.points_mm.reshape(-1, 3))
+    count, camera = len(sightings.px), sightings.camera.focused(focal_scale)
+    cam = frames.apply(cam_from_canister, sightings.points_mm.reshape(-1, 3))
     at_cam, slopes = cv2.projectPoints(cam, np.zeros(3), np.zeros(3), matrix(camera), np.array(camera.distortion))[:2]
-    off = seen.px.reshape(count, 8) - at_cam.reshape(count, 8) - inset_px * seen.outward
+    off = sightings.px.reshape(count, 8) - at_cam.reshape(count, 8) - inset_px * sightings.outward
     by_focus = (at_cam.reshape(count, 4, 2) - np.array(camera.principal_px)).reshape(count, 8, 1) / focal_scale
-    design = np.concatenate([slopes[:, :6].reshape(count, 8, 6), seen.outward[:, :, None], by_focus], axis=2)
-    white = np.einsum("mij,mj->mi", seen.whitener, off) / scale
-    white_design = seen.whitener @ design / scale
+    design = np.concatenate([slopes[:, :6].reshape(count, 8, 6), sightings.outward[:, :, None], by_focus], axis=2)
+    white = np.einsum("mij,mj->mi", sightings.whitener, off) / scale
+    white_design = sightings.whitener @ design / scale
     chi2 = np.sum(white * white, axis=1)
     weight = 1.0 / (1.0 + chi2 / (8.0 * WIDE**2))
     square = np.sum(off * off, axis=1) / 8.0
@@ -135,10 +135,10 @@ def linearise(
     )
 
 
-def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
+def single_view(sightings: Sightings, *, polish: bool = True) -> Array | None:
     """Return ``cam_from_canister`` (4, 4) from one picture alone, or None if there is no solution."""
-    points, px = seen.points_mm.reshape(-1, 3), seen.px.reshape(-1, 2)
-    camera, lens = matrix(seen.camera), np.array(seen.camera.distortion)
+    points, px = sightings.points_mm.reshape(-1, 3), sightings.px.reshape(-1, 2)
+    camera, lens = matrix(sightings.camera), np.array(sightings.camera.distortion)
     ok, rotvec, shift = cv2.solvePnP(points, px, camera, lens, flags=cv2.SOLVEPNP_SQPNP)
     if ok:
         off_px = np.linalg.norm(cv2.projectPoints(points, rotvec, shift, camera, lens)[0].reshape(-1, 2) - px, axis=1)
@@ -156,7 +156,7 @@ def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
     if not np.all(np.isfinite(cam_from_canister)) or frames.apply(cam_from_canister, points)[:, 2].min() <= 0.0:
         return None
     for _ in range(8 if polish else 0):
-        local = linearise(seen, cam_from_canister)
+        local = linearise(sightings, cam_from_canister)
         try:
             step = np.linalg.solve(local.normal[:6, :6], local.gradient[:6])
         except np.linalg.LinAlgError:

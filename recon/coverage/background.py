@@ -82,12 +82,12 @@ def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
     water surface, and the base, as far out as the outer wall. The clearance of a line of sight from these is computed
     for one pixel in four in each direction and interpolated.
     """
-    lines = CoarseLines.of(view, optics, step=_STEP)
-    inside = np.where(lines.through & refraction.inside(optics, lines.line, _FLANK), 1.0, np.nan)
-    clear = (inside * _clearance_mm(view, optics, scene, refraction.within(optics, lines.line, _FLANK))).astype(np.float32)
-    known = lines.enlarged(np.isfinite(clear), nearest=True) > 0
+    lines = CoarseLines.compute(view, optics, step=_STEP)
+    inside = np.where(lines.through & refraction.reaches_water(optics, lines.line, _FLANK), 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, refraction.clip_to_water(optics, lines.line, _FLANK))).astype(np.float32)
+    known = lines.upsample(np.isfinite(clear), nearest=True) > 0
     half_px_mm = 0.5 * (view.rho_mm + optics.outer_radius_mm) / view.camera.focal_px[1]
-    return np.asarray(known & (lines.enlarged(np.nan_to_num(clear, nan=-1.0)) > _MARGIN_MM + half_px_mm))
+    return np.asarray(known & (lines.upsample(np.nan_to_num(clear, nan=-1.0)) > _MARGIN_MM + half_px_mm))
 
 
 def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approach) -> Array:
@@ -108,7 +108,7 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approa
             outside = p_z / h_around * (np.sqrt(r_skirt**2 - near.b_mm**2) - np.sqrt(r_o**2 - near.b_mm**2))
             before, after, top_z = line.outer_z_mm - outside, far_outer_z + outside, scene.net_pot.skirt_bottom_mm
         else:
-            beyond = cameras.beyond_canister(view, optics, near, line)
+            beyond = cameras.length_behind_canister(view, optics, near, line)
             before, after, top_z = line.outer_z_mm, far_outer_z + p_z / h_around * beyond, optics.tank.level_mm
         clear = np.minimum(top_z - np.maximum(before, after), optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
         lowest = np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm
@@ -121,8 +121,8 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
     Where the canister rotates about an axis other than its own, its flanks move in the picture; the backlight is
     estimated without them.
     """
-    lines = CoarseLines.of(view, optics, step=_STEP)
-    return lines.enlarged(refraction.transmittance(optics, refraction.within(optics, lines.line, _FLANK)))
+    lines = CoarseLines.compute(view, optics, step=_STEP)
+    return lines.upsample(refraction.transmittance(optics, refraction.clip_to_water(optics, lines.line, _FLANK)))
 
 
 class Panel(NamedTuple):
@@ -178,7 +178,7 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     around = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
     added = np.where(around, np.maximum(background - smooth, 0.0), 0.0).astype(np.float32)
     strong = spots & (added > _MOST_ADDED * smooth)
-    if spots.any() and _lies_before_roots(stack, inside, smooth, spots & ~strong, added):
+    if spots.any() and _is_wall_reflection(stack, inside, smooth, spots & ~strong, added):
         glare = cv2.dilate(strong.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
         added[glare] = 0.0
         background = background - added
@@ -206,7 +206,7 @@ def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
     return np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1), count >= _AGREED * number
 
 
-def _lies_before_roots(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
+def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
     """Return whether excess light is reflected by the wall, and not a brighter part of the panel.
 
     Roots cover the panel but not reflections: in front of a reflection, roots are brighter by the added light.
@@ -257,7 +257,7 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
     return surface
 
 
-def bright_enough(background: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
+def bright_pixels(background: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
     """Return the pixels (H, W) of ``inside`` whose background (H, W) is bright enough to measure coverage."""
     if not inside.any():
         return inside

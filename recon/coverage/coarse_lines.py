@@ -27,7 +27,7 @@ class CoarseLines:
     image_wh: tuple[int, int]
 
     @staticmethod
-    def of(view: View, optics: Optics, *, step: int, beyond: bool = False) -> CoarseLines:
+    def compute(view: View, optics: Optics, *, step: int, beyond: bool = False) -> CoarseLines:
         """Compute the lines of sight of a view.
 
         Parameters
@@ -47,12 +47,12 @@ class CoarseLines:
         directions = cameras.camera_directions(view.camera, np.stack([u.ravel(), v.ravel()], axis=1))
         return CoarseLines(*cameras.approach(view, optics, directions), (u.shape[0], u.shape[1]), step, view.camera.image_wh)
 
-    def enlarged(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
+    def upsample(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
         """Return values for every pixel (H, W) from those of the lines (N,): interpolated, or of the nearest line."""
-        return enlarged(values.reshape(self.shape), self.step, self.image_wh, nearest=nearest)
+        return upsample(values.reshape(self.shape), self.step, self.image_wh, nearest=nearest)
 
 
-def enlarged(values: NDArray[np.generic], step: int, image_wh: tuple[int, int], *, nearest: bool = False) -> NDArray[np.float32]:
+def upsample(values: NDArray[np.generic], step: int, image_wh: tuple[int, int], *, nearest: bool = False) -> NDArray[np.float32]:
     """Return values for every pixel (H, W) from values on a coarse grid, interpolated.
 
     Parameters

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
-from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, Window, blurred
-from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, some_parts, vectors
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, Window, blur_coverage
+from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, select_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
 
@@ -46,7 +46,7 @@ class Evidence:
     """In the order of the bank's views, cropped to the window."""
     coverage: Kernel
     """mi.Float16, (V, H, W) flattened: coverage, opacity where roots are translucent."""
-    seen: Kernel
+    usable: Kernel
     """mi.Float16, (V, H, W) flattened: 1 for usable pixels, else 0."""
     window: Window
     """Window of the pictures that is kept, the same in all views; no view has usable pixels outside it."""
@@ -62,7 +62,7 @@ class Evidence:
     """Attachment points of several plants, behind the net pot, canister frame, mm; empty for a single plant."""
 
     @staticmethod
-    def of(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
+    def from_silhouettes(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
         """Transfer silhouettes to the device, cropped to the window that contains the usable pixels of all views.
 
         Parameters
@@ -74,19 +74,19 @@ class Evidence:
         """
         window = Window.around(silhouettes)
         cut = tuple(silhouette.cut(window) for silhouette in silhouettes)
-        coverage, seen = halves([s.coverage for s in cut]), halves([s.seen for s in cut])
-        return Evidence(bank.in_window(window.low_px), cut, coverage, seen, window)
+        coverage, seen = halves([s.coverage for s in cut]), halves([s.usable for s in cut])
+        return Evidence(bank.crop(window.low_px), cut, coverage, seen, window)
 
     def with_cameras(self, cameras: Cameras) -> Evidence:
         """Return the same evidence with other cameras, in the order of the views."""
-        return replace(self, bank=ViewBank.of(cameras.views, cameras.optics).in_window(self.window.low_px))
+        return replace(self, bank=ViewBank.pack(cameras.views, cameras.optics).crop(self.window.low_px))
 
     @property
     def has_opacity(self) -> bool:
         """Return whether the pictures have opacity, and are not masks."""
         return all(silhouette.opacity is not None for silhouette in self.silhouettes)
 
-    def by_light(self) -> Evidence:
+    def with_opacity(self) -> Evidence:
         """Return evidence with opacity instead of coverage: opacity includes its noise, coverage does not.
 
         Raises
@@ -99,17 +99,17 @@ class Evidence:
             raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have an opacity")
         return replace(self, coverage=halves(pictures))
 
-    def beside(self, covered: NDArray[np.bool_]) -> Evidence:
+    def exclude(self, covered: NDArray[np.bool_]) -> Evidence:
         """Return the evidence outside the pixels (V, H, W) that other objects cover."""
-        seen = self.seen * halves(list(~covered))
+        seen = self.usable * halves(list(~covered))
         dr.eval(seen)
-        return replace(self, seen=seen)
+        return replace(self, usable=seen)
 
-    def of_views(self, which: Sequence[int]) -> Evidence:
+    def select_views(self, which: Sequence[int]) -> Evidence:
         """Return the evidence of a subset of the views."""
-        coverage, seen = (some_parts(part, which, self.pixels) for part in (self.coverage, self.seen))
+        coverage, seen = (select_parts(part, which, self.pixels) for part in (self.coverage, self.usable))
         return replace(
-            self, bank=self.bank.chosen(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, seen=seen
+            self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=seen
         )
 
     @property
@@ -128,8 +128,8 @@ class Evidence:
         point = mi.Point3f(*(dr.tile(numbers(part), views) for part in points_mm.T))
         p = projection.project(self.bank, dr.repeat(dr.arange(mi.UInt32, views), count), point, mi.Bool(True))
         width, height = self.image_wh
-        p.seen &= (p.px.x > 1.0) & (p.px.x < width - 2.0) & (p.px.y > 1.0) & (p.px.y < height - 2.0)
-        dr.eval(p.px, p.du, p.dv, p.seen)  # evaluated together, to project once
+        p.visible &= (p.px.x > 1.0) & (p.px.x < width - 2.0) & (p.px.y > 1.0) & (p.px.y < height - 2.0)
+        dr.eval(p.px, p.du, p.dv, p.visible)  # evaluated together, to project once
         return Nodes((views, count), p)
 
 
@@ -158,9 +158,9 @@ class Nodes:
         return self._read(self.on_device.dv)
 
     @cached_property
-    def seen(self) -> NDArray[np.bool_]:
+    def visible(self) -> NDArray[np.bool_]:
         """Whether (V, N) a point is visible in a view, exactly once and within its picture."""
-        return np.array(self.on_device.seen).reshape(self.shape)
+        return np.array(self.on_device.visible).reshape(self.shape)
 
     def _read(self, vector: Kernel) -> Array:
         return np.stack([np.array(part, np.float64).reshape(self.shape) for part in vector], axis=-1)
@@ -196,13 +196,13 @@ def generous_outline(silhouette: Silhouette) -> Image:
 
     The generous outline contains every root, however thin, and also other pixels.
     """
-    return _distance(silhouette, blurred(silhouette, _TRACE_BLUR_PX), _TRACE) + np.float32(_TRACE_SLACK_PX)
+    return _distance(silhouette, blur_coverage(silhouette, _TRACE_BLUR_PX), _TRACE) + np.float32(_TRACE_SLACK_PX)
 
 
 def core_outline(silhouette: Silhouette) -> Image:
     """Return a signed distance (2 H, 2 W) in pixels, positive only deep inside full coverage."""
     # Unusable pixels may be root, up to their rim.
-    return _distance(silhouette, np.where(silhouette.seen, silhouette.coverage, np.float32(1.0)), _FULL) - np.float32(CORE_PX)
+    return _distance(silhouette, np.where(silhouette.usable, silhouette.coverage, np.float32(1.0)), _FULL) - np.float32(CORE_PX)
 
 
 def bright_spots(silhouette: Silhouette) -> Mask:
@@ -211,7 +211,7 @@ def bright_spots(silhouette: Silhouette) -> Mask:
     A hole counts if full coverage is otherwise uninterrupted within `_AROUND` of its diameters: gaps between crossing
     roots are as wide as roots, and lie beside others.
     """
-    full = ((silhouette.coverage > _FULL) | ~silhouette.seen).astype(np.uint8)
+    full = ((silhouette.coverage > _FULL) | ~silhouette.usable).astype(np.uint8)
     count, label, stats, _ = cv2.connectedComponentsWithStats(1 - full, connectivity=4)
     spots = np.zeros(full.shape, bool)
     for number in range(1, count):
@@ -230,7 +230,7 @@ def bright_spots(silhouette: Silhouette) -> Mask:
 def _distance(silhouette: Silhouette, picture: Image, level: float) -> Image:
     """Return the signed distance to a level of a picture, to half a pixel; large for unusable pixels."""
     size = (picture.shape[1] * UPSAMPLING, picture.shape[0] * UPSAMPLING)
-    unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+    unseen = cv2.resize(silhouette.usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     inside = ((cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR) > level) | unseen).astype(np.uint8)
     depth, beyond = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (inside, 1 - inside))
     distance = ((depth - beyond) / UPSAMPLING).astype(np.float32)

@@ -26,7 +26,7 @@ def level_distance(value: Image) -> Image:
     inside = value > 0
     if inside.all() or not inside.any():
         return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
-    near = _near(value, inside)
+    near = _edge_distance(value, inside)
     within, beside = np.flatnonzero(inside), np.flatnonzero(near)
     # Outside, the distance is only used as a bound and a chamfer's error of 2 % is acceptable; inside, it would be 1.7
     # % of a sphere's radius.
@@ -40,11 +40,11 @@ def level_distance(value: Image) -> Image:
     deep = within[near[within] == 0.0]
     chamfer = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 3).ravel()[deep]
     narrow = chamfer.sum(dtype=np.float64) < _LOOKS * value.size and chamfer.max(initial=0.0) < _SURE * _WIDEST
-    signed[deep] = np.maximum(_by_columns(inside, near, within, deep) if narrow else _by_transform(inside, near, deep), 0.5)
+    signed[deep] = np.maximum(_column_distance(inside, near, within, deep) if narrow else _transform_distance(inside, near, deep), 0.5)
     return signed.reshape(value.shape)
 
 
-def _near(value: Image, inside: Mask) -> Image:
+def _edge_distance(value: Image, inside: Mask) -> Image:
     """Return the distance (H * W,) to the level of the samples next to it; 0 elsewhere."""
     inverse_2 = np.zeros(value.size, np.float32)
     size, flat = np.abs(value).ravel(), inside.ravel()
@@ -66,14 +66,14 @@ def _near(value: Image, inside: Mask) -> Image:
     return inverse_2
 
 
-def _by_transform(inside: Mask, near: Image, deep: Index) -> Image:
+def _transform_distance(inside: Mask, near: Image, deep: Index) -> Image:
     """Return the distance (N,) to the nearest sample outside, minus that sample's distance beyond the level."""
     far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
     nearest = row.ravel()[deep].astype(np.int64) * inside.shape[1] + column.ravel()[deep]
     return np.asarray(far.ravel()[deep] - near[nearest], np.float32)
 
 
-def _by_columns(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
+def _column_distance(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
     """Return the distance (N,) to the nearest sample outside where the inside is narrow, as for roots.
 
     The columns on both sides are searched one by one while they are nearer than the current minimum. Of several equally
@@ -84,11 +84,11 @@ def _by_columns(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
     inside : (H, W) bool array
         Samples inside.
     near : (H * W,) float32 array
-        As returned by `_near`.
+        As returned by `_edge_distance`.
     within, deep : (M,) int64 array, (N,) int64 array
         Samples inside, flattened, and those of them that are not next to the level.
     """
-    cost, width, reach = _in_column(inside, near, within), inside.shape[1], 0
+    cost, width, reach = _distance_in_column(inside, near, within), inside.shape[1], 0
     best, column = cost[deep], deep % width
     begin, open_ = deep - column, np.arange(len(deep))
     while len(open_):
@@ -105,7 +105,7 @@ def _by_columns(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
     return np.asarray(np.sqrt(square) - 2.0 * (square - best), np.float32)
 
 
-def _in_column(inside: Mask, near: Image, within: Index) -> Image:
+def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
     """Return the squared distance (H * W,) to the nearest sample outside in the same column, minus half its ``near``.
 
     Squares are integers and ``near`` is at most 1, so that both can be recovered: rounding up gives the square.

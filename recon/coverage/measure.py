@@ -8,7 +8,7 @@ import numpy as np
 from rhizotwin.recon.calibration import exposure
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.exposure import Exposures
-from rhizotwin.recon.coverage import background, outside, silhouettes, translucency, wall
+from rhizotwin.recon.coverage import background, outer_dirt, silhouettes, translucency, wall
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.optics import cameras
@@ -49,15 +49,15 @@ class Coverage:
     dirt: float | None = None
     """Fraction of the visible wall that films, bubbles and glare cover; None with too few views, or without a wall."""
 
-    def exposures_of(self, frames: Collection[int]) -> Exposures | None:
+    def select_exposures(self, frames: Collection[int]) -> Exposures | None:
         """Return the exposures of the pictures of some frames."""
         places = [place for place, frame in enumerate(self.silhouettes) if frame in frames]
-        return None if self.exposures is None else self.exposures.chosen(places)
+        return None if self.exposures is None else self.exposures.select(places)
 
     def fill(self, frame: int) -> float | None:
         """Return the fraction of the visible water that roots cover in a frame; None if the frame is not used."""
         silhouette = self.silhouettes.get(frame)
-        return None if silhouette is None else float((silhouette.coverage[silhouette.seen] > 0.5).mean())
+        return None if silhouette is None else float((silhouette.coverage[silhouette.usable] > 0.5).mean())
 
 
 def measure_coverage(
@@ -97,10 +97,10 @@ def measure_coverage(
     UserError
         If more than a tenth of the pictures show no water, or no root.
     """
-    found = _every_view(pictures, cameras, settings, monitor, outline)
+    found = _measure_all(pictures, cameras, settings, monitor, outline)
     drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
     dark = [False] * len(drawn) if found.exposures is None else found.exposures.dark
-    blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].seen.any()]
+    blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].usable.any()]
     if len(blank) > most:
         name = names[blank[0]].file
         raise UserError(f"{name} does not show the water below the net pot: check the camera, the backlight and the scene file.")
@@ -112,21 +112,21 @@ def measure_coverage(
         )
     reasons = dict.fromkeys(blank, "it does not show the water below the net pot") | dict.fromkeys(empty, "no root is visible in it")
     if reasons:
-        cameras = cameras.without(reasons)
-        found = _every_view(pictures, cameras, settings, monitor, outline)
+        cameras = cameras.leave_out(reasons)
+        found = _measure_all(pictures, cameras, settings, monitor, outline)
     return cameras, found
 
 
-def _every_view(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
+def _measure_all(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
     """Measure the coverage in all views that are used."""
     if pictures.dataset.masks:
-        return _given(pictures, cameras, monitor)
+        return _read_masks(pictures, cameras, monitor)
     if outline is None:
-        return _measured(pictures, cameras, settings, monitor)
-    return _outlined(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
+        return _measure_views(pictures, cameras, settings, monitor)
+    return _draw_silhouettes(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
 
 
-def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
+def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
     """Convert masks, in which white is root, to silhouettes."""
     optics = cameras.optics
     drawn = {}
@@ -143,7 +143,7 @@ class _Backlight:
     """Empty backlight of each view, by frame number."""
 
     empty: dict[int, Image]
-    seen: dict[int, Mask]
+    usable: dict[int, Mask]
     """Usable pixels: bright enough and without glare."""
     lit: dict[int, Mask]
     """Pixels that are bright enough, including glare."""
@@ -151,7 +151,7 @@ class _Backlight:
     added: dict[int, Image | np.float32]
     """Light reflected by the wall, which is subtracted from the picture."""
 
-    def without_added(self, pictures: Pictures, frame: int) -> Image:
+    def subtract_reflections(self, pictures: Pictures, frame: int) -> Image:
         """Return a picture without the light reflected by the wall."""
         return pictures.images[frame].astype(np.float32) - self.added[frame]
 
@@ -166,24 +166,26 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
         gain = {k: exposures.light(i, views[k].camera.image_wh) for i, k in enumerate(order)}
         empty, glare, added = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
-        lit = {k: background.bright_enough(empty[k], inside[k], settings) for k in views}
+        lit = {k: background.bright_pixels(empty[k], inside[k], settings) for k in views}
         return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
 
 
-def _outlined(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
+def _draw_silhouettes(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
     """Draw silhouettes with a given function."""
     with monitor.stage("silhouettes"):
-        return Coverage(silhouettes={k: outline(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in light.empty})
+        return Coverage(
+            silhouettes={k: outline(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in light.empty}
+        )
 
 
-def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
+def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
     """Measure coverage relative to the empty backlight."""
     keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
-    opacity = {k: silhouettes.opacity(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in keys}
-    lit, exposures, seen = light.lit, light.exposures, light.seen
+    opacity = {k: silhouettes.opacity(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in keys}
+    lit, exposures, seen = light.lit, light.exposures, light.usable
     del light  # it needs as much memory as all pictures
     with monitor.stage("wall"):
-        opacity, seen, film = _without_wall(cameras, opacity, seen, settings, monitor)
+        opacity, seen, film = _remove_fouling(cameras, opacity, seen, settings, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = _px_a_mm(cameras)
@@ -193,7 +195,7 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
             dark = opacity.pop(k)
             # Noise is kept, so that faint roots do not lose their flanks.
             clear = dark / np.float32(1.0 - attenuation.own)
-            return replace(_covered(dark, seen[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
+            return replace(_make_silhouette(dark, seen[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
     clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
@@ -201,7 +203,7 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
     return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=exposures, dirt=dirt)
 
 
-def with_attenuation(
+def remeasure_coverage(
     coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
 ) -> Coverage:
     """Measure coverage again, with the attenuation estimated from fitted roots.
@@ -237,7 +239,7 @@ def with_attenuation(
         if clear is None:
             return drawn[k]
         dark = clear.astype(np.float32) * np.float32(1.0 - attenuation.own)
-        return replace(_covered(dark, drawn[k].seen, attenuation, px_a_mm, settings), opacity=clear)
+        return replace(_make_silhouette(dark, drawn[k].usable, attenuation, px_a_mm, settings), opacity=clear)
 
     with monitor.stage("silhouettes again"):
         return replace(
@@ -254,16 +256,16 @@ def _agree(one: float | None, other: float | None) -> bool:
     return bool(abs(np.log(one / other)) < _SAME)
 
 
-def _covered(dark: Image, seen: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
+def _make_silhouette(dark: Image, usable: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
     """Return the silhouette of opacity (H, W)."""
     if attenuation.mu_per_mm is None:
-        return silhouettes.measure(dark, seen, settings, own=attenuation.own)
-    covered = translucency.covered(dark, attenuation, px_a_mm)
-    return silhouettes.without_noise(covered, silhouettes.above_noise(dark, seen, settings), seen)
+        return silhouettes.measure(dark, usable, settings, own=attenuation.own)
+    covered = translucency.translucent_coverage(dark, attenuation, px_a_mm)
+    return silhouettes.suppress_noise(covered, silhouettes.above_noise(dark, usable, settings), usable)
 
 
-def _without_wall(
-    cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
+def _remove_fouling(
+    cameras: Cameras, opacity: dict[int, Image], usable: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
     """Remove the fouling of the wall, and return the fraction of the wall that films cover.
 
@@ -271,16 +273,18 @@ def _without_wall(
     """
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
-        return opacity, seen, None
+        return opacity, usable, None
     where = dict(zip(keys, monitor.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
-    found = wall.study(opacity, seen, where, optics, monitor, settings)
-    cleared = monitor.each(lambda k: wall.cleared(opacity.pop(k), seen[k], where[k], found), "clear", keys)
+    found = wall.detect_fouling(opacity, usable, where, optics, monitor, settings)
+    cleared = monitor.each(lambda k: wall.remove_fouling(opacity.pop(k), usable[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
-    face = outside.face_of(optics, _px_a_mm(cameras))
-    dirty = outside.find(free, clear, views, optics, face, monitor)
+    face = outer_dirt.outer_face(optics, _px_a_mm(cameras))
+    dirty = outer_dirt.detect_dirt(free, clear, views, optics, face, monitor)
     if dirty.any():
-        hidden = monitor.each(lambda k: outside.hidden(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys)
+        hidden = monitor.each(
+            lambda k: outer_dirt.hidden_pixels(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys
+        )
         clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())
 
@@ -319,7 +323,7 @@ def _backgrounds(
     walls = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
-        if len(members) >= _RING_VIEWS and _still([views[k] for k in members]):
+        if len(members) >= _RING_VIEWS and _is_static([views[k] for k in members]):
             stack = np.empty((len(members), *images[members[0]].shape), np.float32)
             for view, k in zip(stack, members, strict=True):
                 view[:] = images[k] / (gain[k] * walls[k])
@@ -338,7 +342,7 @@ def _backgrounds(
     return empty, glare, added
 
 
-def _still(views: list[View]) -> bool:
+def _is_static(views: list[View]) -> bool:
     """Return whether a ring's camera was static.
 
     The canister, a few millimetres off the table's axis, then hardly moves in the picture.

@@ -55,7 +55,7 @@ class Silhouette:
 
     coverage: Image
     """(H, W), 0 to 1: fraction of the pixel covered by root."""
-    seen: Mask
+    usable: Mask
     """(H, W): mask of usable pixels."""
     opacity: NDArray[np.float16] | None = None
     """(H, W), 0 to 1: light absorbed by roots, relative to an opaque root; None if the picture is a mask."""
@@ -63,14 +63,14 @@ class Silhouette:
     @property
     def binary(self) -> bool:
         """Return whether pixels are either root or background, so that the outline is only known to the pixel."""
-        covered = self.coverage[self.seen & (self.coverage > 0.0)]
+        covered = self.coverage[self.usable & (self.coverage > 0.0)]
         return float(np.mean(covered < 1.0)) < _LEAST_PARTIAL if covered.size else False
 
     def cut(self, window: Window) -> Silhouette:
         """Return the part within a window."""
         (left, top), (width, height) = window.low_px, window.size_px
         part = np.s_[top : top + height, left : left + width]
-        return Silhouette(self.coverage[part], self.seen[part], None if self.opacity is None else self.opacity[part])
+        return Silhouette(self.coverage[part], self.usable[part], None if self.opacity is None else self.opacity[part])
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Window:
 
         It includes a margin of unusable pixels, unless limited by the border of the picture.
         """
-        told = np.logical_or.reduce([silhouette.seen for silhouette in silhouettes])
+        told = np.logical_or.reduce([silhouette.usable for silhouette in silhouettes])
         low, size = [], []
         for axis in (0, 1):  # columns, then rows
             some = np.flatnonzero(told.any(axis=axis))
@@ -98,27 +98,27 @@ class Window:
         return Window((low[0], low[1]), (size[0], size[1]))
 
 
-def opacity(image: Image, background: Image, seen: Mask) -> Image:
+def opacity(image: Image, background: Image, usable: Mask) -> Image:
     """Return the opacity (H, W): 0 at the empty backlight, 1 without light; 0 for unusable pixels.
 
     Parameters
     ----------
     image, background : (H, W) float32 array
         Linear grey in the same units.
-    seen : (H, W) bool array
+    usable : (H, W) bool array
         Pixels with a usable background.
     """
-    return np.where(seen, 1.0 - image / np.where(seen, background, 1.0), 0.0).astype(np.float32)
+    return np.where(usable, 1.0 - image / np.where(usable, background, 1.0), 0.0).astype(np.float32)
 
 
-def measure(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSettings(), *, own: float = 0.0) -> Silhouette:
+def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings(), *, own: float = 0.0) -> Silhouette:
     """Measure the coverage by opaque roots: 0 at the empty backlight, 1 at the brightness of resolved root.
 
     Parameters
     ----------
     opacity : (H, W) float32 array
         As returned by `opacity`.
-    seen : (H, W) bool array
+    usable : (H, W) bool array
         Pixels with a usable background.
     settings : CoverageSettings
         Thresholds for noise.
@@ -126,45 +126,45 @@ def measure(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSet
         Brightness of a root relative to the backlight, used if no root is wide enough to measure it.
     """
     # Front light makes roots brighter than black: the opacity inside resolved roots is full coverage there and nearby.
-    core = cv2.erode((opacity > _CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & seen
+    core = cv2.erode((opacity > _CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & usable
     full = np.float32(np.median(opacity[core])) if core.sum() >= _LEAST_CORE else np.float32(1.0 - own)
     weight = cv2.boxFilter(core.astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
     local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
     reference = np.where(weight > _LEAST_NEAR, local / np.maximum(weight, 1e-6), full)
-    return without_noise((opacity / reference).astype(np.float32), above_noise(opacity, seen, settings), seen)
+    return suppress_noise((opacity / reference).astype(np.float32), above_noise(opacity, usable, settings), usable)
 
 
-def without_noise(coverage: Image, above: Mask, seen: Mask) -> Silhouette:
+def suppress_noise(coverage: Image, above: Mask, usable: Mask) -> Silhouette:
     """Return a silhouette of coverage (H, W), with values at the noise level set to zero."""
-    return Silhouette(np.clip(np.where(above & seen, coverage, 0.0), 0.0, 1.0).astype(np.float32), seen)
+    return Silhouette(np.clip(np.where(above & usable, coverage, 0.0), 0.0, 1.0).astype(np.float32), usable)
 
 
-def above_noise(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
+def above_noise(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
     """Return the pixels (H, W) whose surroundings (Gaussian of a pixel) are darker than the noise level.
 
     The noise is that of the empty backlight: the median absolute deviation of the smoothed opacity, most of which is
     background.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
-    if not seen.any():
-        return seen
-    values = smooth[seen][::7]
+    if not usable.any():
+        return usable
+    values = smooth[usable][::7]
     middle = np.median(values)
     noise = MAD * np.median(np.abs(values - middle))
     return np.asarray(smooth > middle + settings.noise_sigmas * noise + _LEAST_NOISE)
 
 
-def thesis(image: Image, seen: Mask) -> Silhouette:
+def thesis(image: Image, usable: Mask) -> Silhouette:
     """Return the silhouette (H, W) of T3.4.2: Otsu threshold, hysteresis on Sobel edges, and opening."""
-    if not seen.any():
-        return Silhouette(np.zeros(image.shape, np.float32), seen)
-    dark = image < filters.threshold_otsu(image[seen])
-    edges = filters.sobel(np.where(seen, image, np.median(image[seen])))
-    high = filters.threshold_otsu(edges[seen])
+    if not usable.any():
+        return Silhouette(np.zeros(image.shape, np.float32), usable)
+    dark = image < filters.threshold_otsu(image[usable])
+    edges = filters.sobel(np.where(usable, image, np.median(image[usable])))
+    high = filters.threshold_otsu(edges[usable])
     lines = filters.apply_hysteresis_threshold(edges, 0.5 * high, high)
-    joined = ((dark | lines) & seen).astype(np.uint8)
+    joined = ((dark | lines) & usable).astype(np.uint8)
     opened = cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-    return Silhouette(opened.astype(np.float32), seen)
+    return Silhouette(opened.astype(np.float32), usable)
 
 
 def outline_level(peak: NDArray[np.floating]) -> Image:
@@ -181,14 +181,14 @@ _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
 """Table of `outline_level`."""
 
 
-def blurred(silhouette: Silhouette, sigma_px: float) -> Image:
+def blur_coverage(silhouette: Silhouette, sigma_px: float) -> Image:
     """Return the coverage (H, W) blurred by a Gaussian over usable pixels only.
 
     This is normalised convolution (Knutsson and Westin 1993). If unusable pixels counted as empty, a speck in front of
     a thick root would have an outline.
     """
-    weight = cv2.GaussianBlur(silhouette.seen.astype(np.float32), (0, 0), sigma_px)
-    covered = cv2.GaussianBlur(np.where(silhouette.seen, silhouette.coverage, np.float32(0.0)), (0, 0), sigma_px)
+    weight = cv2.GaussianBlur(silhouette.usable.astype(np.float32), (0, 0), sigma_px)
+    covered = cv2.GaussianBlur(np.where(silhouette.usable, silhouette.coverage, np.float32(0.0)), (0, 0), sigma_px)
     return np.asarray(covered / np.maximum(weight, _LEAST_SEEN))
 
 
@@ -199,12 +199,12 @@ def signed_distance(silhouette: Silhouette) -> Image:
     j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
-    fine = cv2.resize(blurred(silhouette, _BLUR_PX), size, interpolation=cv2.INTER_CUBIC)
+    fine = cv2.resize(blur_coverage(silhouette, _BLUR_PX), size, interpolation=cv2.INTER_CUBIC)
     peak = cv2.dilate(fine, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
     level = np.maximum(_LEVELS[np.clip(peak * 1024.0, 0, 1024).astype(np.int32)], _FLOOR * 0.5)
     level[peak < _FLOOR] = 1.0
     value = fine - level
-    unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+    unseen = cv2.resize(silhouette.usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     value[unseen] = 1.0
     distance = level_distance(value)
     distance /= np.float32(UPSAMPLING)

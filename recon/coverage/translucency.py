@@ -106,20 +106,20 @@ class Attenuation:
     """Number of profiles used in the estimate."""
 
 
-def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Attenuation:
+def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenuation:
     """Estimate the attenuation of roots from pictures of opacity.
 
     Parameters
     ----------
     opacities : list of (H, W) float32 array
         1 - image / backlight, of some views.
-    seen : list of (H, W) bool array
+    usable : list of (H, W) bool array
         Masks of usable pixels.
     px_a_mm : float
         Scale across the canister's axis.
     """
     own, found = [np.zeros(0)], []
-    for opacity, here in zip(opacities, seen, strict=True):
+    for opacity, here in zip(opacities, usable, strict=True):
         large = _large(opacity, here)
         core = cv2.erode(((opacity > _CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         own.append(1.0 - opacity[core])
@@ -127,20 +127,20 @@ def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Attenuati
     cores = np.concatenate(own)
     bright = float(np.clip(np.quantile(cores, _DARKEST_CORES), 0.0, _MOST_OWN)) if len(cores) else 0.0
     profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
-    chosen = _balanced(width)
+    chosen = _balance_widths(width)
     return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
 
 
-def _large(opacity: Image, seen: Mask) -> Mask:
+def _large(opacity: Image, usable: Mask) -> Mask:
     """Return the pixels in and beside large connected objects."""
-    dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & seen).astype(np.uint8)
+    dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & usable).astype(np.uint8)
     _, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
     large = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) > _LONGEST_PX
     large[0] = False
     return np.asarray(cv2.dilate(large[label].astype(np.uint8), np.ones((7, 7), np.uint8)) > 0)
 
 
-def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
+def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     """Sample opacity across straight, lone bands.
 
     Return profiles (N, `_OFFSETS`) centred on the bands, and widths (N,) at half height.
@@ -149,7 +149,7 @@ def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
     straight = np.hypot(xx - yy, 2.0 * xy) > _STRAIGHT * (xx + yy)
-    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > _DARK) & seen & straight))
+    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > _DARK) & usable & straight))
     if not len(rows):
         return np.zeros((0, len(_OFFSETS))), np.zeros(0)
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)[rows, columns].astype(np.float64)
@@ -186,7 +186,7 @@ def _fall(profile: Array, level: Array) -> Array:
     return np.where(below.any(axis=1) & ~below[:, 0], (first - 1 + share) * _STEP_PX, np.inf)
 
 
-def _balanced(width: Array) -> NDArray[np.int64]:
+def _balance_widths(width: Array) -> NDArray[np.int64]:
     """Select profiles so that all widths have similar weight."""
     rng = np.random.default_rng(0)
     order = rng.permutation(len(width))
@@ -240,7 +240,7 @@ def _vertex(at: Array, cost: Array, best: int) -> float:
     return float(at[best] * np.exp(-b / (2.0 * a))) if a > 0.0 else float(at[best])
 
 
-def covered(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
+def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
     """Return the coverage of translucent roots from their opacity, both (H, W).
 
     The gain is that of a straight round root with the same peak of blurred opacity nearby, chosen so that the coverage

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from rhizotwin.recon.coverage.coarse_lines import CoarseLines, enlarged
+from rhizotwin.recon.coverage.coarse_lines import CoarseLines, upsample
 from rhizotwin.recon.coverage.silhouettes import Image, Mask
 from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.cameras import View
@@ -58,15 +58,15 @@ class Crossings:
     @property
     def column(self) -> tuple[Image, Image]:
         """Return the column coordinates (H, W) of every pixel, near and far."""
-        return self._enlarged(0)
+        return self._upsample(0)
 
     @property
     def row(self) -> tuple[Image, Image]:
         """Return the row coordinates (H, W) of every pixel, near and far."""
-        return self._enlarged(1)
+        return self._upsample(1)
 
-    def _enlarged(self, axis: int) -> tuple[Image, Image]:
-        near, far = (enlarged(side[axis], _STEP, self.image_wh) for side in self.coarse)
+    def _upsample(self, axis: int) -> tuple[Image, Image]:
+        near, far = (upsample(side[axis], _STEP, self.image_wh) for side in self.coarse)
         return near, far
 
 
@@ -109,8 +109,8 @@ def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
 
     For pixels that miss the water, the coordinates are undefined.
     """
-    lines = CoarseLines.of(view, optics, step=_STEP, beyond=True)
-    outer = refraction.within(optics, lines.line)
+    lines = CoarseLines.compute(view, optics, step=_STEP, beyond=True)
+    outer = refraction.clip_to_water(optics, lines.line)
     line = refraction.follow(optics, outer)
     half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
     x, y, _ = view.centre_mm
@@ -142,15 +142,15 @@ def look_up(panorama: Image, column: Image, row: Image) -> Image:
     return np.asarray(cv2.remap(ringed, around, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def passed(panorama: Image, where: Crossings) -> Image:
+def sum_crossings(panorama: Image, where: Crossings) -> Image:
     """Return the sum of an unrolled wall (rows, columns) at the two crossings of each line of sight (H, W)."""
     near, far = (look_up(panorama, *at) for at in zip(where.column, where.row, strict=True))
     return np.asarray(near + far)
 
 
-def study(
+def detect_fouling(
     opacity: dict[int, Image],
-    seen: dict[int, Mask],
+    usable: dict[int, Mask],
     where: dict[int, Crossings],
     optics: Optics,
     monitor: Monitor,
@@ -162,7 +162,7 @@ def study(
     ----------
     opacity : dict of (H, W) float32 array
         1 - image / backlight, by frame number.
-    seen : dict of (H, W) bool array
+    usable : dict of (H, W) bool array
         Masks of usable pixels.
     where : dict of Crossings
         Crossings of each view with the wall.
@@ -178,10 +178,10 @@ def study(
     sampled = np.s_[::step, ::step]
     depth = {k: -np.log1p(-np.minimum(picture[sampled], _OPAQUE)) for k, picture in opacity.items()}
     keys, film = list(opacity), np.zeros((rows, columns), np.float32)
-    found = monitor.each(lambda k: _texels(where[k], seen[k], sampled, (rows, columns)), "wall", keys)
+    found = monitor.each(lambda k: _texels(where[k], usable[k], sampled, (rows, columns)), "wall", keys)
     places = dict(zip(keys, found, strict=True))
     for _ in range(_ROUNDS):
-        views = np.concatenate(monitor.each(partial(_observed, places, depth, film), "wall", keys))
+        views = np.concatenate(monitor.each(partial(_mean_depth, places, depth, film), "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
         # Roots on the wall are not film, nor is the remainder of their fringe after the opening.
         faint = np.where(dark > settings.film_most, 0.0, dark)
@@ -191,18 +191,18 @@ def study(
     return Wall(film, _bubbles(dark - film, (views - film.ravel()).reshape(-1, rows, columns), settings.bubble_depth))
 
 
-def _texels(where: Crossings, seen: Mask, sampled: tuple[slice, slice], size: tuple[int, int]) -> NDArray[np.int32]:
+def _texels(where: Crossings, usable: Mask, sampled: tuple[slice, slice], size: tuple[int, int]) -> NDArray[np.int32]:
     """Return the texels (2, h, w) of a view's sampled pixels, near and far; -1 for unusable pixels."""
     rows, columns = size
     sides = []
     for near_or_far in zip(where.row, where.column, strict=True):
         row, column = (np.rint(at[sampled]).astype(np.int32) for at in near_or_far)
-        here = seen[sampled] & (row >= 0) & (row < rows)
+        here = usable[sampled] & (row >= 0) & (row < rows)
         sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
     return np.stack(sides)
 
 
-def _observed(places: dict[int, NDArray[np.int32]], depth: dict[int, Image], film: Image, k: int) -> Image:
+def _mean_depth(places: dict[int, NDArray[np.int32]], depth: dict[int, Image], film: Image, k: int) -> Image:
     """Return the mean optical depth (2, texels) in view ``k``, with the film on the opposite side subtracted.
 
     NaN for texels that the view does not show.
@@ -255,14 +255,14 @@ def _bubbles(dark: Image, views: Image, least: float) -> Mask:
     return found
 
 
-def cleared(opacity: Image, seen: Mask, where: Crossings, wall: Wall) -> tuple[Image, Mask]:
+def remove_fouling(opacity: Image, usable: Mask, where: Crossings, wall: Wall) -> tuple[Image, Mask]:
     """Return a picture's opacity (H, W) without films, and the pixels that bubbles do not hide.
 
     Parameters
     ----------
     opacity : (H, W) float32 array
         Opacity of the picture.
-    seen : (H, W) bool array
+    usable : (H, W) bool array
         Mask of usable pixels.
     where : Crossings
         Crossings of the pixels with the wall.
@@ -274,5 +274,5 @@ def cleared(opacity: Image, seen: Mask, where: Crossings, wall: Wall) -> tuple[I
     (H, W) float32 array, (H, W) bool array
         Opacity, and mask of usable pixels.
     """
-    free = 1.0 - (1.0 - opacity) * np.exp(passed(wall.film, where))
-    return np.where(seen, free, 0.0).astype(np.float32), seen & (passed(wall.bubbles.astype(np.float32), where) < 0.5)
+    free = 1.0 - (1.0 - opacity) * np.exp(sum_crossings(wall.film, where))
+    return np.where(usable, free, 0.0).astype(np.float32), usable & (sum_crossings(wall.bubbles.astype(np.float32), where) < 0.5)

@@ -78,14 +78,14 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
     """
     shown, missed, sees, excluded = [], [], [], []
     for k, silhouette in enumerate(silhouettes):
-        cubes = _Placed.of(bank.chosen([k]), middles_mm, edge_mm, silhouette.coverage.shape)
+        cubes = _ProjectedCubes.project(bank.select([k]), middles_mm, edge_mm, silhouette.coverage.shape)
         row, column, inside, reach_px = cubes.row, cubes.column, cubes.inside, cubes.reach_px
         beyond = cubes.distance()
-        shown.append(float(silhouette.coverage[silhouette.seen].sum(dtype=np.float64)))
-        missed.append(float(silhouette.coverage[silhouette.seen & (beyond > _NEAR_PX)].sum(dtype=np.float64)))
-        nothing = (silhouette.coverage <= _COVERED) & silhouette.seen
+        shown.append(float(silhouette.coverage[silhouette.usable].sum(dtype=np.float64)))
+        missed.append(float(silhouette.coverage[silhouette.usable & (beyond > _NEAR_PX)].sum(dtype=np.float64)))
+        nothing = (silhouette.coverage <= _COVERED) & silhouette.usable
         to_root = cv2.distanceTransform(nothing.astype(np.uint8), cv2.DIST_L2, 5)
-        sees.append(inside & silhouette.seen[row, column])
+        sees.append(inside & silhouette.usable[row, column])
         excluded.append(inside & (to_root[row, column] > reach_px + _NEAR_PX))
     return Agreement(np.array(shown), np.array(missed), np.array(sees), np.array(excluded))
 
@@ -100,8 +100,8 @@ def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edg
     middles_mm, edge_mm : (N, 3) array, (N,) array
         Centres and edges of the cubes.
     """
-    away = _Placed.of(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
-    return np.asarray(silhouette.seen & (silhouette.coverage > 0.5) & (away > 0.5))
+    away = _ProjectedCubes.project(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
+    return np.asarray(silhouette.usable & (silhouette.coverage > 0.5) & (away > 0.5))
 
 
 def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -116,7 +116,7 @@ def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[N
     shape : tuple of int
         Height and width of the picture.
     """
-    placed = _Placed.of(bank, middles_mm, np.zeros(len(middles_mm)), shape)
+    placed = _ProjectedCubes.project(bank, middles_mm, np.zeros(len(middles_mm)), shape)
     return placed.row * shape[1] + placed.column, placed.inside
 
 
@@ -142,7 +142,7 @@ def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: W
     """
     left, wrong = list(range(bank.count)), list[int]()
     while len(left) > 2:
-        found = _worst(bank.chosen(left), [silhouettes[k] for k in left], water)
+        found = _worst(bank.select(left), [silhouettes[k] for k in left], water)
         if found is None:
             return wrong
         wrong.append(left.pop(found))
@@ -155,8 +155,8 @@ def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> i
     """Return the view that contradicts the others most; None if no view is wrong."""
     coarse_mm = float(np.cbrt(np.pi * water.radius_mm**2 * (water.top_mm - water.bottom_mm))) / _COARSE
     fine_mm = coarse_mm / _FINER
-    cubes, _ = _kept(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
-    cubes, excluded = _kept(bank, silhouettes, _cut(cubes, coarse_mm), fine_mm)
+    cubes, _ = _candidate_cubes(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
+    cubes, excluded = _candidate_cubes(bank, silhouettes, _cut(cubes, coarse_mm), fine_mm)
     if not len(cubes):
         return None
     missed = compare(bank, silhouettes, cubes, np.full(len(cubes), fine_mm)).missed_share
@@ -165,7 +165,7 @@ def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> i
     return worst if wrong[worst] > max(_WRONG, _WRONG_TIMES * float(np.median(wrong))) else None
 
 
-def _kept(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
+def _candidate_cubes(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return the cubes (M, 3) visible in enough views and excluded by at most one, and the exclusions (V, M)."""
     found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
     kept = (found.excluded.sum(axis=0) <= 1) & (found.sees.sum(axis=0) >= least_votes(bank.count))
@@ -188,7 +188,7 @@ def _cut(cubes: Array, edge_mm: float) -> Array:
 
 
 @dataclass(frozen=True)
-class _Placed:
+class _ProjectedCubes:
     """Projection of cubes into one view."""
 
     shape: tuple[int, ...]
@@ -202,15 +202,15 @@ class _Placed:
     """(N,) whether the cube is visible within the picture."""
 
     @staticmethod
-    def of(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _Placed:
+    def project(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _ProjectedCubes:
         p = projection.project(bank, dr.zeros(mi.UInt32, len(middles_mm)), points(middles_mm), mi.Bool(True))
-        dr.eval(p.px, p.du, p.dv, p.seen)
+        dr.eval(p.px, p.du, p.dv, p.visible)
         px = np.array(p.px, np.float64).T
         scale = np.maximum(np.linalg.norm(np.array(p.du), axis=0), np.linalg.norm(np.array(p.dv), axis=0))
-        inside = np.array(dr.select(p.seen, mi.UInt32(1), mi.UInt32(0))) > 0
+        inside = np.array(dr.select(p.visible, mi.UInt32(1), mi.UInt32(0))) > 0
         inside &= (px > 0.0).all(axis=1) & (px < np.array([shape[1] - 1, shape[0] - 1])).all(axis=1)
         column, row = np.round(np.where(inside[:, None], px, 0.0)).astype(np.int64).T
-        return _Placed(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
+        return _ProjectedCubes(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
 
     def distance(self) -> NDArray[np.float32]:
         """Return the distance of each pixel (H, W) from the nearest projected cube; infinite if there is none."""

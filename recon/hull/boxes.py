@@ -48,7 +48,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Scattered:
+class CellSet:
     """Sparse set of cells with look-up by position; memory is proportional to the number of cells."""
 
     box: Box
@@ -59,23 +59,23 @@ class Scattered:
     """(N,) index of each in the original order."""
 
     @staticmethod
-    def of(index: Whole) -> Scattered:
+    def from_cells(index: Whole) -> CellSet:
         """Sort distinct cells (N, 3)."""
         least = Box.around(index)
         box = Box(least.low - 1, least.span + 2)
         number = box.number(index)
         order = np.argsort(number)
-        return Scattered(box, number[order], order)
+        return CellSet(box, number[order], order)
 
-    def holds(self, index: Whole) -> NDArray[np.bool_]:
+    def contains(self, index: Whole) -> NDArray[np.bool_]:
         """Return which cells (M, 3) are in the set."""
         inside = np.ones(len(index), bool)
         for axis, low, span in zip(index.T, self.box.low, self.box.span, strict=True):
             inside &= (axis >= low) & (axis < low + span)
-        inside[inside] = self.lists(self.box.number(index[inside]))
+        inside[inside] = self.contains_numbers(self.box.number(index[inside]))
         return inside
 
-    def lists(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def contains_numbers(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which numbers (M,) in the box are those of cells in the set."""
         return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)
 
@@ -93,7 +93,7 @@ class Scattered:
             some = np.flatnonzero(self.number[place] == wanted)
             yield step, self.order[some], self.order[place[some]]
 
-    def parts(self) -> NDArray[np.int64]:
+    def components(self) -> NDArray[np.int64]:
         """Return the connected component (N,) of each cell.
 
         Cells are merged into rows along z first; two rows touch where one of them begins.
@@ -116,7 +116,7 @@ class Scattered:
     def faces(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the cells (M,) that share a face with an empty one, and these empty cells (K, 3)."""
         beside = [self.number + step for step in (*self.box.step, *-self.box.step)]
-        empty = [~self.lists(number) for number in beside]
+        empty = [~self.contains_numbers(number) for number in beside]
         beyond = np.unique(np.concatenate([number[some] for number, some in zip(beside, empty, strict=True)]))
         return self.order[np.any(empty, axis=0)], self.box.cell(beyond)
 

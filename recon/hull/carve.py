@@ -96,16 +96,16 @@ def carve(
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
     votes = least_votes(bank.count) if min_votes is None else min_votes
     carving, nodes = _Carving(bank, maps, grid, water, votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
-    done = [_Decided(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
+    done = [_Classified(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
     for level in range(grid.levels + 1):
         by_parent = level > 0 and grid.edge_mm(level) <= BY_PARENT_MM
         if level > 0 and not by_parent:
-            nodes = _children(nodes)
+            nodes = _split(nodes)
         chunk, kept = _CHUNK // 8 if by_parent else _CHUNK, list[list[Int32]]()
         for begin in range(0, dr.width(nodes[0]), chunk):
             lane = dr.arange(mi.UInt32, begin, min(begin + chunk, dr.width(nodes[0])))
             part = [dr.gather(mi.Int32, a, lane) for a in nodes]
-            decided = carving.decide(part, level, by_parent=by_parent)
+            decided = carving.classify(part, level, by_parent=by_parent)
             if decided is not None:
                 done.append(decided)
                 kept += [] if decided.split is None else [decided.split]
@@ -121,7 +121,7 @@ def carve(
 
 
 @dataclass(frozen=True)
-class _Decided:
+class _Classified:
     """Classification of nodes of one size."""
 
     index: Index
@@ -148,7 +148,7 @@ class _Carving:
     slack_px: float
     ignore_blindness: bool
 
-    def decide(self, part: list[Int32], level: int, *, by_parent: bool) -> _Decided | None:
+    def classify(self, part: list[Int32], level: int, *, by_parent: bool) -> _Classified | None:
         """Classify nodes of a level; return None if all lie outside the water.
 
         Parameters
@@ -166,14 +166,14 @@ class _Carving:
         about = _centres(grid, part, 2.0 * edge_mm if by_parent else edge_mm)
         parts = marks.corners(half_mm) if by_parent else [mi.Vector3f(dr.opaque(mi.Float, 0.0))]
         seen = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
-        part = _children(part) if by_parent else part
+        part = _split(part) if by_parent else part
         point = _centres(grid, part, edge_mm)
         empty, partial, votes, depth, scale = seen.empty, seen.partial, seen.votes, seen.depth, seen.scale
         if by_parent:
             empty |= ~self._inside(point, edge_mm)
         blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # 1.01: rounding
         if level < grid.levels:
-            blind &= ~marks.partly_seen(self.bank, self.maps, point, half_mm, blind, self.min_votes)
+            blind &= ~marks.find_partly_visible(self.bank, self.maps, point, half_mm, blind, self.min_votes)
         full = ~empty & ~blind & ~partial & (votes >= self.min_votes)
         split = ~empty & ~blind & ~full
         in_radius = dr.square(point.x) + dr.square(point.y) < water.radius_mm**2
@@ -191,7 +191,7 @@ class _Carving:
         occupancy = np.ones((3, len(index)), np.float32)
         if measured is not None:
             occupancy = np.stack([np.array(a) for a in _compress(measured, chosen)]).astype(np.float32)
-        return _Decided(
+        return _Classified(
             index=index * units,
             size=np.full(len(index), units, np.int32),
             occupancy=occupancy,
@@ -229,7 +229,7 @@ def _check_memory(count: int) -> None:
         raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit in memory")
 
 
-def _children(nodes: list[Int32]) -> list[Int32]:
+def _split(nodes: list[Int32]) -> list[Int32]:
     """Divide nodes into eight; children of one node are consecutive."""
     lane = dr.arange(mi.UInt32, 8 * dr.width(nodes[0]))
     parent, child = lane >> 3, lane & 7

@@ -34,7 +34,7 @@ def centre_lines(leaves: Leaves) -> Array:
     paint(volume, index - low, size, occupancy)
     voxel_mm = leaves.grid.size_mm * units
     nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
-    nodes = np.concatenate([nodes, _missed(volume, nodes)])
+    nodes = np.concatenate([nodes, _shifted_curves(volume, nodes)])
     if not len(nodes):
         return np.zeros((0, 3))
     pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours, up to a distance of sqrt(3)
@@ -45,7 +45,7 @@ def centre_lines(leaves: Leaves) -> Array:
     return np.asarray(leaves.grid.origin_mm) + (points + low + 0.5) * voxel_mm
 
 
-def _missed(volume: NDArray[np.float32], curves: Array) -> Array:
+def _shifted_curves(volume: NDArray[np.float32], curves: Array) -> Array:
     """Return voxels (M, 3) on curves found on a lattice shifted by half a voxel but not on this one (N, 3)."""
     aside = ndimage.uniform_filter(volume, 2, mode="constant") > 0.5  # element i covers the last half of i - 1, the first of i
     others = np.argwhere(morphology.skeletonize(aside))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, Window
-from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector2f, Vector2u, bilinear, numbers, room, some_parts
+from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector2f, Vector2u, aligned_empty, bilinear, numbers, select_parts
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.monitor import Monitor
@@ -55,7 +55,7 @@ class DistanceMaps:
         object.__setattr__(self, "_image", mi.Vector2f(*(dr.opaque(mi.Float, count) for count in self.image_wh)))
 
     @staticmethod
-    def of(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
+    def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
         """Transfer maps (V, 2 h, 2 w) to the device, infinite or `UNSEEN_PX` for unusable pixels.
 
         Parameters
@@ -69,7 +69,7 @@ class DistanceMaps:
         return DistanceMaps(values, image_wh or size_px, window or Window((0, 0), size_px))
 
     @staticmethod
-    def drawn(
+    def compute(
         views: Sequence[Silhouette], name: str, monitor: Monitor, outline: Callable[[Silhouette], Image] = silhouettes.signed_distance
     ) -> DistanceMaps:
         """Compute the distance maps of all views, within the window that contains all usable pixels.
@@ -83,7 +83,7 @@ class DistanceMaps:
         """
         (height, width), window = views[0].coverage.shape, Window.around(views)
         samples = UPSAMPLING**2 * window.size_px[0] * window.size_px[1]
-        values = room(len(views) * samples, np.dtype(np.float16))
+        values = aligned_empty(len(views) * samples, np.dtype(np.float16))
 
         def draw(view: int) -> None:
             # `UNSEEN_PX` becomes infinite. NumPy takes five times as long, and twenty times for infinite values.
@@ -98,14 +98,14 @@ class DistanceMaps:
         """Return the number of samples of a map, columns and rows."""
         return self.window.size_px[0] * UPSAMPLING, self.window.size_px[1] * UPSAMPLING
 
-    def of_views(self, which: Sequence[int]) -> DistanceMaps:
+    def select_views(self, which: Sequence[int]) -> DistanceMaps:
         """Return the maps of a subset of the views."""
-        return replace(self, values=some_parts(self.values, which, self.samples_wh[0] * self.samples_wh[1]))
+        return replace(self, values=select_parts(self.values, which, self.samples_wh[0] * self.samples_wh[1]))
 
     def picture(self, view: int) -> Image:
         """Return a view's map, (2 H, 2 W) of its window, infinite for unusable pixels."""
         width, height = self.samples_wh
-        return np.array(mi.Float(self.of_views([view]).values)).reshape(height, width)
+        return np.array(mi.Float(self.select_views([view]).values)).reshape(height, width)
 
     def sample(self, px: Vector2f) -> Vector2f:
         """Return the coordinates (mi.Vector2f) of pixels on a map, whose samples are at integers: mi.Vector2f."""
@@ -117,7 +117,7 @@ class DistanceMaps:
         begin = view * (self._samples.y * self._samples.x)
         return bilinear(self.values, begin, self._samples.x, place.x, place.y, active, most=UNSEEN_PX)
 
-    def holds(self, px: Vector2f) -> Bool:
+    def contains(self, px: Vector2f) -> Bool:
         """Return which pixels (mi.Vector2f) lie in the pictures."""
         return dr.all((px > -0.5) & (px < self._image - 0.5))
 
@@ -127,7 +127,9 @@ def least_votes(count: int) -> int:
     return max(_FEWEST, math.ceil(_VOTES * count))
 
 
-def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool) -> tuple[projection.Projected, Float, Bool]:
+def project_and_read(
+    bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool
+) -> tuple[projection.Projected, Float, Bool]:
     """Project points into a view and read its distance map.
 
     Parameters
@@ -145,7 +147,7 @@ def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, activ
         The projection, the distance in px, and whether the pixel is usable.
     """
     p = projection.project(bank, view, point, active)
-    return p, *read(maps, view, p.px, p.seen)
+    return p, *read(maps, view, p.px, p.visible)
 
 
 def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[Float, Bool]:
@@ -163,6 +165,6 @@ def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[
     mi.Float, mi.Bool
         The distance in px, and whether the pixel is usable.
     """
-    seen = active & maps.holds(px)
+    seen = active & maps.contains(px)
     distance = maps.at(view, px, seen)
     return distance, seen & (distance < TELLS_PX)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.hull.boxes import Box, Scattered
+from rhizotwin.recon.hull.boxes import Box, CellSet
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -59,11 +59,11 @@ class Leaves:
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5 * self.size[:, None]) * self.grid.size_mm
 
     @property
-    def filled(self) -> Array:
+    def filled_volume(self) -> Array:
         """Volumes (N,) of the leaves inside the shape, in finest nodes."""
         return np.asarray(self.occupancy.astype(np.float64) * self.size.astype(np.float64) ** 3)
 
-    def some(self, chosen: NDArray[np.generic] | slice) -> Leaves:
+    def select(self, chosen: NDArray[np.generic] | slice) -> Leaves:
         """Return the leaves selected by a mask (N,), indices (M,) or a slice."""
         return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
 
@@ -77,7 +77,7 @@ class Leaves:
                 some = np.flatnonzero(self.size == edge)
                 most_mm = float(reach_mm[some[0]])
                 near[some] = tree.query(self.middles_mm[some], distance_upper_bound=most_mm, workers=-1)[0] < most_mm
-        return self.some(near)
+        return self.select(near)
 
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
         """Return the total volume, optionally with other occupancies (N,) of the same leaves."""
@@ -85,9 +85,9 @@ class Leaves:
         return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
 
 
-def united(first: Leaves, second: Leaves) -> Leaves:
+def unite(first: Leaves, second: Leaves) -> Leaves:
     """Unite leaves of one grid: leaves within a larger one are removed, and of two equal ones the fuller is kept."""
-    parts = (first.some(~_within(first, second)), second.some(~_within(second, first)))
+    parts = (first.select(~_within(first, second)), second.select(~_within(second, first)))
     index, size, occupancy = (np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy"))
     _, place, which = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True)
     fuller = np.zeros(len(place), np.float32)
@@ -95,16 +95,16 @@ def united(first: Leaves, second: Leaves) -> Leaves:
     return Leaves(first.grid, index[place], size[place], fuller)
 
 
-def common(first: Leaves, second: Leaves) -> Leaves:
+def intersect(first: Leaves, second: Leaves) -> Leaves:
     """Intersect leaves of one grid: leaves within a larger one are kept, and of two equal ones the emptier."""
     inside = _within(first, second), _within(second, first)
-    rest = [leaves.some(~within) for leaves, within in zip((first, second), inside, strict=True)]
+    rest = [leaves.select(~within) for leaves, within in zip((first, second), inside, strict=True)]
     index, size, occupancy = (np.concatenate([getattr(part, name) for part in rest]) for name in ("index", "size", "occupancy"))
     _, place, which, count = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True, return_counts=True)
     emptier = np.ones(len(place), np.float32)
     np.minimum.at(emptier, which, occupancy)
-    both = Leaves(first.grid, index[place], size[place], emptier).some(count == 2)
-    parts = (first.some(inside[0]), second.some(inside[1]), both)
+    both = Leaves(first.grid, index[place], size[place], emptier).select(count == 2)
+    parts = (first.select(inside[0]), second.select(inside[1]), both)
     return Leaves(first.grid, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy")))
 
 
@@ -113,8 +113,8 @@ def _within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
     within = np.zeros(len(leaves.size), bool)
     for edge in np.unique(others.size):
         smaller = np.flatnonzero(leaves.size < edge)
-        larger = Scattered.of(others.index[others.size == edge] // edge)
-        within[smaller] |= larger.holds(leaves.index[smaller] // edge)
+        larger = CellSet.from_cells(others.index[others.size == edge] // edge)
+        within[smaller] |= larger.contains(leaves.index[smaller] // edge)
     return within
 
 
@@ -141,7 +141,7 @@ class Hull:
         return self.leaves.volume_mm3(self.outer)
 
 
-def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
+def to_unit_cubes(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
     """Divide cubes of several sizes into unit cubes: (M, 3) indices."""
     parts = []
     for edge in np.unique(size):
@@ -150,6 +150,6 @@ def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]
     return np.concatenate(parts) if parts else index
 
 
-def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the values (M,) of the unit cubes that `even` makes of cubes with values (N,)."""
+def spread_values(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return the values (M,) of the unit cubes that `to_unit_cubes` makes of cubes with values (N,)."""
     return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values

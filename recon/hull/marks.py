@@ -46,12 +46,12 @@ class Marks:
     scale: Float
     """mi.Float, px per mm in the view of the minimum."""
 
-    def add_view(self, distance: Float, seen: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
+    def add_view(self, distance: Float, visible: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
         """Add a view to nodes that are not empty yet.
 
         Parameters
         ----------
-        distance, seen : Float, Bool
+        distance, visible : Float, Bool
             Distance in px, and whether it is usable.
         clear : Bool
             Whether the whole node lies outside the view's blind zone.
@@ -63,13 +63,13 @@ class Marks:
             Scale at the node.
         """
         open_ = ~self.empty
-        seen &= open_
-        self.partial |= seen & (distance < reach + slack_px)
-        here = dr.select(seen, distance / px_per_mm, 1e3)
+        visible &= open_
+        self.partial |= visible & (distance < reach + slack_px)
+        here = dr.select(visible, distance / px_per_mm, 1e3)
         self.scale = dr.select(here < self.depth, px_per_mm, self.scale)
         self.depth = dr.minimum(self.depth, here)
-        self.votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
-        self.empty |= seen & clear & (distance < -reach - slack_px)
+        self.votes += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        self.empty |= visible & clear & (distance < -reach - slack_px)
 
     def flags(self) -> UInt32:
         """Return votes, `_EMPTY` and `_PARTIAL` packed into one integer."""
@@ -106,7 +106,7 @@ def mark_nodes(
         reach, px_per_mm = _footprint_px(p, half_mm), dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
         for part, mark in zip(parts, marks, strict=True):
             px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
-            distance, seen = distance_maps.read(maps, view, px, p.seen & ~mark.empty)
+            distance, seen = distance_maps.read(maps, view, px, p.visible & ~mark.empty)
             mark.add_view(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
             if ignore_blindness:
                 mark.empty |= ~seen
@@ -132,7 +132,7 @@ def mark_nodes(
     return Marks((flags & _EMPTY) != 0, (flags & _PARTIAL) != 0, flags & (_PARTIAL - 1), depth, scale)
 
 
-def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
+def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
     """Return which nodes have a corner visible in enough views, although too few views show the centre.
 
     These nodes intersect the edge of the blind zone.
@@ -169,7 +169,7 @@ def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Flo
         at = part + offset
 
         def body(view: UInt32, votes: UInt32, at: Point3f = at) -> tuple[UInt32, UInt32]:
-            seen = distance_maps.look(bank, maps, view, at, mi.Bool(True))[2]
+            seen = distance_maps.project_and_read(bank, maps, view, at, mi.Bool(True))[2]
             return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
         state = (mi.UInt32(0), dr.select(some, least, mi.UInt32(0)))

@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import agreement
-from rhizotwin.recon.hull.boxes import Scattered
-from rhizotwin.recon.hull.leaves import Hull, Leaves, even
+from rhizotwin.recon.hull.boxes import CellSet
+from rhizotwin.recon.hull.leaves import Hull, Leaves, to_unit_cubes
 from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
@@ -47,14 +47,14 @@ def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) ->
         Added leaves are fully occupied.
     """
     inside = hull.leaves.occupancy >= 0.5
-    kept, free = hull.leaves.some(inside), hull.leaves.some(~inside)
+    kept, free = hull.leaves.select(inside), hull.leaves.select(~inside)
     if not len(kept.size) or not len(free.size):
         return kept
-    reference = int(np.argmax([float(one.coverage[one.seen].sum(dtype=np.float64)) for one in silhouettes]))
+    reference = int(np.argmax([float(one.coverage[one.usable].sum(dtype=np.float64)) for one in silhouettes]))
     edge_mm = free.grid.size_mm * free.size.astype(np.float64)
     objection = agreement.compare(bank, silhouettes, free.middles_mm, edge_mm).excluded.mean(axis=0)
     objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # at an equal number of views, the distance of the strictest
-    added = _cover(bank.chosen([reference]), silhouettes[reference], kept, free, objection)
+    added = _cover(bank.select([reference]), silhouettes[reference], kept, free, objection)
     added |= _connect(kept, free, objection, added)
     index, size = np.concatenate([kept.index, free.index[added]]), np.concatenate([kept.size, free.size[added]])
     return Leaves(kept.grid, index, size, np.concatenate([kept.occupancy, np.ones(int(added.sum()), np.float32)]))
@@ -79,13 +79,13 @@ def _connect(kept: Leaves, free: Leaves, objection: Array, added: NDArray[np.boo
     Every component is one node of a graph, and so is every other free cell; paths are shortest from the largest
     component.
     """
-    solid = np.concatenate([even(kept.index, kept.size), free.index[added]])
-    part = Scattered.of(solid).parts()
+    solid = np.concatenate([to_unit_cubes(kept.index, kept.size), free.index[added]])
+    part = CellSet.from_cells(solid).components()
     sizes = np.bincount(part)
     rest = np.flatnonzero(~added)
     node = np.concatenate([part, len(sizes) + np.arange(len(rest))]).astype(np.int32)
     cost = np.concatenate([np.full(len(sizes), _INSIDE), _STEP + objection[rest]])
-    ends = [[node[there] for there in pair] for _, *pair in Scattered.of(np.concatenate([solid, free.index[rest]])).neighbours()]
+    ends = [[node[there] for there in pair] for _, *pair in CellSet.from_cells(np.concatenate([solid, free.index[rest]])).neighbours()]
     here, there = (np.concatenate(side) for side in zip(*ends, strict=True))
     some = here != there
     here, there = np.concatenate([here[some], there[some]]), np.concatenate([there[some], here[some]])

@@ -33,7 +33,9 @@ class Spheres:
     """(N,)"""
 
 
-def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+def subdivide_leaves(
+    spheres: Spheres, leaves: Leaves
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Divide leaves until each lies entirely inside the spheres or is a finest node.
 
     Returns
@@ -42,7 +44,7 @@ def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArra
     """
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
-    listed = _Listed.of(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
+    listed = _Bins.build(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
     done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
@@ -66,7 +68,7 @@ def fill(spheres: Spheres, grid: Grid) -> Leaves:
     edge = 2**grid.levels
     if not len(spheres.radius_mm):
         return Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    listed = _Listed.of(spheres, low, low + shape * edge * grid.size_mm, _HALF_DIAGONAL * edge * grid.size_mm)
+    listed = _Bins.build(spheres, low, low + shape * edge * grid.size_mm, _HALF_DIAGONAL * edge * grid.size_mm)
     index, done = np.argwhere(np.ones(shape, bool)).astype(np.int32) * edge, list[tuple[NDArray[np.generic], ...]]()
     offset = np.array(list(np.ndindex(2, 2, 2)), np.int32)
     while edge >= 1:
@@ -81,9 +83,9 @@ def fill(spheres: Spheres, grid: Grid) -> Leaves:
     return Leaves(grid, *(np.concatenate(column) for column in zip(*done, strict=True)))
 
 
-def in_common_mm3(spheres: Spheres, leaves: Leaves) -> float:
+def shared_volume_mm3(spheres: Spheres, leaves: Leaves) -> float:
     """Return the volume of the intersection of spheres and leaves."""
-    _, size, occupancy, inside = against(spheres, leaves)
+    _, size, occupancy, inside = subdivide_leaves(spheres, leaves)
     return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
 
 
@@ -91,11 +93,11 @@ def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
     """Return the depth (N,) of points (N, 3) inside the union of spheres; negative outside."""
     if not len(points_mm) or not len(spheres.radius_mm):
         return np.full(len(points_mm), -np.inf, np.float32)
-    return _Listed.of(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
+    return _Bins.build(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
 
 
 @dataclass(frozen=True)
-class _Listed:
+class _Bins:
     """Spheres listed by the cubic bins that they overlap."""
 
     low_mm: Array
@@ -106,7 +108,7 @@ class _Listed:
     """mi.UInt32, first entry of each bin, and the end."""
 
     @staticmethod
-    def of(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Listed:
+    def build(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Bins:
         """List spheres, dilated by ``beside_mm``, in bins that cover a box."""
         shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
         reach = spheres.radius_mm[:, None] + beside_mm
@@ -120,7 +122,7 @@ class _Listed:
         order = np.argsort(bins, kind="stable")
         begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
         packed = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)[sphere[order]].astype(np.float32)
-        return _Listed(low, shape, numbers(packed), wholes(begins))
+        return _Bins(low, shape, numbers(packed), wholes(begins))
 
     def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
         """Return the depth (N,) of points (N, 3) inside the union of the spheres; negative outside."""

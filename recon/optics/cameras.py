@@ -33,7 +33,7 @@ class View:
     sway: Sway = STILL
     """Displacement of the roots in this picture."""
 
-    def moved(self, motion: Array) -> "View":
+    def move_camera(self, motion: Array) -> "View":
         """Return the view of a camera moved by a rigid motion (4, 4) in its own frame; the canister is fixed."""
         tank = None if self.cam_from_tank is None else motion @ self.cam_from_tank
         return replace(self, cam_from_canister=motion @ self.cam_from_canister, cam_from_tank=tank)
@@ -55,15 +55,15 @@ class View:
         return frames.rotation_z(-float(np.arctan2(y, x)))
 
 
-def swayed(view: View, optics: Optics, points_mm: Array) -> Array:
+def apply_sway(view: View, optics: Optics, points_mm: Array) -> Array:
     """Return the positions of points (N, 3) of the roots, canister frame, mm, in a view, with its sway."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
 
 
-def by_rest(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return the derivative (N, 3, 3) of `swayed` by the points (N, 3)."""
+def sway_jacobian(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Return the derivative (N, 3, 3) of `apply_sway` by the points (N, 3)."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     found = np.tile(np.eye(3), (len(points_mm), 1, 1))
@@ -87,7 +87,7 @@ def camera_directions(camera: Camera, px: Array) -> Array:
     return np.asarray(cam / np.linalg.norm(cam, axis=1, keepdims=True))
 
 
-def in_azimuth(view: View, directions: Array) -> Array:
+def to_azimuth(view: View, directions: Array) -> Array:
     """Rotate directions (N, 3) from the camera's frame into the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)
     return np.asarray(directions @ azimuth_from_cam[:3, :3].T)
@@ -112,7 +112,7 @@ def cam_pixels(camera: Camera, cam: Array) -> Array:
     return np.stack([fx * u + cx, fy * v + cy], axis=-1)
 
 
-def known_tank(view: View) -> Array:
+def tank_pose(view: View) -> Array:
     """Return the pose of the tank relative to a view's camera (4, 4).
 
     Raises
@@ -125,11 +125,11 @@ def known_tank(view: View) -> Array:
     return view.cam_from_tank
 
 
-def through_tank(view: View, optics: Optics) -> TankView:
+def tank_view(view: View, optics: Optics) -> TankView:
     """Return the geometry of a view through the tank of the given optics."""
     if optics.tank is None:
         raise ValueError(f"{optics.tank=} but expected a tank")
-    cam_from_tank = known_tank(view)
+    cam_from_tank = tank_pose(view)
     return TankView(
         tank=optics.tank,
         centre_mm=frames.invert(cam_from_tank)[:3, 3],
@@ -149,16 +149,16 @@ def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, N
         Whether they pass through a tank's front below the liquid's surface; without a tank, always true.
     """
     if optics.tank is not None:
-        at = through_tank(view, optics)
-        along = directions @ known_tank(view)[:3, :3]
+        at = tank_view(view, optics)
+        along = directions @ tank_pose(view)[:3, :3]
         return tank.approach(at, along[:, 1], along[:, 2])
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, to_azimuth(view, directions))
     with np.errstate(invalid="ignore"):
         line = refraction.from_point(view.rho_mm, float(view.centre_mm[2]), w * optics.outer_radius_mm, p_z)
     return line, np.ones(len(directions), bool)
 
 
-def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
+def length_behind_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
     """Return the horizontal length (...) of lines from the canister's outer wall to the inside of a tank's back.
 
     Parameters
@@ -173,7 +173,7 @@ def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction
     (...) array
         mm.
     """
-    at = through_tank(view, optics)
+    at = tank_view(view, optics)
     tank_from_azimuth = frames.invert(at.azimuth_from_tank)
     heading = 2.0 * line.heading_rad - near.heading_rad  # the way out mirrors the way in
     t = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -194,7 +194,7 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
         Whether the ray enters the water through the wall.
     """
     near, through = approach(view, optics, camera_directions(view.camera, px))
-    inside = through & refraction.inside(optics, near)
+    inside = through & refraction.reaches_water(optics, near)
     line = refraction.follow(optics, replace(near, b_mm=np.where(inside, near.b_mm, np.nan)))
     return line, inside & refraction.enters(optics, line)
 
@@ -217,7 +217,7 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
     if optics.tank is not None:
         px, seen, _ = project_through_tank(view, optics, points_mm)
         return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), seen.astype(np.int64)
-    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
+    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
 
@@ -229,7 +229,7 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
     """
     if optics.tank is not None:
         return project_through_tank(view, optics, points_mm)[0]
-    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
+    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
 
@@ -251,8 +251,8 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     jacobian : (N, 2, 3) float64 array
         Derivatives of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
     """
-    at = through_tank(view, optics)
-    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
+    at = tank_view(view, optics)
+    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     q, seen = tank.find_rays(at, points)
     by_ray = np.stack(
         [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
@@ -264,11 +264,11 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)
     jacobian[seen] = -by_ray[seen] @ np.linalg.solve(slopes[seen], by_point[seen])
-    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3] @ by_rest(view, optics, points_mm)
+    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
 
 
 def _pixels(view: View, q: Array) -> Array:
     """Return the pixels (N, 2) of rays given by their components along the tank's front."""
     with np.errstate(invalid="ignore"):
         direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
-    return cam_pixels(view.camera, direction @ known_tank(view)[:3, :3].T)
+    return cam_pixels(view.camera, direction @ tank_pose(view)[:3, :3].T)

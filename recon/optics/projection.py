@@ -22,7 +22,7 @@ import numpy as np
 
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers
 from rhizotwin.recon.optics import ray_kernel, window
-from rhizotwin.recon.optics.cameras import View, known_tank, through_tank
+from rhizotwin.recon.optics.cameras import View, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.recon.optics.start_tables import CELL_MM, view_table
 from rhizotwin.recon.optics.window import Place
@@ -65,7 +65,7 @@ class ViewBank:
         object.__setattr__(self, "end", dr.opaque(mi.UInt32, self.count))
 
     @staticmethod
-    def of(views: Sequence[View], optics: Optics) -> ViewBank:
+    def pack(views: Sequence[View], optics: Optics) -> ViewBank:
         """Pack views.
 
         Cameras at the same distance and height, within `_TABLE_MM`, share the contents of a start table.
@@ -91,13 +91,13 @@ class ViewBank:
         shape = tables[0].shape[:2]
         return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))
 
-    def in_window(self, low_px: tuple[int, int]) -> ViewBank:
+    def crop(self, low_px: tuple[int, int]) -> ViewBank:
         """Return the views with pixel coordinates relative to the first column and row of a window."""
         packed = np.array(self.parameters).reshape(self.count, -1)
         packed[:, _PRINCIPAL] -= low_px
         return replace(self, parameters=numbers(packed))
 
-    def chosen(self, which: Sequence[int]) -> ViewBank:
+    def select(self, which: Sequence[int]) -> ViewBank:
         """Return a subset of the views."""
         parts = (np.array(part).reshape(self.count, -1)[list(which)] for part in (self.parameters, self.tables))
         parameters, tables = (numbers(part) for part in parts)
@@ -106,9 +106,9 @@ class ViewBank:
 
 def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
     """Write the pose of the tank into a view's parameters, and return the key of its start table."""
-    at = through_tank(view, optics)
+    at = tank_view(view, optics)
     turn, shift = at.azimuth_from_tank[:3, :3], at.azimuth_from_tank[:3, 3]
-    packed[:9] = known_tank(view)[:3, :3].ravel()
+    packed[:9] = tank_pose(view)[:3, :3].ravel()
     packed[9], packed[10], packed[23], packed[24:33], packed[33:36] = *at.centre_mm, turn.ravel(), shift
     levers = optics.outer_radius_mm * turn[1:, 0], [at.tank.front_mm + float(turn[:, 0] @ shift)]
     return tuple(round(float(part) / _TABLE_MM[0]) for part in np.concatenate(levers))
@@ -120,7 +120,7 @@ class Projected:
 
     px: Vector2f
     """mi.Vector2f, pixels."""
-    seen: Bool
+    visible: Bool
     """mi.Bool, whether the view shows the point exactly once."""
     clear_mm: Float
     """mi.Float, horizontal distance within which all points are shown exactly once as well."""
@@ -151,8 +151,8 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     aside, along, turned = sway.x - sway.z * point.y, sway.y + sway.z * point.x, sway.z * deep
     x, y = point.x + aside * deep, point.y + along * deep
     at = c * x - s * y, s * x + c * y, point.z
-    end = _in_open(bank, view, parameter, at, active) if bank.optics.tank is None else _through_tank(bank, view, parameter, at, active)
-    ray, seen, clear_mm = end.ray, end.seen, end.clear_mm
+    end = _solve_direct(bank, view, parameter, at, active) if bank.optics.tank is None else _solve_tank(bank, view, parameter, at, active)
+    ray, seen, clear_mm = end.ray, end.visible, end.clear_mm
     u, v, in_front, (u_b, u_p, v_b, v_p) = end.pixel
 
     # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
@@ -175,12 +175,12 @@ class _End:
     """The ray to a point, and its pixel; derivatives by (b, p), or by (q_y, q_z) through a tank."""
 
     ray: ray_kernel.Ray
-    seen: Bool
+    visible: Bool
     clear_mm: Float
     pixel: ray_kernel.Pixel
 
 
-def _in_open(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
     """Find the rays of cameras without a tank to points in the azimuth frame."""
     o = bank.optics
     rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
@@ -193,10 +193,10 @@ def _in_open(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Flo
             p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
     seen &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
     seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
-    return _End(ray, seen, clear_mm, ray_kernel.pixel_in_open(parameter, b, p, ray))
+    return _End(ray, seen, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
 
 
-def _through_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
     """Find the rays through a tank's front to points in the azimuth frame."""
     o, tank = bank.optics, bank.optics.tank
     if tank is None:
@@ -211,7 +211,7 @@ def _through_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
         least = dr.minimum(n_w * n_w, o.n_wall**2) - p2
         limit = _FLANK * dr.minimum(o.inner_radius_mm * dr.sqrt(least) * dr.rsqrt(o.n_around**2 - p2), o.outer_radius_mm)
         b = dr.clip(line.b, -limit, limit)
-        ray = ray_kernel.by_tank_rays(ray_kernel.follow(o, n_w, ray_kernel.from_line(o, line, b), at, b, line.p), line, at)
+        ray = ray_kernel.to_tank_derivatives(ray_kernel.follow(o, n_w, ray_kernel.from_line(o, line, b), at, b, line.p), line, at)
         if step < TANK_STEPS:
             # b is almost proportional to q_y: undo the clipping, and add Newton's step.
             q_y -= (line.b - b) / line.b_q[0] + ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2)

@@ -92,7 +92,7 @@ def from_line(o: Optics, line: window.Line, b: Float) -> Near:
     return Near(turn, mi.Float(1 / (o.outer_radius_mm * o.inner_radius_mm) ** 2), ic_o, line.foot_z - climb * c_o, z_b, z_p)
 
 
-def by_tank_rays(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) -> Ray:
+def to_tank_derivatives(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) -> Ray:
     """Return a ray with derivatives by (q_y, q_z) instead of b and p."""
     along, beside = -at[0] * ray.cos_d - at[1] * ray.sin_d, -at[0] * ray.sin_d + at[1] * ray.cos_d
     f1 = [ray.f1_b * line.b_q[j] + ray.f1_p * line.p_q[j] + along * line.h_q[j] for j in (0, 1)]
@@ -158,7 +158,7 @@ Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
 unknowns."""
 
 
-def pixel_in_open(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
+def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
     """Return the pixels of rays of cameras without a tank, with derivatives by (b, p).
 
     Parameters

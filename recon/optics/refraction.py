@@ -75,7 +75,7 @@ class Optics:
         return min(1.0, to_water) * (1.0 - 1e-9)
 
     @staticmethod
-    def of(scene: Scene) -> "Optics":
+    def from_scene(scene: Scene) -> "Optics":
         """Return the optics of a scene."""
         can, around = scene.canister, scene.surroundings.n
         return Optics(
@@ -90,7 +90,7 @@ class Optics:
         )
 
 
-class _Headed:
+class _HeadedLines:
     """Lines with a horizontal heading."""
 
     heading_rad: Array
@@ -107,7 +107,7 @@ class _Headed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Approach(_Headed):
+class Approach(_HeadedLines):
     """Straight lines of sight before they meet the canister, in the camera's azimuth frame."""
 
     b_mm: Array
@@ -127,13 +127,13 @@ def reach_mm(optics: Optics, p_z: Array) -> Array:
     return np.asarray(np.minimum(optics.outer_radius_mm, np.minimum(*total)) * (1.0 - 1e-9))
 
 
-def within(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
+def clip_to_water(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
     """Clip lines to a fraction of the water's width; results for clipped lines are not meaningful."""
     limit_mm = share * reach_mm(optics, approach.p_z)
     return replace(approach, b_mm=np.clip(approach.b_mm, -limit_mm, limit_mm))
 
 
-def inside(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
+def reaches_water(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
     """Return which lines (...) pass within a fraction of the water's width."""
     return np.asarray(np.abs(approach.b_mm) < share * reach_mm(optics, approach.p_z))
 
@@ -159,7 +159,7 @@ def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WaterLine(_Headed):
+class WaterLine(_HeadedLines):
     """Straight lines of sight in the water, in the camera's azimuth frame; fields have the shape of the rays."""
 
     b_mm: Array

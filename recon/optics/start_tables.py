@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from rhizotwin.recon.optics import refraction, tank
-from rhizotwin.recon.optics.cameras import View, through_tank
+from rhizotwin.recon.optics.cameras import View, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics, WaterLine
 from rhizotwin.recon.optics.tank import TankView
 
@@ -33,10 +33,10 @@ def view_table(view: View, optics: Optics) -> Array:
         nearest point where the view is blind or shows two images, mm. Without a tank, rows are |y| from -1 mm, since y
         < 0 mirrors y > 0.
     """
-    return _in_open(view, optics) if optics.tank is None else _through_tank(view, optics)
+    return _direct_table(view, optics) if optics.tank is None else _tank_table(view, optics)
 
 
-def _in_open(view: View, optics: Optics) -> Array:
+def _direct_table(view: View, optics: Optics) -> Array:
     z_cam, reach = float(view.centre_mm[2]), view.rho_mm - optics.outer_radius_mm
     steepest = max(abs(optics.water_z_mm - z_cam), abs(optics.floor_z_mm - z_cam))
     p_max = float(np.sin(np.arctan2(steepest, reach)))
@@ -52,8 +52,8 @@ def _in_open(view: View, optics: Optics) -> Array:
     return np.stack([b_a, clear_mm], axis=-1)
 
 
-def _through_tank(view: View, optics: Optics) -> Array:
-    at = through_tank(view, optics)
+def _tank_table(view: View, optics: Optics) -> Array:
+    at = tank_view(view, optics)
     reach = float(at.centre_mm[0]) - at.tank.front_mm
     climbs = [float(np.sin(np.arctan2(z - view.centre_mm[2], reach + at.tank.front_mm))) for z in (optics.water_z_mm, optics.floor_z_mm)]
     q_y, count = _tank_fan(at, 0.5 * sum(climbs))
@@ -76,18 +76,18 @@ def _round_fan(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]
     """Tabulate b_a and the number of images over (x, y >= 0) for rays of one climb."""
     w = _SINES * optics.w_limit
     line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
-    return _swept(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
+    return _sweep(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
 
 
 def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:
     """Tabulate q_y and the number of images over (x, y) for rays of one q_z."""
     wide = tank.approach(at, _NAMES, np.full_like(_NAMES, q_z))[0]
     q_y = np.interp(_SINES, wide.b_mm / refraction.reach_mm(at.optics, wide.p_z), _NAMES)
-    line = refraction.within(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])
-    return _swept(_positions(at.optics), refraction.follow(at.optics, line), q_y)
+    line = refraction.clip_to_water(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])
+    return _sweep(_positions(at.optics), refraction.follow(at.optics, line), q_y)
 
 
-def _swept(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
+def _sweep(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
     """Sweep lines (K,) over positions (ny, nx, 2).
 
     Returns

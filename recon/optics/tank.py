@@ -161,7 +161,7 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
     aside = in_tank[:, 1:] - [y, z]
     q = aside / np.sqrt(depth**2 + np.sum(aside**2, axis=1))[:, None]
 
-    q = _brought_inside(at, q, points_mm)
+    q = _pull_inside(at, q, points_mm)
     left = np.arange(len(q))  # not converged yet
     for _ in range(_STEPS):
         here = points_mm[left]
@@ -189,7 +189,7 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
     return np.where(seen[:, None], q, np.nan), seen
 
 
-def _brought_inside(at: TankView, q: Array, points_mm: Array) -> Array:
+def _pull_inside(at: TankView, q: Array, points_mm: Array) -> Array:
     """Move rays that miss the water towards the ray that points at the axis, until they reach it."""
     middle = frames.apply(frames.invert(at.azimuth_from_tank), np.array([[0.0, 0.0, at.optics.floor_z_mm]]))[0]
     x, y, _ = at.centre_mm

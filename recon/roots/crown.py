@@ -47,7 +47,7 @@ def reach_mm(at_mm: Array) -> float:
     return 0.5 * float(apart[~np.eye(len(at_mm), dtype=bool)].min())
 
 
-def members(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
+def find_top_cells(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
     """Return the dense cells among which the top of each plant is searched, by the plant's number.
 
     Parameters
@@ -69,7 +69,7 @@ def members(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) 
     return {plant: cells for plant, cells in enumerate(chosen) if len(cells)}
 
 
-def hang(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], step_mm: float) -> list[tuple[Array, Array]]:
+def attach_paths(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], step_mm: float) -> list[tuple[Array, Array]]:
     """Attach the traced paths of several plants to a crown.
 
     Parameters
@@ -111,7 +111,7 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
     return np.concatenate(parts)
 
 
-def without(system: RootSystem, top_mm: float) -> RootSystem:
+def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
     """Mark the nodes that no view shows as solid: the crown of several plants, or the base of a single one.
 
     No roots are made of solid nodes, and they add no volume.
@@ -121,13 +121,13 @@ def without(system: RootSystem, top_mm: float) -> RootSystem:
     top_mm : float
         z of the visible water surface below the net pot.
     """
-    at, height_mm, radius_mm = system.seen.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2], system.tubes.radius_mm
+    at, height_mm, radius_mm = system.evidence.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2], system.tubes.radius_mm
     shown = np.zeros(len(height_mm), np.int64)
-    for view, silhouette in enumerate(system.seen.silhouettes):
-        column, row = np.round(np.where(at.seen[view][:, None], at.px[view], 0.0)).astype(np.int64).T
-        shown += at.seen[view] & silhouette.seen[row, column]
+    for view, silhouette in enumerate(system.evidence.silhouettes):
+        column, row = np.round(np.where(at.visible[view][:, None], at.px[view], 0.0)).astype(np.int64).T
+        shown += at.visible[view] & silhouette.usable[row, column]
     hidden = shown < _FEW
-    if not system.seen.tops_mm:
+    if not system.evidence.tops_mm:
         base = system.tubes.branches[0]
         held = np.zeros(len(height_mm), bool)
         held[base[: int(np.argmin(hidden[base]))]] = True

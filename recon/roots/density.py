@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float, release
-from rhizotwin.recon.hull.leaves import Grid, Leaves, even
+from rhizotwin.recon.hull.leaves import Grid, Leaves, to_unit_cubes
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 
 Array = NDArray[np.float64]
@@ -74,15 +74,15 @@ class Cells:
         """Return a k-d tree of the cell centres."""
         return cKDTree(self.centre_mm)
 
-    def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
+    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
         """Return a subset of the cells, by mask (N,) or indices (M,)."""
         return replace(self, index=self.index[which], shadow_mm2=self.shadow_mm2[which])
 
 
-def even_cells(leaves: Leaves) -> Cells:
+def split_leaves(leaves: Leaves) -> Cells:
     """Split leaves into cells of equal size with zero shadows."""
     some = leaves.occupancy > 0.5
-    index = even(leaves.index[some], leaves.size[some])
+    index = to_unit_cubes(leaves.index[some], leaves.size[some])
     return Cells(leaves.grid, index, np.zeros(len(index), np.float32))
 
 
@@ -110,8 +110,8 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     number = np.arange(len(cells.index))
     if not len(number):
         return replace(cells, tops_mm=evidence.tops_mm), number
-    footprints = Footprints.of(evidence, cells.centre_mm)
-    thick = [Footprints.of(evidence, solid.centre_mm)] if len(solid.index) else []
+    footprints = Footprints.project(evidence, cells.centre_mm)
+    thick = [Footprints.project(evidence, solid.centre_mm)] if len(solid.index) else []
     table = Table(footprints, Windows.around(footprints, *thick))
     every = range(evidence.bank.count)
     coverage = table.windows.cut(evidence, evidence.coverage)
@@ -129,11 +129,11 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
             shadow = _improve(table, views, coverage, covered, shadow)
         if any(done < step <= done + count for step in _THIN_OUT):
             kept = dr.compress(shadow > _NOTHING * cells.grid.size_mm**2)
-            number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.chosen(kept)
+            number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.select(kept)
             dr.eval(shadow)
             release()  # the steps of later passes are over more views
         done += count
-    found = cells.chosen(number)
+    found = cells.select(number)
     return replace(found, shadow_mm2=np.array(shadow, np.float32), tops_mm=evidence.tops_mm), number
 
 

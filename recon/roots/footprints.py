@@ -77,7 +77,7 @@ class Footprints:
     """mi.Float16, (V, N) flattened: projected area of 1 mm2; 0 where the view does not show the cell."""
 
     @staticmethod
-    def of(evidence: Evidence, centre_mm: Array) -> Footprints:
+    def project(evidence: Evidence, centre_mm: Array) -> Footprints:
         """Project cells (N, 3) into all views."""
         count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
         steps_a_px = _STEPS / max(width, height)
@@ -86,9 +86,9 @@ class Footprints:
         view = lane // dr.opaque(mi.UInt32, count)
         point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.seen & readable(p.px, width, height)
+        seen = p.visible & readable(p.px, width, height)
         px = dr.select(seen, p.px, mi.Vector2f(0.0))
-        told = dr.gather(mi.Float16, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
+        told = dr.gather(mi.Float16, evidence.usable, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
         area = mi.Float16(dr.select(seen & is_positive(told), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)
@@ -130,7 +130,7 @@ class Table:
         self._columns, self._pixels = (dr.opaque(mi.UInt32, number) for number in (windows.columns, windows.pixels))
         dr.eval(self._low, self._cells)
 
-    def chosen(self, kept: UInt32) -> Table:
+    def select(self, kept: UInt32) -> Table:
         """Return a subset of the cells, by indices (mi.UInt32)."""
         return Table(self.footprints, self.windows, dr.gather(mi.UInt32, self._cells, kept))
 

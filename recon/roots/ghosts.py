@@ -2,8 +2,7 @@
 
 These are ghosts, which explain no pixels, duplicates inside other tubes, and short ends without evidence. Each function
 returns a mask of nodes (N,) to remove, which `Tubes.prune_mask` turns into cuts from the tips. The exception is
-`uncertain_ends`: these are mostly parts of real roots whose ends are hidden by other roots; they are kept, but without
-a tip.
+`find_uncertain_ends`, whose nodes are mostly parts of real roots with hidden ends; they are kept, but without a tip.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.roots.proof import Proof
+from rhizotwin.recon.roots.node_support import Support
 from rhizotwin.recon.tubes.tubes import Index, Tubes
 from rhizotwin.scenes import polyline
 
@@ -51,7 +50,7 @@ _CERTAIN = 0.15
 (docs/decisions/tubes-for-thin-roots.md)."""
 
 
-def flanked(tubes: Tubes, organ: Mask) -> Mask:
+def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:
     """Return the mask (N,) of nodes with a margin of `FLANK_PX` about them.
 
     These are the nodes of taproot and hypocotyl, and the upper end of the plant, where it leaves the views.
@@ -61,20 +60,20 @@ def flanked(tubes: Tubes, organ: Mask) -> Mask:
     return organ | top
 
 
-def unexplaining(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
+def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
     """Return the mask (N,) of nodes that explain no pixels alone, averaged over neighbours along their branch."""
     gone = np.zeros(len(organ), bool)
     for k in range(len(tubes.branches)):
         own = tubes.own(k)
         explained, left = (
             np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
-            for value in (proved.explained, proved.left)
+            for value in (proved.explained, proved.residual)
         )
         gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
     return gone & ~organ
 
 
-def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
+def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
     """Return the mask (N,) of nodes inside an earlier branch, within the margin of an organ, or about the upper end.
 
     Such nodes belong to second paths along the same root.
@@ -85,7 +84,7 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
         `FLANK_PX` in mm.
     """
     centre, owner = tubes.centre_mm, tubes.owner
-    reach = np.where(flanked(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
+    reach = np.where(find_margin_nodes(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
     # # A node near a thick root has many neighbours, its own branch's nodes among them.
     held = cKDTree(centre).query_ball_point(centre, reach, workers=-1)
     node = np.concatenate([np.asarray(nodes, np.int64) for nodes in held])
@@ -95,7 +94,7 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
     return inside
 
 
-def unproven(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
+def find_unsupported_starts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
     """Return the mask (N,) of nodes at the beginning of branches that together explain little of their own coverage.
 
     They belong to second tubes of a root, to ghosts among roots, and to detours along other roots to the true
@@ -104,23 +103,23 @@ def unproven(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
     found = np.zeros(len(tubes.radius_mm), bool)
     for k in range(1, len(tubes.branches)):
         own = tubes.own(k)
-        little = np.flatnonzero(np.cumsum(proved.explained[own]) < _SHARED * np.cumsum(proved.alone[own]))
+        little = np.flatnonzero(np.cumsum(proved.explained[own]) < _SHARED * np.cumsum(proved.own[own]))
         first, rest = np.split(own, [little.max(initial=-1) + 1])
         if not len(rest) or (len(first) and np.median(tubes.radius_mm[first]) < _THINNER * np.median(tubes.radius_mm[rest])):
             found[first] = True
     return found & ~organ
 
 
-def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
+def find_short_leaves(tubes: Tubes, organ: Mask) -> Mask:
     """Return the mask (N,) of nodes of short branches without children, which may be artefacts of their neighbours."""
     gone = np.zeros(len(organ), bool)
-    for k, line in _standing(tubes):
+    for k, line in _free_ends(tubes):
         if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
             gone[line[1:]] = True
     return gone & ~organ
 
 
-def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> Mask:
+def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Mask) -> Mask:
     """Return the mask (N,) of nodes of ends, from a branch's last lateral to its tip, that probably have no tip.
 
     The evidence for a tip combines three measures: other roots do not hide it, it is free of other roots, and the
@@ -134,14 +133,14 @@ def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> 
         Fraction of each node, over all views, that no other node hides.
     """
     gone = np.zeros(len(organ), bool)
-    ends = _standing(tubes)
+    ends = _free_ends(tubes)
     if not ends:
         return gone
     owner, radius, near = tubes.owner, tubes.radius_mm, cKDTree(tubes.centre_mm)
     share, free_mm = np.zeros(len(ends)), np.full(len(ends), _FREE_MM)
     for number, (k, line) in enumerate(ends):
         last = line[1:][-_TIP_NODES:]
-        share[number] = proved.left[last].sum() / max(float((proved.explained + proved.left)[last].sum()), 1e-6)
+        share[number] = proved.residual[last].sum() / max(float((proved.explained + proved.residual)[last].sum()), 1e-6)
         tip = tubes.centre_mm[line[-1]]
         others = np.array([n for n in near.query_ball_point(tip, _FREE_MM + float(radius.max())) if owner[n] != k], np.int64)
         if len(others):
@@ -163,7 +162,7 @@ def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
     return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
 
 
-def _standing(tubes: Tubes) -> list[tuple[int, Index]]:
+def _free_ends(tubes: Tubes) -> list[tuple[int, Index]]:
     """Return the branches, except the first, that continue beyond their last lateral, with the nodes of their ends."""
     return [(k, line) for k, line in enumerate(tubes.ends) if k > 0 and len(line) > 1]
 

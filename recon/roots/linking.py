@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.roots import turning
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, hanging_order
+from rhizotwin.recon.roots import orientation
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, parents_first
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -84,7 +84,7 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
         Mask of the nodes that remain.
     """
     marked = np.zeros(len(tubes.centre_mm), bool) if uncertain is None else uncertain
-    branches = turning.rightly_turned(tubes, list(tubes.branches))
+    branches = orientation.orient_branches(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
         tangents = _tangents(tubes, branches)
         worth = _worth(tangents, branches, marked)
@@ -95,9 +95,9 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
             those = {int(tangents.owner[end]), int(tangents.owner[node])} | ({third} if third >= 0 else set())
             if touched & those:
                 continue
-            tried = _changed(tangents, branches, end, node, third, kind)
-            now = _owner_now(owner, branches, tried, those)
-            if all(above(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
+            tried = _apply_change(tangents, branches, end, node, third, kind)
+            now = _update_owners(owner, branches, tried, those)
+            if all(ancestors(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
                 branches, owner = tried, now
                 touched |= those
         if not touched:
@@ -317,7 +317,7 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
+def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
     """Return the branches after one of them continues in a node of another.
 
     The remainder of that other one continues in a third branch, if any.
@@ -337,7 +337,7 @@ def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: 
     changed[a] = np.concatenate([first, second[place:]])
     if kind is _Kind.SPLICED:
         changed[b] = None
-        return _rehung(tangents.centre, changed, second[1:place], first)
+        return _reattach(tangents.centre, changed, second[1:place], first)
     left = second[:place]
     changed[b] = left if len(left) > 1 else None
     following = branches[third] if third >= 0 else None
@@ -346,7 +346,7 @@ def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: 
     return changed
 
 
-def _rehung(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
+def _reattach(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
     """Attach the children of dropped nodes to the nearest nodes of a line."""
     nearest = dict(zip(dropped.tolist(), line[cKDTree(centre[line]).query(centre[dropped])[1]].tolist(), strict=True))
     return [
@@ -355,7 +355,7 @@ def _rehung(centre: Array, branches: list[Index | None], dropped: Index, line: I
     ]
 
 
-def _owner_now(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
+def _update_owners(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
     """Return the branch (N,) that owns each node after some branches changed; -1 for dropped nodes."""
     now = owner.copy()
     for branches, gone in ((before, True), (after, False)):
@@ -367,5 +367,5 @@ def _owner_now(owner: Index, before: list[Index | None], after: list[Index | Non
 
 
 def _parents_first(branches: list[Index | None], count: int) -> tuple[Index, ...]:
-    ordered = (branches[k] for k in hanging_order(branches, count))
+    ordered = (branches[k] for k in parents_first(branches, count))
     return tuple(nodes for nodes in ordered if nodes is not None)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.device import readable, vectors
-from rhizotwin.recon.hull.boxes import Scattered
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tubes
@@ -39,9 +39,9 @@ class Core:
     depth_mm: Array
     """(N,) distance to the nearest cell outside."""
 
-    def chosen(self, which: Mask | NDArray[np.int64]) -> Core:
+    def select(self, which: Mask | NDArray[np.int64]) -> Core:
         """Return a subset of the cells, by mask (N,) or indices (M,)."""
-        return Core(self.cells.chosen(which), self.depth_mm[which])
+        return Core(self.cells.select(which), self.depth_mm[which])
 
 
 def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
@@ -77,7 +77,7 @@ def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
             wide = np.interp(np.arange(len(nodes)), np.flatnonzero(inside), inner[nodes][inside]) + _RIM_PX / px_a_mm
             if len(nodes) * SPACING_MM > 2.0 * float(np.median(wide)):
                 thick[nodes], radius[nodes] = True, wide
-    return tubes.moved(start, start.centre_mm, radius), thick
+    return tubes.with_geometry(start, start.centre_mm, radius), thick
 
 
 def _inner_radius(core: Core, points_mm: Array) -> Array:
@@ -86,13 +86,13 @@ def _inner_radius(core: Core, points_mm: Array) -> Array:
     if not len(depth):
         return found
     highest = depth.copy()  # about each cell
-    for _, here, there in Scattered.of(core.cells.index).neighbours():
+    for _, here, there in CellSet.from_cells(core.cells.index).neighbours():
         np.maximum.at(highest, here, depth[there])
         np.maximum.at(highest, there, depth[here])
     ridge = np.flatnonzero(depth > highest - 0.6 * edge_mm)  # also for a cone, whose depth rises by less per cell
     octave, place = np.floor(np.log2(depth[ridge] / edge_mm)), cKDTree(points_mm)
     for one in np.unique(octave):  # groups of similar size limit the search
-        some = core.chosen(ridge[octave == one])
+        some = core.select(ridge[octave == one])
         near = place.sparse_distance_matrix(cKDTree(some.cells.centre_mm), float(some.depth_mm.max()), output_type="ndarray")
         size = some.depth_mm[near["j"]]
         inside = near["v"] < size
@@ -100,7 +100,7 @@ def _inner_radius(core: Core, points_mm: Array) -> Array:
     return found
 
 
-def without_roots(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:
+def find_solids(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:
     """Return the parts of a core that contain no thick root, such as spheres, boxes and bulbs.
 
     A part narrower than a thick root is a cluster of thin ones.
@@ -112,10 +112,10 @@ def without_roots(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells
     """
     if not len(core.depth_mm):
         return core.cells
-    part = Scattered.of(core.cells.index).parts()
+    part = CellSet.from_cells(core.cells.index).components()
     deep = part[core.depth_mm > (THICK_PX - _RIM_PX) / px_a_mm]
     taken = part[core.cells.tree.query(tree.centre_mm[thick])[1]] if thick.any() else part[:0]
-    return core.cells.chosen(np.isin(part, deep) & ~np.isin(part, taken))
+    return core.cells.select(np.isin(part, deep) & ~np.isin(part, taken))
 
 
 def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np.bool_]:
@@ -128,11 +128,11 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
     """
     (width, height), views = evidence.image_wh, evidence.bank.count
     covered = np.zeros((views, height, width), bool)
-    rim = solids.chosen(Scattered.of(solids.index).faces()[0])  # it hides the cells within
+    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # it hides the cells within
     points = vectors(rim.centre_mm)
     for view in range(views if len(rim.index) else 0):
         p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))
-        lane = dr.compress(p.seen & readable(p.px, width, height))
+        lane = dr.compress(p.visible & readable(p.px, width, height))
         if dr.width(lane):
             column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
             empty = dr.full(mi.Float, 1.0, width * height)
@@ -142,7 +142,7 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
     return covered
 
 
-def in_solids(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
+def find_solid_nodes(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
     """Return the mask (N,) of nodes in and about solids.
 
     Parameters

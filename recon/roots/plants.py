@@ -30,7 +30,7 @@ nearest plant; below this ratio the assignment is marked as uncertain."""
 
 
 @dataclass(frozen=True)
-class Planted:
+class PlantedRoots:
     """Roots with their assigned plants."""
 
     roots: tuple[Root, ...]
@@ -40,7 +40,7 @@ class Planted:
     """Plants without a base."""
 
 
-def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
+def assign(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> PlantedRoots:
     """Assign each root to a plant.
 
     Parameters
@@ -53,19 +53,19 @@ def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) ->
         z of the net pot's grid through which the roots grow.
     """
     if len(plants) == 1:
-        return Planted(tuple(replace(root, plant=plants[0].plant) for root in roots), (False,) * len(roots), ())
+        return PlantedRoots(tuple(replace(root, plant=plants[0].plant) for root in roots), (False,) * len(roots), ())
     at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
-    trees = Tree.of(roots)
-    trees = [part for tree in trees for part in _divided(tree, at_mm)]
+    trees = Tree.from_roots(roots)
+    trees = [part for tree in trees for part in _divide(tree, at_mm)]
     owners = [_owner(tree, at_mm) for tree in trees]
     missing = tuple(plant.plant for k, plant in enumerate(plants) if k not in owners)
     owners, uncertain = _nearest(trees, owners, at_mm)
     arranged = [hierarchy.arrange(tree.roots) if tree.is_turned else tree.roots for tree in trees]
     given = [[replace(root, plant=plants[owner].plant) for root in own] for own, owner in zip(arranged, owners, strict=True)]
-    return _planted(given, uncertain, missing)
+    return _concatenate(given, uncertain, missing)
 
 
-def keep(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
+def check_assignment(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> PlantedRoots:
     """Return roots with the plants assigned by a person, and flag those that may equally belong to another.
 
     Parameters
@@ -74,19 +74,19 @@ def keep(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) ->
         As for `assign`; each root has the name of one of the plants.
     """
     at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
-    trees = Tree.of(roots)
+    trees = Tree.from_roots(roots)
     uncertain = _nearest(trees, [_owner(tree, at_mm) for tree in trees], at_mm)[1]
     names = {root.plant for root in roots}
-    return _planted([tree.roots for tree in trees], uncertain, tuple(one.plant for one in plants if one.plant not in names))
+    return _concatenate([tree.roots for tree in trees], uncertain, tuple(one.plant for one in plants if one.plant not in names))
 
 
-def _planted(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> Planted:
+def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> PlantedRoots:
     """Concatenate the roots of trees, whose parents are indices within their tree."""
     made: list[Root] = []
     for tree in trees:
         first = len(made)
         made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1) for root in tree]
-    return Planted(tuple(made), tuple(is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree), missing)
+    return PlantedRoots(tuple(made), tuple(is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree), missing)
 
 
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
@@ -108,19 +108,19 @@ def _owner(tree: Tree, at_mm: Array) -> int:
     return next(iter(_bases(tree, at_mm)), -1)
 
 
-def _divided(tree: Tree, at_mm: Array) -> list[Tree]:
+def _divide(tree: Tree, at_mm: Array) -> list[Tree]:
     """Divide a tree until no part contains the bases of two plants."""
     bases = list(_bases(tree, at_mm).values())
     if len(bases) < 2:
         return [tree]
-    rooted = tree.turned(*bases[0])
+    rooted = tree.reroot(*bases[0])
     other = _bases(rooted, at_mm)
     line, at = list(other.values())[1]
     way = rooted.way(line, at)
     cut = _cut(np.array([rooted.roots[k].points_mm[i] for k, i in way]), np.array([rooted.roots[k].diameters_mm[i] for k, i in way]))
-    above, below = rooted.parted(way[cut], way[cut + 1])
-    below = below.turned(*_nearest_point(below, rooted.roots[line].points_mm[at]))
-    return [*_divided(above, at_mm), *_divided(below, at_mm)]
+    above, below = rooted.split(way[cut], way[cut + 1])
+    below = below.reroot(*_nearest_point(below, rooted.roots[line].points_mm[at]))
+    return [*_divide(above, at_mm), *_divide(below, at_mm)]
 
 
 def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:

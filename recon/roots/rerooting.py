@@ -22,7 +22,7 @@ class Tree:
     """Whether orders and parents were derived from another base than the original one."""
 
     @classmethod
-    def of(cls, roots: Sequence[Root]) -> list[Tree]:
+    def from_roots(cls, roots: Sequence[Root]) -> list[Tree]:
         """Split a list of roots, parents before children, into trees."""
         tree_of, members = [0] * len(roots), list[list[int]]()
         for index, root in enumerate(roots):
@@ -32,7 +32,7 @@ class Tree:
             else:
                 tree_of[index] = tree_of[root.parent]
             members[tree_of[index]].append(index)
-        return [cls(_renumbered(roots, chosen)) for chosen in members]
+        return [cls(_renumber(roots, chosen)) for chosen in members]
 
     def joint(self, line: int) -> Place:
         """Return the place on its parent from which a root leaves."""
@@ -48,7 +48,7 @@ class Tree:
             line, at = self.joint(line) if self.roots[line].parent >= 0 else (-1, 0)
         return found[::-1]
 
-    def turned(self, line: int, at: int) -> Tree:
+    def reroot(self, line: int, at: int) -> Tree:
         """Return the same tree with its base at a given place; roots along the path are reversed."""
         if self.roots[line].parent < 0 and at == 0:
             return self
@@ -74,7 +74,7 @@ class Tree:
             made.append(replace(root, parent=parent, order=made[parent].order + 1))
         return Tree(tuple(made), is_turned=True)
 
-    def parted(self, before: Place, behind: Place) -> tuple[Tree, Tree]:
+    def split(self, before: Place, behind: Place) -> tuple[Tree, Tree]:
         """Split a tree between two adjacent places on a path from its base.
 
         Returns
@@ -98,13 +98,13 @@ class Tree:
                 down.add(index)
         roots = list(self.roots)
         roots[line] = lower
-        below = _renumbered(roots, sorted(down))
+        below = _renumber(roots, sorted(down))
         roots[line] = lower if upper is None else upper
-        above = _renumbered(roots, [k for k in range(len(roots)) if k not in down or (k == line and upper is not None)])
+        above = _renumber(roots, [k for k in range(len(roots)) if k not in down or (k == line and upper is not None)])
         return Tree(above, is_turned=True), Tree(below, is_turned=True)
 
 
-def _renumbered(roots: Sequence[Root], chosen: Sequence[int]) -> tuple[Root, ...]:
+def _renumber(roots: Sequence[Root], chosen: Sequence[int]) -> tuple[Root, ...]:
     """Return a subset of the roots with renumbered parents; a parent outside the subset becomes -1."""
     number = {index: place for place, index in enumerate(chosen)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in chosen)

@@ -36,7 +36,7 @@ class RootTree:
     """Attenuation of light by the roots."""
     learned_per_mm: float | None = None
     """Attenuation estimated from the widest roots."""
-    seen: Evidence
+    evidence: Evidence
     """Evidence that the tubes were fitted to."""
     cameras: Cameras
     """Cameras of the views in the evidence."""
@@ -55,9 +55,9 @@ class RootSystem(RootTree):
     """(N,) nodes of ends that probably have no tip."""
 
     @cached_property
-    def drawn(self) -> Rendering:
+    def rendering(self) -> Rendering:
         """The roots rendered in all views."""
-        return Rendering.of(self.seen, self.tubes)
+        return Rendering.draw(self.evidence, self.tubes)
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children, each from the surface of its parent."""
@@ -74,4 +74,4 @@ class RootSystem(RootTree):
                 order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
                 root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
                 roots.append(root)
-        return thick_lines.emerged(hierarchy.arrange(roots))
+        return thick_lines.trim_buried(hierarchy.arrange(roots))

@@ -27,12 +27,12 @@ SWOLLEN = 4.0
 50 times as thick, and the roots of the printed phantom, which have no secondary growth, 1.2 to 3.1 times."""
 
 
-def emerged(roots: Sequence[Root]) -> tuple[Root, ...]:
+def trim_buried(roots: Sequence[Root]) -> tuple[Root, ...]:
     """Return the roots, with laterals shortened by the part deep inside swollen parents."""
-    return tuple(_without(root, _above(roots, root)) for root in roots)
+    return tuple(_trim(root, _ancestors(roots, root)) for root in roots)
 
 
-def _above(roots: Sequence[Root], root: Root) -> list[Root]:
+def _ancestors(roots: Sequence[Root], root: Root) -> list[Root]:
     """Return the ancestors of a root, from its parent upwards."""
     found: list[Root] = []
     while root.parent >= 0:
@@ -41,7 +41,7 @@ def _above(roots: Sequence[Root], root: Root) -> list[Root]:
     return found
 
 
-def _without(root: Root, above: Sequence[Root]) -> Root:
+def _trim(root: Root, above: Sequence[Root]) -> Root:
     """Return a root without the first part that lies deep inside others; one that lies inside entirely is unchanged."""
     least_mm = 2.0 * max(BURIED_MM, 0.5 * SWOLLEN * float(np.median(root.diameters_mm)))
     wide = [of.diameters_mm > least_mm for of in above]

@@ -41,24 +41,24 @@ _LEAST_LENGTH = 0.5
 """Minimum remaining fraction of an end that is shortened; shorter ends are accepted or rejected as a whole."""
 
 
-def placed(seen: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
+def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
     """Move the tips of a tree along their axes to their position in the pictures.
 
     Parameters
     ----------
-    seen : Evidence
+    evidence : Evidence
         Evidence including taproot and hypocotyl.
     px_a_mm : float
         Scale at the centre of the water.
     """
-    off_mm = _off(seen, tree, px_a_mm)
+    off_mm = _tip_offsets(evidence, tree, px_a_mm)
     centre = tree.centre_mm.copy()
     for line, move in zip(tree.ends, off_mm, strict=True):
-        centre[line] = _stretched(tree.centre_mm[line], float(move))
-    return tubes.moved(tree, centre, tree.radius_mm)
+        centre[line] = _stretch(tree.centre_mm[line], float(move))
+    return tubes.with_geometry(tree, centre, tree.radius_mm)
 
 
-def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
+def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     """Return the distance (T,) by which each tip lies beyond its node, mm; 0 where too few views are usable."""
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
@@ -68,16 +68,16 @@ def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     reach = radius + _REACH_PX / px_a_mm
     way = reach[:, None] * np.linspace(-1.0, 1.0, _SAMPLES)  # (T, S)
     point = tree.centre_mm[tip][:, None] + way[..., None] * axis[:, None]
-    at = seen.project(point.reshape(-1, 3))
-    explained_there = 1.0 - tube_picture.transmittance(seen, tree, seen.project(tree.centre_mm))
+    at = evidence.project(point.reshape(-1, 3))
+    explained_there = 1.0 - tube_picture.transmittance(evidence, tree, evidence.project(tree.centre_mm))
     views, p = at.shape[0], at.on_device
-    start = wholes(np.repeat(np.arange(views), at.shape[1]) * seen.pixels)
+    start = wholes(np.repeat(np.arange(views), at.shape[1]) * evidence.pixels)
     dr.eval(explained_there)
     measured, explained, told = (
-        np.array(bilinear(picture, start, seen.image_wh[0], p.px.x, p.px.y, p.seen)).reshape(views, *way.shape)
-        for picture in (seen.coverage, explained_there, seen.seen)
+        np.array(bilinear(picture, start, evidence.image_wh[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
+        for picture in (evidence.coverage, explained_there, evidence.usable)
     )
-    clear = (at.seen.reshape(told.shape) & (told > 0.99)).all(axis=2)
+    clear = (at.visible.reshape(told.shape) & (told > 0.99)).all(axis=2)
     clear &= np.where(way > (radius + 0.5 * _REACH_PX / px_a_mm)[:, None], explained, 0.0).max(axis=2) < _OTHERS
     clear &= at.sine(np.repeat(axis, _SAMPLES, axis=0)).reshape(told.shape)[:, :, 0] > _LEAST_SINE
     inner = way < -0.5 * reach[:, None]
@@ -89,7 +89,7 @@ def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     return np.asarray(np.nanmedian(off, axis=0))
 
 
-def _stretched(line: Array, more_mm: float) -> Array:
+def _stretch(line: Array, more_mm: float) -> Array:
     """Return nodes (n, 3) along the same line with the last one displaced by some mm; the first one is fixed."""
     along = polyline.way_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:

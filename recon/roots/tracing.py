@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.hull.boxes import Scattered
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.roots import crown
 from rhizotwin.recon.roots.density import Cells
 
@@ -79,9 +79,9 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_m
     depth = np.full(len(cells.index), -reach_mm)
     if not len(core):
         return depth
-    full = Scattered.of(core)
+    full = CellSet.from_cells(core)
     rim, beyond = full.faces()  # the nearest cell of the other kind shares a face with this kind
-    inside, size_mm = full.holds(cells.index), cells.grid.size_mm
+    inside, size_mm = full.contains(cells.index), cells.grid.size_mm
     deep = cKDTree(beyond).query(cells.index[inside], distance_upper_bound=most_mm / size_mm, workers=-1)[0]
     depth[inside] = np.minimum(deep * size_mm, most_mm)
     away = cKDTree(core[rim]).query(cells.index[~inside], distance_upper_bound=reach_mm / size_mm, workers=-1)[0]
@@ -105,22 +105,22 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     Branches, parents before children; empty if no cell is dense.
     """
     density, thin = _IN_CORE + _BY_DEPTH * depth_mm, depth_mm <= 0
-    density[thin] = np.minimum(_smooth(cells.chosen(thin)), _CAP)  # cells of a core have no shadow
+    density[thin] = np.minimum(_smooth(cells.select(thin)), _CAP)  # cells of a core have no shadow
     dense = (density > _DENSE) & ((depth_mm > 0) | (depth_mm <= depth_mm.min()))
     if not dense.any():
         return []
     centre = cells.centre_mm
     joined = graph(cells, density)
-    members = crown.members(centre, dense, cells.tops_mm)
+    members = crown.find_top_cells(centre, dense, cells.tops_mm)
     if not members:
         # Use the top of the heaviest connected part, including the organs and the cells between them and their roots: a
         # fibre of the felt or a bubble may lie higher than the plant.
         body = (density > _DENSE) | (depth_mm > depth_mm.min())
-        number, part = np.flatnonzero(body), Scattered.of(cells.index[body]).parts()
+        number, part = np.flatnonzero(body), CellSet.from_cells(cells.index[body]).components()
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre[:, 2], density, depth_mm) for top, plant in members.items()}
-    joined = joined + _behind_net_pot(cells, dense, np.array(list(starts.values())))
+    joined = joined + _bridge_net_pot(cells, dense, np.array(list(starts.values())))
     cost, before, _ = dijkstra(joined, directed=False, indices=list(starts.values()), min_only=True, return_predecessors=True)
     length = lengths(cost, before, centre)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
@@ -136,15 +136,15 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         return paths
     hung = [(int(line[0]), path.points_mm, path.shadow_mm2) for line, path in zip(lines, paths, strict=True)]
     under = {starts[top]: cells.tops_mm[top] for top in members if top >= 0}
-    return [Path(*path) for path in crown.hang(hung, under, cells.grid.size_mm)] if under else paths
+    return [Path(*path) for path in crown.attach_paths(hung, under, cells.grid.size_mm)] if under else paths
 
 
-def _behind_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
+def _bridge_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
     """Return edges (N, N) between parts of the search space that meet behind the net pot, at the cost of empty cells.
 
     A part is joined if its dense cells come as near to a plant's top as a hidden base may reach.
     """
-    centre, part = cells.centre_mm, Scattered.of(cells.index).parts()
+    centre, part = cells.centre_mm, CellSet.from_cells(cells.index).components()
     begun, top_mm = np.isin(part, part[starts]), centre[starts, 2].min()
     heads = np.flatnonzero(dense & begun & (centre[:, 2] > top_mm - _TOP_MM))
     high = np.flatnonzero(dense & ~begun & (centre[:, 2] > top_mm - crown.HIDDEN_MM))
@@ -178,7 +178,7 @@ def _smooth(cells: Cells) -> Array:
     beside = np.exp(-0.5 / _SMOOTH_CELLS**2)
     middle = 1.0 / (1.0 + 2.0 * beside)  # cut off at the neighbours
     smooth = middle**3 * density
-    for step, here, there in Scattered.of(cells.index).neighbours():
+    for step, here, there in CellSet.from_cells(cells.index).neighbours():
         share = middle**3 * beside ** np.abs(step).sum()
         smooth[here] += share * density[there]
         smooth[there] += share * density[here]
@@ -190,15 +190,15 @@ def graph(cells: Cells, density: Array) -> csr_matrix:
     count = len(cells.index)
     cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
     rows, columns, values = list[NDArray[np.int32]](), list[NDArray[np.int32]](), list[NDArray[np.float32]]()
-    for step, here, there in Scattered.of(cells.index).neighbours():
+    for step, here, there in CellSet.from_cells(cells.index).neighbours():
         way = np.float32(cells.grid.size_mm * np.linalg.norm(step))
         rows.append(here.astype(np.int32))
         columns.append(there.astype(np.int32))
         values.append(way * np.float32(0.5) * (cost[here] + cost[there]))
-    return coo_matrix((_strung(values), (_strung(rows), _strung(columns))), shape=(count, count)).tocsr()
+    return coo_matrix((_concatenate(values), (_concatenate(rows), _concatenate(columns))), shape=(count, count)).tocsr()
 
 
-def _strung(parts: list[NDArray[T]]) -> NDArray[T]:
+def _concatenate(parts: list[NDArray[T]]) -> NDArray[T]:
     """Concatenate arrays and clear the list, to avoid holding the data twice."""
     whole = np.concatenate(parts)
     parts.clear()
@@ -253,7 +253,7 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
             continue
         line = np.array(way[::-1])
         # In taproot and hypocotyl the spheres are large: a few of them cover the path.
-        for cell in line[_apart(centre[line], claim_mm[line])]:
+        for cell in line[_select_spaced(centre[line], claim_mm[line])]:
             left[some[tree.query_ball_point(centre[cell], claim_mm[cell])]] = -1.0
         owned[line] = True
         lines.append(line)
@@ -263,7 +263,7 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
     return lines
 
 
-def _apart(line: Array, claim_mm: Array) -> list[int]:
+def _select_spaced(line: Array, claim_mm: Array) -> list[int]:
     """Select cells along a line no farther apart than a third of their claim distance, including the last one."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     chosen, begin = [0], 0

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.hull import spheres
 from rhizotwin.recon.hull.boxes import Box
-from rhizotwin.recon.hull.leaves import Grid, Leaves, common, united
+from rhizotwin.recon.hull.leaves import Grid, Leaves, intersect, unite
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes.filling import Filled, fill, levelled
+from rhizotwin.recon.tubes.filling import FillPoints, fill, limit_occupancy
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
 
@@ -35,7 +35,7 @@ _SLACK_PX = 0.05
 
 
 @dataclass(frozen=True)
-class Painted:
+class CombinedShape:
     """Solids and tubes as one shape."""
 
     leaves: Leaves
@@ -47,7 +47,7 @@ class Painted:
     """Increase of the tubes' volume if all radii are larger by `_SLACK_PX`."""
 
 
-def paint(solids: Leaves, system: RootSystem, hull: Leaves) -> Painted:
+def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
     """Combine solids and tubes into one shape.
 
     Where both overlap, the larger fill fraction of a node is used; thick tubes are clipped to the hull.
@@ -56,15 +56,15 @@ def paint(solids: Leaves, system: RootSystem, hull: Leaves) -> Painted:
     wide = _is_wide(tubes, grid.size_mm) & ~system.solid
     spacing_mm = max(grid.size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
     thin, flanks = (_leaves(fill(tubes, spacing_mm, left_out=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
-    thick = united(solids, common(united(spheres.fill(_strung(tubes, wide), grid), flanks), hull))
-    leaves = united(thick, thin)
+    thick = unite(solids, intersect(unite(spheres.fill(_wide_spheres(tubes, wide), grid), flanks), hull))
+    leaves = unite(thick, thin)
     slack_mm = _SLACK_PX / system.px_a_mm
     free = np.where(system.solid, 0.0, tubes.radius_mm)
     length = np.linalg.norm(np.diff(tubes.centre_mm[tubes.segments], axis=1)[:, 0], axis=1)
     radius = free[tubes.segments[:, 1]]
     thinner = float(np.pi * length @ (radius**2 - np.maximum(radius - slack_mm, 0.0) ** 2))
     thicker = float(np.pi * length @ ((radius + slack_mm) ** 2 - radius**2))
-    return Painted(leaves, thick, thinner, thicker)
+    return CombinedShape(leaves, thick, thinner, thicker)
 
 
 def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
@@ -75,14 +75,14 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
     return wide
 
 
-def _strung(tubes: Tubes, wide: Mask) -> Spheres:
+def _wide_spheres(tubes: Tubes, wide: Mask) -> Spheres:
     """Return spheres along the segments between wide nodes (N,), as large as fit into their branches."""
-    found = [_inscribed(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
+    found = [_inscribe(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
     centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.zeros((0, 3)), np.zeros(0))
     return Spheres(centre, radius)
 
 
-def _inscribed(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
+def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
     """Return centres (M, 3) and radii (M,) of the spheres inside a branch that touch its surface.
 
     Cross-sections are discs. Where their radius r changes along the path s, the sphere that touches the surface at one
@@ -106,10 +106,10 @@ def _inscribed(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
     return np.stack([np.interp(middle, way, axis) for axis in tubes.centre_mm[nodes].T], axis=1), radius
 
 
-def _leaves(filled: Filled, grid: Grid) -> Leaves:
+def _leaves(filled: FillPoints, grid: Grid) -> Leaves:
     """Bin points that fill tubes into the finest nodes."""
     at = np.floor((filled.point_mm - np.asarray(grid.origin_mm)) / grid.size_mm).astype(np.int64)
     box = Box.around(at)
     keys, inverse = np.unique(box.number(at), return_inverse=True)
     share = np.bincount(inverse, weights=filled.volume_mm3 / grid.size_mm**3, minlength=len(keys)).astype(np.float64)
-    return Leaves(grid, box.cell(keys).astype(np.int32), np.ones(len(keys), np.int32), levelled(share).astype(np.float32))
+    return Leaves(grid, box.cell(keys).astype(np.int32), np.ones(len(keys), np.int32), limit_occupancy(share).astype(np.float32))

@@ -50,7 +50,7 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
         hull, mesh = shoot_hull.find(list(drawn.values()), [views[k] for k in drawn], dataset.scene, finest_mm=FINEST_MM, monitor=monitor)
         told = blades.find(mesh)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
-    hidden = sum(float(one.coverage[~one.seen].sum()) for one in drawn.values()) / max(covered, 1e-9)
+    hidden = sum(float(one.coverage[~one.usable].sum()) for one in drawn.values()) / max(covered, 1e-9)
     enclosed = shoot_hull.enclosed_share(hull, told)
     said = (
         *(() if hidden <= MUCH_HIDDEN else (_hidden(hidden),)),

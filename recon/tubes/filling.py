@@ -32,7 +32,7 @@ _THICK_MM = 0.5
 
 
 @dataclass(frozen=True)
-class Filled:
+class FillPoints:
     """Points that fill tubes uniformly."""
 
     point_mm: Array
@@ -44,28 +44,28 @@ class Filled:
     along_mm: Array
     """(M,) distance along the branch; that of the last node for points in the rounded tip."""
 
-    def chosen(self, which: Mask) -> Filled:
+    def select(self, which: Mask) -> FillPoints:
         """Return a subset of the points, by mask (M,)."""
-        return Filled(*(getattr(self, field.name)[which] for field in fields(self)))
+        return FillPoints(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
+def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> FillPoints:
     """Fill the union of tubes, without the nodes (N,) in ``left_out``, with points about ``spacing_mm`` apart."""
-    others, kept = _Dense.of(tubes), list[Filled]()
-    for filled in _filled(tubes, spacing_mm, left_out):
+    others, kept = _Dense.sample(tubes), list[FillPoints]()
+    for filled in _fill_tubes(tubes, spacing_mm, left_out):
         earlier = np.zeros(len(filled.branch), bool)
-        point, other, _ = others.holding(filled.point_mm, filled.branch)
+        point, other, _ = others.find_containing(filled.point_mm, filled.branch)
         earlier[point[other < filled.branch[point]]] = True
-        kept.append(filled.chosen(~earlier))
-    return _joined(kept)
+        kept.append(filled.select(~earlier))
+    return _concatenate(kept)
 
 
-def fill_each(tubes: Tubes, spacing_mm: float) -> Filled:
+def fill_each(tubes: Tubes, spacing_mm: float) -> FillPoints:
     """Fill each tube separately, overlaps included, with points about ``spacing_mm`` apart."""
-    return _joined(list(_filled(tubes, spacing_mm, None)))
+    return _concatenate(list(_fill_tubes(tubes, spacing_mm, None)))
 
 
-def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
+def find_inside(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
     """Return which points (M, 3) of branches (M,) lie inside other branches.
 
     Returns
@@ -75,19 +75,19 @@ def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Arr
     along_mm : (K,) float64 array
         Position along that branch.
     """
-    others, found = _Dense.of(tubes), list[tuple[Index, Index, Array]]()
+    others, found = _Dense.sample(tubes), list[tuple[Index, Index, Array]]()
     for begin in range(0, max(len(point), 1), _AT_ONCE):
-        inside, other, along = others.holding(point[begin : begin + _AT_ONCE], branch[begin : begin + _AT_ONCE])
+        inside, other, along = others.find_containing(point[begin : begin + _AT_ONCE], branch[begin : begin + _AT_ONCE])
         found.append((begin + inside, other, along))
     inside, other, along = (np.concatenate(part) for part in zip(*found, strict=True))
     return inside, other, along
 
 
-def _joined(parts: list[Filled]) -> Filled:
-    return Filled(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Filled)))
+def _concatenate(parts: list[FillPoints]) -> FillPoints:
+    return FillPoints(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FillPoints)))
 
 
-def _filled(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Iterator[Filled]:
+def _fill_tubes(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Iterator[FillPoints]:
     """Fill each tube separately, overlaps included, with points about ``spacing_mm`` apart, `_AT_ONCE` at a time.
 
     Points in each cross-section are arranged as a sunflower (Vogel 1979, Math. Biosci. 44:179).
@@ -99,10 +99,10 @@ def _filled(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Iterator[
     """
     piece = _pieces(tubes)
     if left_out is not None:
-        piece = piece.chosen(np.flatnonzero(~left_out[piece.nodes].all(axis=1)))
+        piece = piece.select(np.flatnonzero(~left_out[piece.nodes].all(axis=1)))
     length = np.linalg.norm(piece.way_mm, axis=1)
     slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
-    segment, part = _counted(slices)
+    segment, part = _repeat_indices(slices)
     share = (part + 0.5) / slices[segment]
     # For slices of a cap, use the mean square of the radius, so that the volume is exact.
     square = np.where(piece.is_cap[segment], 1.0 - share**2 - 1.0 / (12.0 * slices[segment] ** 2), 1.0)
@@ -114,13 +114,13 @@ def _filled(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Iterator[
     along, side, up = _frames(piece.way_mm)
     ends = np.cumsum(count)
     for discs in np.split(np.arange(len(count)), np.searchsorted(ends, np.arange(_AT_ONCE, count.sum(), _AT_ONCE))):
-        number, place = _counted(count[discs])
+        number, place = _repeat_indices(count[discs])
         disc = discs[number]
         at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)  # slices are rotated
         of = segment[disc]
         point = piece.begin_mm[of] + share[disc, None] * along[of]
         point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
-        yield Filled(point, each_mm3[disc], piece.branch[of], reached[disc])
+        yield FillPoints(point, each_mm3[disc], piece.branch[of], reached[disc])
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class _Pieces:
     is_cap: Mask
     """(P,)"""
 
-    def chosen(self, which: Index) -> _Pieces:
+    def select(self, which: Index) -> _Pieces:
         """Return a subset of the pieces."""
         return _Pieces(*(getattr(self, field.name)[which] for field in fields(self)))
 
@@ -169,7 +169,7 @@ def _pieces(tubes: Tubes) -> _Pieces:
     )
 
 
-def _counted(count: Index) -> tuple[Index, Index]:
+def _repeat_indices(count: Index) -> tuple[Index, Index]:
     """Return item index and repetition index for items repeated ``count`` times each."""
     thing = np.repeat(np.arange(len(count)), count)
     return thing, np.arange(len(thing)) - np.repeat(np.cumsum(count) - count, count)
@@ -203,7 +203,7 @@ class _Dense:
     """Thick points and the others, each with a k-d tree: the radius of the thickest limits the search."""
 
     @staticmethod
-    def of(tubes: Tubes) -> _Dense:
+    def sample(tubes: Tubes) -> _Dense:
         """Place points on tubes."""
         centre, radius, owner, along = _on_branches(tubes)
         tree, thick = cKDTree(centre), radius > _THICK_MM
@@ -220,8 +220,8 @@ class _Dense:
         parts = tuple((part, cKDTree(centre[part])) for part in (np.flatnonzero(thick), np.flatnonzero(~thick)) if len(part))
         return _Dense(centre, radius, owner, along, mixed, tree, parts)
 
-    def holding(self, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-        """Return which points (M, 3) of branches (M,) lie inside other branches; see `within`."""
+    def find_containing(self, point: Array, branch: Index) -> tuple[Index, Index, Array]:
+        """Return which points (M, 3) of branches (M,) lie inside other branches; see `find_inside`."""
         pairs = [np.zeros((2, 0), np.int64)]
         unproven = np.flatnonzero(self.mixed[self.tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
         for part, tree in self.parts if len(unproven) else ():
@@ -249,7 +249,7 @@ def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
     return np.concatenate(centres), np.concatenate(radii), np.concatenate(owners), np.concatenate(ways)
 
 
-def levelled(occupancy: Array) -> Array:
+def limit_occupancy(occupancy: Array) -> Array:
     """Return occupancies (N,) of at most 1 with the same sum.
 
     The excess that sampling put into full nodes is distributed over the others, in proportion.

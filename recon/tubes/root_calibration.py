@@ -2,7 +2,7 @@
 
 Roots are visible in all views and at all distances from the axis. A wrong refractive index displaces them in the
 pictures in a pattern that no shape, and hardly any camera error, can reproduce. `tube_picture` and `tube_profiles` give
-the lateral displacement of the tube at each node and view, and `sight_change` its derivatives with respect to the rig.
+the lateral displacement of the tube at each node and view, and `rig_derivatives` its derivatives.
 The nodes' own positions and radii are eliminated (Schur complement, 4x4 blocks), and
 
     (S / phi + prior) q = g / phi
@@ -28,9 +28,9 @@ from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty, RootCal
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import inverse, scatter
-from rhizotwin.recon.tubes import sight_change, tube_fit, tube_profiles
+from rhizotwin.recon.tubes import rig_derivatives, tube_fit, tube_profiles
+from rhizotwin.recon.tubes.rig_derivatives import QUANTITIES, Quantity
 from rhizotwin.recon.tubes.root_light import LEAST_VARIANCE
-from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles, ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -75,7 +75,7 @@ _SETTLED = 0.2
 
 
 @dataclass(frozen=True)
-class Found:
+class RigCorrection:
     """Corrections of the rig estimated from the roots."""
 
     change: Array
@@ -94,7 +94,7 @@ class Found:
 class Columns:
     """Mapping from the quantities of each view to the unknowns."""
 
-    of: NDArray[np.int64]
+    index: NDArray[np.int64]
     """(V, Q) index of the unknown, -1 where there is none."""
     precision: Array
     """(K, K) prior precision."""
@@ -102,13 +102,13 @@ class Columns:
     """Number of leading unknowns that several views share."""
 
     @staticmethod
-    def own(views: int, quantities: int, sigma: float) -> Columns:
+    def per_view(views: int, quantities: int, sigma: float) -> Columns:
         """Return the columns of quantities that are independent for each view, with a wide prior."""
         count = views * quantities
         return Columns(np.arange(count).reshape(views, quantities), np.eye(count) / sigma**2, count)
 
     @staticmethod
-    def to(order: Sequence[int], known: RigUncertainty | None) -> Columns:
+    def for_rig(order: Sequence[int], known: RigUncertainty | None) -> Columns:
         """Return the columns of the rig; of the index only if the uncertainty of the cameras is unknown."""
         views = len(order)
         of = np.full((views, len(QUANTITIES)), -1)
@@ -127,7 +127,7 @@ class Columns:
         return Columns(of, precision, shared)
 
 
-def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
+def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
     """Estimate the refractive index from fitted tubes.
 
     If the estimate is significant, update index and cameras and refit the tubes until convergence; if this does not
@@ -135,35 +135,35 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tu
 
     Parameters
     ----------
-    seen : Evidence
+    evidence : Evidence
         Evidence of the views of ``cameras``, in their order.
     thick : (N,) bool array
         As in `tube_fit.fit`.
 
     Returns
     -------
-    seen : Evidence
+    evidence : Evidence
         Evidence with the resulting cameras and optics.
     tubes : Tubes
         Tubes fitted to it.
     cameras : Cameras
         Resulting cameras. Their ``roots`` holds the estimate; None if there are too few nodes.
     """
-    first = estimate(seen, cameras, tubes)
+    first = estimate(evidence, cameras, tubes)
     if first is None:
-        return seen, tubes, cameras
-    given, found, now = (seen, tubes), first, cameras
-    if sure := believed(first, cameras.optics):
+        return evidence, tubes, cameras
+    given, found, now = (evidence, tubes), first, cameras
+    if sure := is_significant(first, cameras.optics):
         for _ in range(_ROUNDS):
-            now = changed(cameras, found.change)
-            seen = seen.with_cameras(now)
-            tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
+            now = apply_change(cameras, found.change)
+            evidence = evidence.with_cameras(now)
+            tubes = tube_fit.fit(evidence, tubes, thick, steps=_STEPS).tubes
             last = found
-            found = estimate(seen, now, tubes, taken=last.change) or last
+            found = estimate(evidence, now, tubes, taken=last.change) or last
             if abs(found.change[0] - last.change[0]) < _SETTLED * found.sigma[0]:
                 break
         if found.after_px > first.before_px:
-            sure, (seen, tubes), found, now = False, given, first, cameras
+            sure, (evidence, tubes), found, now = False, given, first, cameras
     told = RootCalibration(
         n_water=now.optics.n_water if sure else cameras.optics.n_water + float(found.change[0]),
         n_water_sigma=float(found.sigma[0]),
@@ -174,10 +174,10 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tu
         before_px=first.before_px,
         after_px=found.after_px,
     )
-    return seen, tubes, replace(now, roots=told)
+    return evidence, tubes, replace(now, roots=told)
 
 
-def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> Found | None:
+def estimate(evidence: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> RigCorrection | None:
     """Estimate corrections of the rig from fitted tubes; return None if there are too few nodes.
 
     Parameters
@@ -186,13 +186,13 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | N
         Changes that the cameras already include, relative to the estimate from markers and edges.
     """
     known = cameras.uncertainty
-    columns, wanted = Columns.to(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
-    found = system(seen, cameras, tubes, wanted, columns)
+    columns, wanted = Columns.for_rig(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
+    found = build_system(evidence, cameras, tubes, wanted, columns)
     if found is None:
         return None
     before = np.zeros(len(columns.precision)) if taken is None else taken
     more, covariance = found.solve(before)
-    return Found(
+    return RigCorrection(
         change=before + more,
         sigma=np.sqrt(np.diag(covariance)),
         nodes=len(found.start),
@@ -201,8 +201,8 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | N
     )
 
 
-def system(
-    seen: Evidence,
+def build_system(
+    evidence: Evidence,
     cameras: Cameras,
     tubes: Tubes,
     wanted: tuple[Quantity, ...],
@@ -212,14 +212,14 @@ def system(
 
     Parameters
     ----------
-    seen, cameras, tubes : Evidence, Cameras, Tubes
+    evidence, cameras, tubes : Evidence, Cameras, Tubes
         Views, and the tubes fitted to them.
     wanted : tuple of Quantity
         Quantities to estimate.
     columns : Columns
         Index of the unknown of each quantity in each view.
     """
-    drawn = Rendering.of(seen, tubes)
+    drawn = Rendering.draw(evidence, tubes)
     at, profiles = drawn.at, tube_profiles.profiles(drawn)
     told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
     chosen = np.flatnonzero(told.sum(axis=0) >= _LEAST_VIEWS)
@@ -227,20 +227,23 @@ def system(
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
     sums, points = profiles.host(chosen), tubes.centre_mm[chosen]
-    px = at.px[:, chosen] + seen.window.low_px  # in coordinates of the whole picture, as used by the cameras
-    moves = [sight_change.moves(view, cameras.optics, wanted, px[v], points, sums.across[v]) for v, view in enumerate(cameras.views)]
+    px = at.px[:, chosen] + evidence.window.low_px  # in coordinates of the whole picture, as used by the cameras
+    moves = [
+        rig_derivatives.picture_derivatives(view, cameras.optics, wanted, px[v], points, sums.across[v])
+        for v, view in enumerate(cameras.views)
+    ]
     by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
-    return System.of(sums, profiles.residual_gradient().of(chosen), by, columns, (tubes.tangents[chosen], tubes.owner[chosen]))
+    return System.build(sums, profiles.residual_gradient().select(chosen), by, columns, (tubes.tangents[chosen], tubes.owner[chosen]))
 
 
-def believed(found: Found, optics: Optics) -> bool:
+def is_significant(found: RigCorrection, optics: Optics) -> bool:
     """Return whether the index estimated from the roots is significant and within limits."""
     asked = optics.n_water + float(found.change[0])
     sure = abs(float(found.change[0])) > SURE * float(found.sigma[0])
     return sure and found.after_px < (1.0 - LEAST_GAIN) * found.before_px and INDEX_LIMITS[0] < asked < INDEX_LIMITS[1]
 
 
-def changed(cameras: Cameras, change: Array) -> Cameras:
+def apply_change(cameras: Cameras, change: Array) -> Cameras:
     """Return the cameras with a change (K,) of their unknowns applied."""
     optics = replace(cameras.optics, n_water=cameras.optics.n_water + float(change[0]))
     known = cameras.uncertainty
@@ -251,9 +254,9 @@ def changed(cameras: Cameras, change: Array) -> Cameras:
     moved = []
     for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True)):
         canister = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
-        view = sight_change.displaced(sight_change.with_canister_moved(view, canister), camera[known.station[frame]])
+        view = rig_derivatives.move_camera(rig_derivatives.move_canister(view, canister), camera[known.station[frame]])
         moved.append(replace(view, camera=view.camera.focused(1.0 + float(change[1]))))
-    return cameras.moved(moved, optics)
+    return cameras.with_views(moved, optics)
 
 
 @dataclass(frozen=True)
@@ -276,7 +279,9 @@ class System:
     """(K,)"""
 
     @staticmethod
-    def of(sums: HostProfiles, residual: ResidualGradient, by: Array, columns: Columns, along: tuple[Array, NDArray[np.int64]]) -> System:
+    def build(
+        sums: HostProfiles, residual: ResidualGradient, by: Array, columns: Columns, along: tuple[Array, NDArray[np.int64]]
+    ) -> System:
         """Eliminate the nodes.
 
         Parameters
@@ -297,7 +302,7 @@ class System:
         own[:, :3, :3] += mean * (_RIDGE * np.eye(3) + _ALONG * tangent[:, :, None] * tangent[:, None, :])
         own[:, 3, 3] += _RIDGE * own[:, 3, 3] + 1e-9
         mixed, whole, right = np.zeros((count, 4, unknowns)), np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-        for v, numbers in enumerate(columns.of):
+        for v, numbers in enumerate(columns.index):
             used = numbers >= 0
             j, by_j = numbers[used], by[v][:, used[: by.shape[2]]]
             whole[np.ix_(j, j)] += (sums.shift_2[v, :, None] * by_j).T @ by_j
@@ -327,7 +332,7 @@ class System:
     def _slopes(self) -> list[Array]:
         """Derivative (N, K) of each view's shift by the shared unknowns, including the response of the nodes."""
         slopes = []
-        for v, numbers in enumerate(self.columns.of):
+        for v, numbers in enumerate(self.columns.index):
             used = numbers >= 0
             slope = -np.matmul(self.sums.across[v][:, None, :], self.follow[:, :3])[:, 0]
             slope[:, numbers[used]] += self.by[v][:, used[: self.by.shape[2]]]

@@ -30,7 +30,7 @@ from rhizotwin.recon.robust import inverse, scatter
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import LIGHT, Changes, LightEquations, Profiles
-from rhizotwin.recon.tubes.tubes import Tubes, moved
+from rhizotwin.recon.tubes.tubes import Tubes, with_geometry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -87,7 +87,7 @@ class Prior:
     """(L,) parameters that are fitted."""
 
     @staticmethod
-    def of(evidence: Evidence, learned_per_mm: float | None = None) -> Prior:
+    def from_evidence(evidence: Evidence, learned_per_mm: float | None = None) -> Prior:
         """Return the prior from the evidence and its widest roots (`translucency.learn`).
 
         Silhouettes constrain the blur only; for opaque roots, hairs are evaluated but not fitted.
@@ -101,16 +101,16 @@ class Prior:
         return Prior(mean, sigma, translucent | (np.arange(len(LIGHT)) == BLUR))
 
     @property
-    def seen(self) -> Mask:
+    def evaluated(self) -> Mask:
         """Return the parameters (L,) with derivatives: those that are fitted, and the hairs of opaque roots."""
         return self.free | (np.arange(len(LIGHT)) == HAIRS) & ~np.isinf(self.sigma)
 
-    def of_blur(self) -> Prior:
+    def blur_only(self) -> Prior:
         """Return the same prior with only the blur free."""
         return replace(self, free=self.free & (np.arange(len(LIGHT)) == BLUR))
 
 
-def light_of(evidence: Evidence) -> Array:
+def light_vector(evidence: Evidence) -> Array:
     """Return the light parameters (L,) of the evidence."""
     return np.array([np.log(evidence.mu_per_mm or DARKEST), evidence.blur_px**2, evidence.hairs, evidence.index - 1.0])
 
@@ -122,7 +122,7 @@ def with_light(evidence: Evidence, light: Array) -> Evidence:
     return replace(evidence, mu_per_mm=mu_per_mm, blur_px=blur_px, hairs=hairs, index=index)
 
 
-def with_light_kept(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
+def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
     """Return tubes whose radii absorb the same light from the side with another attenuation and other hairs.
 
     Parameters
@@ -133,14 +133,14 @@ def with_light_kept(fitted: Tubes, thick: Mask, before: Evidence, after: Evidenc
         Mask of nodes whose radius is kept.
     """
     light = translucent_tube.opaque_radius(fitted.radius_mm, before.mu_per_mm, before.hairs, before.index)
-    radius_mm = translucent_tube.radius_of(light, after.mu_per_mm, after.hairs, after.index)
-    return moved(fitted, fitted.centre_mm, np.where(thick, fitted.radius_mm, radius_mm))
+    radius_mm = translucent_tube.equivalent_radius(light, after.mu_per_mm, after.hairs, after.index)
+    return with_geometry(fitted, fitted.centre_mm, np.where(thick, fitted.radius_mm, radius_mm))
 
 
 def changes(drawn: Rendering, free: Mask) -> Changes:
     """Return the derivatives of the pictures of tubes by their radii and by the free light parameters (L,)."""
-    seen, tubes, now = drawn.evidence, drawn.tubes, light_of(drawn.evidence)
-    wider = moved(tubes, tubes.centre_mm, (1.0 + _WIDER) * tubes.radius_mm)
+    seen, tubes, now = drawn.evidence, drawn.tubes, light_vector(drawn.evidence)
+    wider = with_geometry(tubes, tubes.centre_mm, (1.0 + _WIDER) * tubes.radius_mm)
     more = {k: with_light(seen, now + _CHANGES[k] * np.eye(len(now))[k]) for k in np.flatnonzero(free).tolist()}
     return Changes(drawn.change(seen, wider, _WIDER), {k: drawn.change(other, tubes, _CHANGES[k]) for k, other in more.items()})
 
@@ -159,7 +159,7 @@ class LightSystem:
     """Number of profiles of lone roots."""
 
     @staticmethod
-    def of(equations: LightEquations, profiles: Profiles, tubes: Tubes, smooth: sparse.csr_matrix, thick: Mask) -> LightSystem:
+    def build(equations: LightEquations, profiles: Profiles, tubes: Tubes, smooth: sparse.csr_matrix, thick: Mask) -> LightSystem:
         """Eliminate the nodes.
 
         Parameters
@@ -188,13 +188,13 @@ class LightSystem:
 
     def step(self, light: Array, prior: Prior) -> Array:
         """Return the step (L,) of the light parameters, within bounds; 0 for fixed parameters."""
-        return np.asarray(np.clip(light + self._solved(light, prior)[0], *_BOUNDS) - light)
+        return np.asarray(np.clip(light + self._solve(light, prior)[0], *_BOUNDS) - light)
 
     def covariance(self, light: Array, prior: Prior) -> Array:
         """Return the covariance (L, L) of the light parameters; 0 for those that are fixed or at a bound."""
-        return self._solved(light, prior)[1]
+        return self._solve(light, prior)[1]
 
-    def alone(self, free: Mask) -> tuple[Array, Array]:
+    def estimate_without_prior(self, free: Mask) -> tuple[Array, Array]:
         """Return the step (L,) of the free parameters without the prior, and its standard deviation (L,)."""
         change, sigma, f = np.zeros(len(free)), np.full(len(free), np.inf), np.flatnonzero(free & (np.diag(self.reduced) > 0.0))
         bread = inverse(self.reduced[np.ix_(f, f)])
@@ -202,7 +202,7 @@ class LightSystem:
         sigma[f] = np.sqrt(np.diag(bread @ self.meat[np.ix_(f, f)] @ bread))
         return change, sigma
 
-    def _solved(self, light: Array, prior: Prior) -> tuple[Array, Array]:
+    def _solve(self, light: Array, prior: Prior) -> tuple[Array, Array]:
         """Return the step (L,), limited in length and without parameters held at a bound, and the covariance (L, L)."""
         free, many = prior.free & (np.diag(self.reduced) > 0.0), len(light)
         while True:

@@ -18,7 +18,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.cameras import STILL
 from rhizotwin.recon.tubes import root_calibration, tube_fit
-from rhizotwin.recon.tubes.sight_change import SWAY
+from rhizotwin.recon.tubes.rig_derivatives import SWAY
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Mask = NDArray[np.bool_]
@@ -37,12 +37,12 @@ the motion check: a plant with this sway loses 2 % of its volume (with 0.3 mm at
 it lost 8 %)."""
 
 
-def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:
+def follow(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:
     """Estimate the sway in each picture from fitted tubes, and refit them, until convergence.
 
     Parameters
     ----------
-    seen, cameras : Evidence, Cameras
+    evidence, cameras : Evidence, Cameras
         Evidence and cameras of the same views, in the same order.
     tubes : Tubes
         Tubes fitted to them.
@@ -53,13 +53,13 @@ def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_
 
     Returns
     -------
-    seen, cameras, tubes : Evidence, Cameras, Tubes
+    evidence, cameras, tubes : Evidence, Cameras, Tubes
         Refined with each view's sway; unchanged if the sway is negligible or there are too few roots.
     """
-    given, nearest_px = (seen, cameras, tubes), np.inf
-    columns = root_calibration.Columns.own(len(cameras.views), len(SWAY), _LOOSE)
+    given, nearest_px = (evidence, cameras, tubes), np.inf
+    columns = root_calibration.Columns.per_view(len(cameras.views), len(SWAY), _LOOSE)
     for _ in range(_ROUNDS):
-        system = root_calibration.system(seen, cameras, tubes, SWAY, columns)
+        system = root_calibration.build_system(evidence, cameras, tubes, SWAY, columns)
         if system is None:
             break
         before = np.array([view.sway for view in cameras.views])
@@ -71,30 +71,30 @@ def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_
             break
         nearest_px, sways = still_px, before + change.reshape(before.shape)
         moved = [replace(view, sway=(float(x), float(y), float(turn))) for view, (x, y, turn) in zip(cameras.views, sways, strict=True)]
-        cameras = cameras.moved(moved, cameras.optics)
-        seen = seen.with_cameras(cameras)
-        tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
-    return (seen, cameras, tubes) if is_far(seen, given[1], tubes, px_a_mm) or _sways(given[1]) else given
+        cameras = cameras.with_views(moved, cameras.optics)
+        evidence = evidence.with_cameras(cameras)
+        tubes = tube_fit.fit(evidence, tubes, thick, steps=_STEPS).tubes
+    return (evidence, cameras, tubes) if has_moved(evidence, given[1], tubes, px_a_mm) or _has_sway(given[1]) else given
 
 
-def _sways(cameras: Cameras) -> bool:
+def _has_sway(cameras: Cameras) -> bool:
     """Return whether the cameras already have a sway."""
     return any(view.sway != STILL for view in cameras.views)
 
 
-def is_far(seen: Evidence, cameras: Cameras, tubes: Tubes, px_a_mm: float) -> bool:
+def has_moved(evidence: Evidence, cameras: Cameras, tubes: Tubes, px_a_mm: float) -> bool:
     """Return whether the roots, with other cameras, have moved so far that they must be reconstructed again.
 
     Parameters
     ----------
-    seen, tubes : Evidence, Tubes
+    evidence, tubes : Evidence, Tubes
         The views, and the current roots.
     cameras : Cameras
         Cameras with which the roots were reconstructed.
     px_a_mm : float
         Pixels per millimetre.
     """
-    now, then = seen.project(tubes.centre_mm), seen.with_cameras(cameras).project(tubes.centre_mm)
-    both = now.seen & then.seen
+    now, then = evidence.project(tubes.centre_mm), evidence.with_cameras(cameras).project(tubes.centre_mm)
+    both = now.visible & then.visible
     away_px = np.linalg.norm(now.px - then.px, axis=-1)[both]
     return bool(len(away_px)) and float(np.sqrt(np.square(away_px).mean())) > _LEAST_MM * px_a_mm

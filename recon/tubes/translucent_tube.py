@@ -170,7 +170,7 @@ _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
 """Radii at which the absorbed light is tabulated, 0.3 % apart."""
 
 
-def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
+def equivalent_radius(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
     """Return the radii (N,) of roots that absorb as much light as opaque roots without hairs, viewed from the side.
 
     Parameters

@@ -87,12 +87,12 @@ class TubeAttenuation:
         ]
 
 
-def find(seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
+def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
     """Fit tubes as opaque and as translucent roots, and return the translucent fit if it is clearly better.
 
     Parameters
     ----------
-    seen : Evidence
+    evidence : Evidence
         Opacity, with roots assumed opaque; silhouettes constrain the blur only.
     fitted : Tubes
         The tubes.
@@ -101,48 +101,48 @@ def find(seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | Non
     learned_per_mm : float or None
         Attenuation estimated from the widest roots (`translucency.learn`).
     """
-    opaque = tube_fit.fit(seen, fitted, thick, steps=_STEPS, light=Prior.of(seen))
-    if not seen.has_opacity or (opaque.few and learned_per_mm is None):
-        return described(TubeAttenuation.opaque(), opaque), opaque
+    opaque = tube_fit.fit(evidence, fitted, thick, steps=_STEPS, light=Prior.from_evidence(evidence))
+    if not evidence.has_opacity or (opaque.few and learned_per_mm is None):
+        return update_attenuation(TubeAttenuation.opaque(), opaque), opaque
     glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
-    tubes = root_light.with_light_kept(opaque.tubes, thick, seen, glassy)
-    prior = Prior.of(glassy, learned_per_mm)
+    tubes = root_light.match_absorption(opaque.tubes, thick, evidence, glassy)
+    prior = Prior.from_evidence(glassy, learned_per_mm)
     prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))  # some combination with an index looks like any edge
     translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
     losses, lone = _losses(opaque, translucent, thick)
     if losses[0].sum() > _PERHAPS * losses[1].sum():  # the opaque fit had fewer steps
-        opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.of(opaque.evidence))
+        opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.from_evidence(opaque.evidence))
         losses, lone = _losses(opaque, translucent, thick)
     against, profiles = float(losses[0].sum() / max(losses[1].sum(), 1e-12)), int(lone.sum())
     mu_per_mm = translucent.evidence.mu_per_mm or DARKEST
     is_told = profiles >= LEAST_LONE
-    below = np.log(DARKEST / mu_per_mm) > _TELLING * described(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
+    below = np.log(DARKEST / mu_per_mm) > _TELLING * update_attenuation(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
     perhaps = is_told and against > _PERHAPS and bool(below)
     clearly = perhaps and (against > CLEARLY or significance(losses[0] - losses[1], opaque.tubes.owner) > _TELLING)
     is_translucent = clearly or (not is_told and learned_per_mm is not None)
     fit = translucent if is_translucent else opaque
     found = replace(TubeAttenuation.opaque(), against_opaque=against, profiles=profiles)
-    return described(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit
+    return update_attenuation(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit
 
 
-def follow(seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation) -> Fit:
+def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation) -> Fit:
     """Fit tubes and light parameters, starting from known light parameters.
 
     Parameters
     ----------
-    seen, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float or None
+    evidence, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float or None
         As in `find`.
     known : TubeAttenuation
         Attenuation of the same roots.
     """
-    lit = root_light.with_light(replace(seen, mu_per_mm=known.mu_per_mm), known.light)
-    tubes = root_light.with_light_kept(fitted, thick, seen, lit)
-    return tube_fit.fit(lit, tubes, thick, steps=_STEPS, light=Prior.of(lit, learned_per_mm))
+    lit = root_light.with_light(replace(evidence, mu_per_mm=known.mu_per_mm), known.light)
+    tubes = root_light.match_absorption(fitted, thick, evidence, lit)
+    return tube_fit.fit(lit, tubes, thick, steps=_STEPS, light=Prior.from_evidence(lit, learned_per_mm))
 
 
-def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
+def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
     """Return an attenuation updated from a fit of the light, with its covariance and the presence of hairs."""
-    light, system, prior = root_light.light_of(fit.evidence), fit.light, fit.prior
+    light, system, prior = root_light.light_vector(fit.evidence), fit.light, fit.prior
     if system is None or prior is None:
         return attenuation
     covariance = system.covariance(light, prior)
@@ -150,7 +150,7 @@ def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
         covariance[MU, MU], covariance[INDEX, INDEX] = LEARNED_SIGMA**2, BENDING[1] ** 2
     hairs: Literal["none", "maybe", "there"] = "none"
     if fit.evidence.has_opacity and not fit.few:
-        change, sigma = system.alone(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)
+        change, sigma = system.estimate_without_prior(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)
         strength = light[HAIRS] + change[HAIRS]
         if strength + _EXCLUDED * sigma[HAIRS] > 0.5:
             hairs = "there" if fit.evidence.mu_per_mm is not None and strength > _TELLING * sigma[HAIRS] else "maybe"
@@ -160,8 +160,8 @@ def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
 def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:
     """Return the losses of both fits (2, V, N) on profiles that are of a lone root for both, and their mask (V, N)."""
     fits = opaque, translucent
-    lone = np.logical_and.reduce([tube_profiles.profiles(fit.drawn).is_lone for fit in fits]) & ~thick
-    left = np.stack([tube_profiles.misfit(opaque.evidence, opaque.tubes, fit.drawn.difference) for fit in fits])
+    lone = np.logical_and.reduce([tube_profiles.profiles(fit.rendering).is_lone for fit in fits]) & ~thick
+    left = np.stack([tube_profiles.misfit(opaque.evidence, opaque.tubes, fit.rendering.difference) for fit in fits])
     lone &= np.isfinite(left).all(axis=0)
     return np.where(lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0), lone
 

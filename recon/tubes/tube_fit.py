@@ -22,7 +22,7 @@ from rhizotwin.recon.tubes import root_light, tube_profiles
 from rhizotwin.recon.tubes.root_light import LEAST_LONE, LightSystem, Prior
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
-from rhizotwin.recon.tubes.tubes import Tubes, moved
+from rhizotwin.recon.tubes.tubes import Tubes, with_geometry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -81,9 +81,9 @@ class Fit:
     """Whether lone roots were too few, so that only the blur was fitted, to all profiles."""
 
     @cached_property
-    def drawn(self) -> Rendering:
+    def rendering(self) -> Rendering:
         """The rendering of the fitted tubes."""
-        return Rendering.of(self.evidence, self.tubes)
+        return Rendering.draw(self.evidence, self.tubes)
 
 
 def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, light: Prior | None = None) -> Fit:
@@ -100,20 +100,20 @@ def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, li
     system, few = None, False
     for _ in range(steps):
         passes.add("gauss_newton_steps")
-        drawn, smooth, change = Rendering.of(evidence, tubes), prior(tubes), None
-        profiles = tube_profiles.profiles(drawn, None if light is None else root_light.changes(drawn, light.seen), every=few)
+        drawn, smooth, change = Rendering.draw(evidence, tubes), prior(tubes), None
+        profiles = tube_profiles.profiles(drawn, None if light is None else root_light.changes(drawn, light.evaluated), every=few)
         residual = profiles.residual_gradient()
         if light is not None:
             equations = profiles.light_equations()
-            system = LightSystem.of(equations, profiles, tubes, smooth, thick)
+            system = LightSystem.build(equations, profiles, tubes, smooth, thick)
             if not few and system.lone < LEAST_LONE:
-                few, light = True, light.of_blur()
+                few, light = True, light.blur_only()
             else:
-                now = root_light.light_of(evidence)
+                now = root_light.light_vector(evidence)
                 step = system.step(now, light)
                 evidence, change = root_light.with_light(evidence, now + step), equations.by_light @ step
         tubes = _step(tubes, residual, smooth, change)
-        tubes = moved(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _even(tubes)))
+        tubes = with_geometry(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _limit_radii(tubes)))
     release()  # no other tree's kernels have these sizes
     return Fit(evidence, tubes, residual, system, light, few)
 
@@ -139,10 +139,10 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
     most = _MOST_SHARE * tubes.radius_mm + _MOST_MM
     radius = np.maximum(tubes.radius_mm + np.clip(step[:, 3], -most, most), _THINNEST_MM)
-    return moved(tubes, centre, radius)
+    return with_geometry(tubes, centre, radius)
 
 
-def followed(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
+def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
     """Return the response of nodes (N, 4, L) to the light parameters that keeps the explained pictures unchanged.
 
     Parameters
@@ -157,7 +157,7 @@ def followed(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
     return np.asarray(-solved.reshape(count, 4, many))
 
 
-def _even(tubes: Tubes) -> Array:
+def _limit_radii(tubes: Tubes) -> Array:
     """Return radii (N,) clipped near the median of their stretch of the branch.
 
     A bulge is another root alongside.
@@ -168,7 +168,7 @@ def _even(tubes: Tubes) -> Array:
 
 def _typical(tubes: Tubes) -> Array:
     """Return the median radius (N,) over each node's stretch of its branch."""
-    line, first, last = tubes.strung
+    line, first, last = tubes.flattened
     first = first + (first > 0)  # the first node of a branch has its parent's radius
     own = np.arange(len(line))
     own = own[own >= first]
@@ -187,7 +187,7 @@ def prior(tubes: Tubes) -> sparse.csr_matrix:
     fraction of its width as a lateral.
     """
     count = len(tubes.radius_mm)
-    line, first, last = tubes.strung
+    line, first, last = tubes.flattened
     place = np.arange(len(line))
     middle = np.flatnonzero((first < place) & (place < last))
     triples = np.stack([line[middle - 1], line[middle], line[middle + 1]], axis=1)

@@ -67,7 +67,7 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
         Views with their masks; the tree, and the positions of its nodes in the pictures.
     """
     passes.add("renderings")
-    depth, strips = (1.0 - mi.Float(evidence.seen)) * _HIDDEN, _Strips.of(evidence, tubes, at)
+    depth, strips = (1.0 - mi.Float(evidence.usable)) * _HIDDEN, _Strips.project(evidence, tubes, at)
     dr.eval(depth)
     if strips is None:
         return dr.exp(-depth)
@@ -149,7 +149,7 @@ class _Strips:
         return reduce(dr.maximum, [layer.half_px for end in self.layers for layer in end])
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
+    def project(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
         """Return the strips of all views; None if no view shows any."""
         p, (views, nodes), segments = at.on_device, at.shape, tubes.segments
         count, nodes = dr.opaque(mi.UInt32, len(segments)), dr.opaque(mi.UInt32, nodes)
@@ -162,7 +162,7 @@ class _Strips:
             return view, segment, [view * nodes + dr.gather(mi.UInt32, end, segment) for end in numbered]
 
         _, _, both = ends(dr.arange(mi.UInt32, views * len(segments)))
-        seen = [dr.gather(mi.Bool, p.seen, end) for end in both]
+        seen = [dr.gather(mi.Bool, p.visible, end) for end in both]
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
         drawn = dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > _LEAST_PX))
         if not dr.width(drawn):
@@ -201,7 +201,7 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
     """
     before, after = (dr.gather(mi.Vector2f, p.px, node) for node in beside)
     onto, onward = here - before, after - there
-    joined = [dr.gather(mi.Bool, p.seen, node) & (dr.dot(w, way) > _LEAST_PX) for node, w in zip(beside, (onto, onward), strict=True)]
+    joined = [dr.gather(mi.Bool, p.visible, node) & (dr.dot(w, way) > _LEAST_PX) for node, w in zip(beside, (onto, onward), strict=True)]
     onto, onward = (w / dr.maximum(dr.norm(w), _LEAST_PX) for w in (onto, onward))
 
     def cut(mine: Vector2f, is_joined: Bool, other: Vector2f, has_other: Bool) -> Vector2f:
@@ -227,11 +227,11 @@ class Rendering:
     """mi.Float16, (V, H, W) flattened: measured minus explained coverage, 0 where masked."""
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes) -> Rendering:
+    def draw(evidence: Evidence, tubes: Tubes) -> Rendering:
         """Render tubes."""
         at = evidence.project(tubes.centre_mm)
         passing = transmittance(evidence, tubes, at)
-        difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.seen)
+        difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.usable)
         dr.eval(passing, difference)
         return Rendering(evidence, tubes, at, passing, difference)
 
@@ -243,7 +243,7 @@ class Rendering:
         evidence, tubes : Evidence, Tubes
             With one parameter increased by ``step``, and the nodes unchanged.
         """
-        change = (self.passing - transmittance(evidence, tubes, self.at)) * mi.Float(self.evidence.seen)
+        change = (self.passing - transmittance(evidence, tubes, self.at)) * mi.Float(self.evidence.usable)
         change = mi.Float16(change * dr.opaque(mi.Float, 1.0 / step))
         dr.eval(change)
         return change

@@ -80,12 +80,12 @@ class Sections:
     """The strips that represent the tube."""
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
+    def cut(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
         """Return the cross-sections at the nodes of tubes; None if no view shows any."""
         p, count = at.on_device, dr.opaque(mi.UInt32, at.shape[1])
         tangent = vectors(tubes.tangents)
         t = at.in_all_views(tangent)
-        place = dr.compress(p.seen & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
+        place = dr.compress(p.visible & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
         if not dr.width(place):
             return None
         view = place // count
@@ -148,7 +148,7 @@ class ResidualGradient:
     visible: Array
     """(N,) fraction of the nodes' coverage, summed over the views, that nothing hides."""
 
-    def of(self, nodes: NDArray[np.int64]) -> ResidualGradient:
+    def select(self, nodes: NDArray[np.int64]) -> ResidualGradient:
         """Return the equations of a subset of the nodes (M,)."""
         return ResidualGradient(*(getattr(self, field.name)[nodes] for field in fields(self)))
 
@@ -347,9 +347,9 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
         Whether all profiles are used for the light parameters, if those of lone roots are too few.
     """
     evidence, at = drawn.evidence, drawn.at
-    cut = Sections.of(evidence, drawn.tubes, at)
+    cut = Sections.cut(evidence, drawn.tubes, at)
     if cut is None:
-        return _arranged(at.shape, [dr.zeros(mi.Float, at.shape[0] * at.shape[1])] * _size(changes), changes)
+        return _assemble(at.shape, [dr.zeros(mi.Float, at.shape[0] * at.shape[1])] * _size(changes), changes)
     sigma = float(np.sqrt(evidence.blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
 
@@ -369,7 +369,7 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
         shift, width = shift * visible, width * visible
         terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c)
         about = dr.square(dr.maximum(d, 0.0)), passing, 1 - c
-        of_light = () if changes is None else _of_light(cut, o, changes, shift, width, d)
+        of_light = () if changes is None else _light_terms(cut, o, changes, shift, width, d)
         return k + 1, *(total + term for total, term in zip(sums, (*terms, *about, *of_light), strict=True))
 
     many = _size(changes) - 5  # without direction, scale and lone
@@ -384,10 +384,10 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
     summed = [total * factor for total, factor in zip(sums[:7] + sums[10:], factors if changes else factors[:7], strict=True)]
     found = [cut.spread(part) for part in (*cut.across, cut.scale, alone, *summed)]
     dr.eval(found)  # evaluated together, to traverse the profiles once
-    return _arranged(cut.shape, found, changes)
+    return _assemble(cut.shape, found, changes)
 
 
-def _of_light(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
+def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
     """Yield the contributions of a sample at an offset to `LightProfiles`, in the order of its fields."""
     (radius,) = cut.read(o, changes.radius)
     radius *= cut.scale / cut.half_px  # by mm
@@ -406,7 +406,7 @@ def _size(changes: Changes | None) -> int:
     return 12 if changes is None else 12 + 4 * many + 3 + many * (many + 1) // 2
 
 
-def _arranged(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
+def _assemble(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
     """Assemble the profiles from the values."""
     x, y, z, scale, lone, shift_2, shift_width, width_2, shift, width, shown, whole, *rest = parts
     across, many = mi.Vector3f(x, y, z), len(LIGHT)
@@ -431,7 +431,7 @@ def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
         The tubes, and the residual coverage of a rendering (`Rendering`).
     """
     at = evidence.project(tubes.centre_mm)
-    cut = Sections.of(evidence, tubes, at)
+    cut = Sections.cut(evidence, tubes, at)
     whole = np.full(at.shape, np.nan)
     if cut is not None:
         total = dr.zeros(mi.Float, cut.count)

@@ -46,14 +46,14 @@ class Tubes:
     @property
     def segments(self) -> Index:
         """Return the pairs of nodes (S, 2) joined by a segment."""
-        line, first, _ = self.strung
+        line, first, _ = self.flattened
         follows = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[follows - 1], line[follows]], axis=1)
 
     @property
     def segment_neighbours(self) -> Index:
         """Return the nodes (S, 2) of a branch before and after each segment; the segment's own end if there is none."""
-        line, first, last = self.strung
+        line, first, last = self.flattened
         place = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[np.maximum(place - 2, first[place])], line[np.minimum(place + 1, last[place])]], axis=1)
 
@@ -74,7 +74,7 @@ class Tubes:
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
 
     @property
-    def strung(self) -> tuple[Index, Index, Index]:
+    def flattened(self) -> tuple[Index, Index, Index]:
         """Return the concatenated nodes (M,) of all branches, and the bounds (M,), (M,) of each node's branch."""
         count = np.array([len(branch) for branch in self.branches])
         end = np.cumsum(count)
@@ -99,7 +99,7 @@ class Tubes:
     @property
     def tangents(self) -> Array:
         """Return unit vectors (N, 3) along the branches, towards their tips."""
-        line, first, last = self.strung
+        line, first, last = self.flattened
         place = np.arange(len(line))
         slope = self.centre_mm[line[np.minimum(place + 1, last)]] - self.centre_mm[line[np.maximum(place - 1, first)]]
         own = (place > first) | (first == 0)
@@ -126,7 +126,7 @@ class Tubes:
         kept = [branch[stays[branch]] for k, branch in enumerate(self.branches) if stays[self.own(k)].any()]
         return Tubes(self.centre_mm[stays], self.radius_mm[stays], tuple(number[branch] for branch in kept))
 
-    def staying(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def prune_mask(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the mask (N,) of nodes that remain after branches are cut back from their tips.
 
         The nodes ``gone`` (N,) beyond the last one to keep are removed, unless they bear a remaining branch.
@@ -141,7 +141,7 @@ class Tubes:
                 stays[self.branches[k][0]] = True
         return stays
 
-    def without_detours(self, gone: NDArray[np.bool_]) -> Tubes:
+    def cut_detours(self, gone: NDArray[np.bool_]) -> Tubes:
         """Attach branches to the nearest earlier tube if their first nodes are ``gone`` (N,) and make a long detour.
 
         The nodes of the detours remain, without a branch.
@@ -163,7 +163,7 @@ class Tubes:
         return replace(self, branches=tuple(branches))
 
 
-def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
+def place_nodes(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
     """Smooth paths and place evenly spaced nodes on them.
 
     Parameters
@@ -173,7 +173,7 @@ def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
     radius_mm : sequence of float64 array
         Radii (n,) at these points.
     """
-    strung = [_even(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
+    strung = [_resample(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
     strung[1:] = [(points[1:], thickness[1:]) for points, thickness in strung[1:]]  # the first node belongs to the parent
     centre, radius = (np.concatenate(part) for part in zip(*strung, strict=True))
     first = np.concatenate([[0], np.cumsum([len(points) for points, _ in strung])])
@@ -192,7 +192,7 @@ def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
     return np.asarray(found, np.int64)
 
 
-def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
+def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
     """Attach paths to a tree, with nodes placed on them; a path that begins at a tip extends that branch.
 
     Parameters
@@ -207,7 +207,7 @@ def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parent
     centres, radii, branches, count = [tree.centre_mm], [tree.radius_mm], list(tree.branches), len(tree.radius_mm)
     tips = {int(nodes[-1]): k for k, nodes in enumerate(branches)}
     for path, radius, parent in zip(paths, radius_mm, parents, strict=True):
-        points, thickness = _even(path, radius)
+        points, thickness = _resample(path, radius)
         if parent < 0:
             new = np.concatenate(centres[1:])
             parent = len(tree.radius_mm) + int(cKDTree(new).query(path[0])[1])
@@ -223,7 +223,7 @@ def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parent
     return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
 
 
-def _even(path: Array, radius: Array) -> tuple[Array, Array]:
+def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
     """Smooth a path with fixed ends, and place nodes on it."""
     step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1))) if len(path) > 1 else 1.0
     pad = len(path) - 1
@@ -235,7 +235,7 @@ def _even(path: Array, radius: Array) -> tuple[Array, Array]:
     return points, np.interp(at, along, radius)
 
 
-def without_stubs(tubes: Tubes) -> Tubes:
+def merge_stubs(tubes: Tubes) -> Tubes:
     """Continue branches in the child that leaves at their end: no root ends where a lateral leaves it.
 
     Of several children, the one with the smallest bend is chosen; a remainder beyond them shorter than the node spacing
@@ -243,7 +243,7 @@ def without_stubs(tubes: Tubes) -> Tubes:
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
-    children = children_of(branches, owner)
+    children = list_children(branches, owner)
     for k in sorted(children, reverse=True):  # children before parents
         line = tubes.branches[k]
         starts = np.array([int(np.flatnonzero(line == tubes.branches[j][0])[0]) for j in children[k]])
@@ -263,7 +263,7 @@ def without_stubs(tubes: Tubes) -> Tubes:
     return Tubes(centre, tubes.radius_mm, tuple(nodes for nodes in branches if nodes is not None)).keep(used)
 
 
-def without_gaps(tubes: Tubes) -> Tubes:
+def fill_gaps(tubes: Tubes) -> Tubes:
     """Insert nodes into segments that are much longer than the others."""
     centres, radii, branches, count = [tubes.centre_mm], [tubes.radius_mm], list(tubes.branches), len(tubes.radius_mm)
     for k, nodes in enumerate(branches):
@@ -282,7 +282,7 @@ def without_gaps(tubes: Tubes) -> Tubes:
     return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
 
 
-def from_axes(tubes: Tubes) -> Tubes:
+def trim_inside_parents(tubes: Tubes) -> Tubes:
     """Move the bases of laterals to the points of their parents' axes that their tangents point to.
 
     The hidden part of a lateral within its parent is removed.
@@ -311,7 +311,7 @@ def from_axes(tubes: Tubes) -> Tubes:
     return Tubes(centre, radius, tuple(branches)).keep(used)
 
 
-def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
+def with_geometry(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
     """Return tubes with other centres (N, 3) and radii (N,)."""
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
 
@@ -325,7 +325,7 @@ def owners(branches: Sequence[Index | None], count: int) -> Index:
     return owner
 
 
-def above(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
+def ancestors(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
     """Return a branch, its parent, and so on to the first branch (0).
 
     The list ends before 0 if a parent is missing, or in a cycle.
@@ -342,7 +342,7 @@ def above(branches: Sequence[Index | None], owner: Index, branch: int) -> list[i
     return found
 
 
-def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
+def list_children(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
     """Return the children of each branch that has any.
 
     Parameters
@@ -357,7 +357,7 @@ def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, lis
     return children
 
 
-def hanging_order(branches: Sequence[Index | None], count: int) -> list[int]:
+def parents_first(branches: Sequence[Index | None], count: int) -> list[int]:
     """Return the indices (K,) of branches connected to the first, parents before children.
 
     Parameters
@@ -365,7 +365,7 @@ def hanging_order(branches: Sequence[Index | None], count: int) -> list[int]:
     count : int
         Number of nodes.
     """
-    children = children_of(branches, owners(branches, count))
+    children = list_children(branches, owners(branches, count))
     order, waiting = [], deque([0])
     while waiting:
         order.append(waiting.popleft())

@@ -17,7 +17,7 @@ from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 
-def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_px: float) -> tuple[Term, ...]:
+def camera_terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_px: float) -> tuple[Term, ...]:
     """Return the terms of cameras without markers; none if the cameras are from markers or given.
 
     Parameters
@@ -38,7 +38,7 @@ def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_
     off_mm = math.hypot(known.azimuth_rad * _distance_mm(leaves) / math.sqrt(2.0), known.lift_mm)
     moved = NINETY * off_mm / known.mm_per_px * mm3_per_px
     return (
-        Term.even("scale", scale, "the scale depends on the measured diameter of the canister"),
+        Term.symmetric("scale", scale, "the scale depends on the measured diameter of the canister"),
         Term(
             name="cameras",
             less_mm3=moved / math.sqrt(views),
@@ -50,5 +50,5 @@ def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_
 
 def _distance_mm(leaves: Leaves) -> float:
     """Return the root mean square distance of a shape from the axis."""
-    middle, weight = leaves.middles_mm, leaves.filled
+    middle, weight = leaves.middles_mm, leaves.filled_volume
     return float(np.sqrt((weight * (middle[:, 0] ** 2 + middle[:, 1] ** 2)).sum() / max(float(weight.sum()), 1e-9)))

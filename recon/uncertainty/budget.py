@@ -32,7 +32,7 @@ class Term:
     """Description of the cause."""
 
     @staticmethod
-    def even(name: str, half_mm3: float, why: str) -> Term:
+    def symmetric(name: str, half_mm3: float, why: str) -> Term:
         """Return a term of equal width on both sides."""
         return Term(name=name, less_mm3=half_mm3, more_mm3=half_mm3, why=why)
 
@@ -53,7 +53,7 @@ class Volume:
     terms: tuple[Term, ...]
     """Causes of uncertainty."""
 
-    def distrusted(self, reasons: Sequence[str]) -> Volume:
+    def distrust(self, reasons: Sequence[str]) -> Volume:
         """Return the same volume, not trusted for additional reasons."""
         before = "" if self.trusted else self.verdict.removeprefix(checks.NO_VOLUME)
         return replace(self, trusted=False, verdict=checks.verdict([*([before] if before else []), *reasons]))

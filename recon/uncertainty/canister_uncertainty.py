@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.optics.cameras import View, known_tank, project_inner
+from rhizotwin.recon.optics.cameras import View, project_inner, tank_pose
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.scenes.frames import from_rotvec, rotation_z
@@ -42,7 +42,7 @@ STEP_MM = 1e-3
 """Step of the difference quotients of a pixel's gradient, accurate to 1e-6 in double precision."""
 
 
-def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, edges: CanisterPose | None) -> Term:
+def canister_term(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, edges: CanisterPose | None) -> Term:
     """Return the term of a canister, and of its tank, that differ from the drawing.
 
     Parameters
@@ -67,7 +67,7 @@ def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: 
         "the index of its wall": replace(o, n_wall=o.n_wall + EVENLY * N_WALL),
         "its radius": replace(o, outer_radius_mm=o.outer_radius_mm + sign * off_mm, inner_radius_mm=o.inner_radius_mm + sign * off_mm),
     }
-    others |= {} if o.tank is None else _tanks(o, o.tank)
+    others |= {} if o.tank is None else _tank_tolerances(o, o.tank)
     points = _points(leaves)
     shares = {name: abs(misread(views, o, other, points)) for name, other in others.items()}
     if o.tank is not None:
@@ -75,14 +75,14 @@ def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: 
         moved = {"the rotation of its tank": rotation_z(np.deg2rad(NINETY * sigma_deg))}
         moved["the tilt of its tank"] = from_rotvec(np.deg2rad([0.0, EVENLY * LEAN_DEG, 0.0]), np.zeros(3))
         for name, turn in moved.items():
-            others_seen = [replace(view, cam_from_tank=known_tank(view) @ turn) for view in views]
+            others_seen = [replace(view, cam_from_tank=tank_pose(view) @ turn) for view in views]
             shares[name] = abs(misread(views, o, o, points, others_seen))
     half = math.hypot(*shares.values()) * volume_mm3
     worst = max(shares, key=lambda name: shares[name])
-    return Term.even("canister", half, f"the canister may differ from its drawing, mainly in {worst}")
+    return Term.symmetric("canister", half, f"the canister may differ from its drawing, mainly in {worst}")
 
 
-def _tanks(o: Optics, tank: Tank) -> dict[str, Optics]:
+def _tank_tolerances(o: Optics, tank: Tank) -> dict[str, Optics]:
     """Return alternative optics within the tolerances of a tank."""
     changed = {
         "the walls of its tank": replace(tank, wall_mm=tank.wall_mm * (1.0 + EVENLY * TANK_WALL)),
@@ -136,5 +136,5 @@ def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, 
 
 def _points(leaves: Leaves) -> Array:
     """Return points (N, 3) of the shape, uniform by volume."""
-    weight = np.cumsum(leaves.filled)
-    return leaves.some(np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])).middles_mm
+    weight = np.cumsum(leaves.filled_volume)
+    return leaves.select(np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])).middles_mm

@@ -53,12 +53,12 @@ class Check:
     """Advice, in one sentence; empty if the state is good."""
 
 
-def failed(checks: Sequence[Check]) -> tuple[str, ...]:
+def failure_reasons(checks: Sequence[Check]) -> tuple[str, ...]:
     """Return a sentence for each check in the state "bad"."""
     return tuple(f"{check.found} ({check.advice})" if check.advice else check.found for check in checks if check.state == "bad")
 
 
-def explained(checks: Sequence[Check]) -> tuple[Check, ...]:
+def name_cause(checks: Sequence[Check]) -> tuple[Check, ...]:
     """Return checks with low resolution named as the cause of its consequences.
 
     If roots are too thin in the pictures, views disagree, and static roots appear to move.
@@ -79,7 +79,7 @@ def verdict(lost: Sequence[str]) -> str:
     return NO_VOLUME + "; ".join(lost)
 
 
-def stated(name: Name, state: State, value: float | None, unit: str, limits: Limits | None, found: str, advice: str = "") -> Check:
+def make_check(name: Name, state: State, value: float | None, unit: str, limits: Limits | None, found: str, advice: str = "") -> Check:
     """Return a check with a given state.
 
     Parameters
@@ -104,7 +104,7 @@ def stated(name: Name, state: State, value: float | None, unit: str, limits: Lim
     return Check(name=name, state=state, value=value, unit=unit, fair=fair, bad=bad, found=found, advice=advice)
 
 
-def judged(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
+def judge(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
     """Return a check of a number against its limits; advice is omitted if the state is good.
 
     Parameters
@@ -125,16 +125,16 @@ def judged(name: Name, value: float, unit: str, limits: Limits, found: str, advi
     Check
         In the state good, fair or bad.
     """
-    state = state_of(value, *limits)
-    return stated(name, state, value, unit, limits, found, "" if state == "good" else advice)
+    state = classify(value, *limits)
+    return make_check(name, state, value, unit, limits, found, "" if state == "good" else advice)
 
 
-def foremost(*made: Check) -> Check:
+def first_problem(*made: Check) -> Check:
     """Return the first check that is not good, or else the last."""
     return next((check for check in made if check.state != "good"), made[-1])
 
 
-def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
+def make_unknown(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
     """Return a check of a quantity that the pictures do not show.
 
     Parameters
@@ -153,10 +153,10 @@ def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: 
     Check
         In the state ``unknown``.
     """
-    return stated(name, "unknown", None, unit, limits, found, advice)
+    return make_check(name, "unknown", None, unit, limits, found, advice)
 
 
-def state_of(value: float, fair: float, bad: float) -> State:
+def classify(value: float, fair: float, bad: float) -> State:
     """Classify a number that should be small by its limits; if ``fair`` is above ``bad``, one that should be large."""
     if fair > bad:
         value, fair, bad = -value, -fair, -bad

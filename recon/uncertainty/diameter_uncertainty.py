@@ -18,13 +18,13 @@ from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_fit, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
-from rhizotwin.recon.uncertainty.tube_uncertainty import EXPLAINED, UNTOLD
+from rhizotwin.recon.uncertainty.tube_uncertainty import EXPLAINED, NO_DATA
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 
 
-def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
+def add_sigma(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
     """Return roots with the standard deviations of their diameters.
 
     Parameters
@@ -34,7 +34,7 @@ def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
     system : RootSystem
         The fitted root system.
     """
-    sigma_mm, place = 2.0 * of_radii(system), cKDTree(system.tubes.centre_mm)
+    sigma_mm, place = 2.0 * radius_sigma(system), cKDTree(system.tubes.centre_mm)
     found = []
     for root in roots:
         own = sigma_mm[place.query(root.points_mm)[1]]
@@ -44,15 +44,15 @@ def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
     return tuple(found)
 
 
-def of_radii(system: RootSystem) -> Array:
+def radius_sigma(system: RootSystem) -> Array:
     """Return the standard deviation (N,) of each node's radius, mm."""
-    drawn = system.drawn
-    covered = dr.select(1.0 - drawn.passing > EXPLAINED, mi.Float(1.0), 0.0) * system.seen.seen
+    drawn = system.rendering
+    covered = dr.select(1.0 - drawn.passing > EXPLAINED, mi.Float(1.0), 0.0) * system.evidence.usable
     variance = _mean(dr.square(mi.Float(drawn.difference)), covered)
-    return combined(system.tubes, tube_profiles.profiles(drawn).host(), variance)
+    return combine_sigma(system.tubes, tube_profiles.profiles(drawn).host(), variance)
 
 
-def combined(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:
+def combine_sigma(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:
     """Return the standard deviation (N,) of each radius, from the scatter of the views and the lack of data.
 
     With the fit's equations H dr = g, where g is a sum over views, the contributions H^-1 g_v of single views scatter
@@ -69,7 +69,7 @@ def combined(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
     steps: Array = splu((sparse.diags(told + tube_fit.LEAST) + smooth).tocsc()).solve((profiles.width * profiles.scale).T)
     views = np.sqrt(steps.shape[1] * np.var(steps, axis=1))
-    untold = 1.0 / np.sqrt(told / max(variance, 1e-9) + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
+    untold = 1.0 / np.sqrt(told / max(variance, 1e-9) + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
     return np.hypot(views, untold)
 
 

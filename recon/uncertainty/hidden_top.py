@@ -59,7 +59,7 @@ class HiddenTop:
         )
 
 
-def find(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | None:
+def estimate_hidden(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | None:
     """Estimate the hidden parts of the taproots; return None if they are visible from the top.
 
     Parameters
@@ -67,9 +67,9 @@ def find(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | 
     roots : sequence of Root
         Roots without parents, canister frame.
     gap_mm : (R,) sequence of float
-        Height over which each may continue above its first point (`sight.gaps_mm`).
+        Height over which each may continue above its first point (`occlusion.gaps_mm`).
     """
-    parts = [part for root, gap in zip(roots, gap_mm, strict=True) if (part := _extrapolated(root, float(gap))) is not None]
+    parts = [part for root, gap in zip(roots, gap_mm, strict=True) if (part := _extrapolate(root, float(gap))) is not None]
     if not parts:
         return None
     length, volume, sigma = (np.array(column) for column in zip(*parts, strict=True))
@@ -80,7 +80,7 @@ def find(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | 
     return HiddenTop(length_mm=hidden, share=hidden / (hidden + seen_mm), volume_mm3=total, interval_mm3=interval)
 
 
-def _extrapolated(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
+def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
     """Return length, volume and its standard deviation of the hidden top of a root; None if it has none."""
     if gap_mm <= _LEAST_MM:
         return None

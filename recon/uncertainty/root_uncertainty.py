@@ -66,7 +66,7 @@ LEAST_VIEWS = 4
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Measures:
     """Measures of one picture: length of line, number of line ends, and covered area, in pixels."""
 
     line: float
@@ -98,13 +98,13 @@ def estimates(
     if not roots:
         return ()
     count = min(VIEWS, bank.count)
-    seen_at = _Places.of(roots, bank.chosen(range(count)))
+    seen_at = _Places.project(roots, bank.select(range(count)))
     drawn = _draw(seen_at, silhouettes[:count], mu_per_mm)
     thin = seen_at.thin_share()
     if thin > _MUCH_THIN:
         few = f"{100.0 * thin:.0f} % of the length is thinner than half a pixel, and more may be missing (use a higher resolution)"
         lost = (*lost, few)
-    pairs = [(_tell(s.coverage, s.seen), _tell(picture, s.seen)) for s, picture in zip(silhouettes[:count], drawn, strict=True)]
+    pairs = [(_measure(s.coverage, s.usable), _measure(picture, s.usable)) for s, picture in zip(silhouettes[:count], drawn, strict=True)]
     pairs = [(taken, made) for taken, made in pairs if made.line > 0.0 and made.ends > 0.0 and taken.line > 0.0]
     length_mm = rsml.length_mm(roots)
     shared = length_mm - rsml.length_mm(once(roots)[0])
@@ -153,13 +153,13 @@ def _mean(root: Root) -> float:
     return float(steps @ (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0)
 
 
-def _tell(picture: NDArray[np.float32], seen: NDArray[np.bool_]) -> _Told:
+def _measure(picture: NDArray[np.float32], usable: NDArray[np.bool_]) -> _Measures:
     """Measure a picture of coverage (H, W) at usable pixels."""
-    smooth = cv2.GaussianBlur(np.where(seen, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX)
-    mask = (smooth > _LINE) & seen
+    smooth = cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX)
+    mask = (smooth > _LINE) & usable
     line = skeletonize(mask)
     neighbours = convolve(line.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant") - line
-    return _Told(float(line.sum()), float((line & (neighbours == 1)).sum()), float(smooth[mask].sum()))
+    return _Measures(float(line.sum()), float((line & (neighbours == 1)).sum()), float(smooth[mask].sum()))
 
 
 @dataclass(frozen=True)
@@ -174,11 +174,11 @@ class _Places:
     """(V, N, 2)"""
     gradient: Array
     """(V, N, 2, 3) gradients of columns and rows by the point, px/mm."""
-    seen: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
     """(V, N)"""
 
     @staticmethod
-    def of(roots: Sequence[Root], bank: ViewBank) -> _Places:
+    def project(roots: Sequence[Root], bank: ViewBank) -> _Places:
         """Project roots into all views."""
         points = np.concatenate([root.points_mm for root in roots])
         step = np.concatenate([[*polyline.steps_mm(root.points_mm), 0.0] for root in roots])
@@ -188,11 +188,11 @@ class _Places:
         px = np.stack([np.array(at.px.x).reshape(shape), np.array(at.px.y).reshape(shape)], axis=-1)
         gradient = np.stack([np.moveaxis(np.array(part).reshape(3, *shape), 0, -1) for part in (at.du, at.dv)], axis=-2)
         radius = np.concatenate([root.diameters_mm for root in roots]) / 2.0
-        return _Places(radius, step, px, gradient, np.array(at.seen).reshape(shape))
+        return _Places(radius, step, px, gradient, np.array(at.visible).reshape(shape))
 
     def thin_share(self) -> float:
         """Return the fraction of the length that is thinner than `_THIN_PX`."""
-        scale = float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.seen])) if self.seen.any() else 0.0
+        scale = float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.visible])) if self.visible.any() else 0.0
         return float(self.step_mm[2.0 * self.radius_mm * scale < _THIN_PX].sum()) / max(float(self.step_mm.sum()), 1e-9)
 
     def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed, Fixed, Fixed]:
@@ -214,7 +214,7 @@ class _Places:
         half = [self.radius_mm[at] * np.linalg.norm(way, axis=1) for at, way in zip((first, last), gradient, strict=True)]  # of a sphere
         to_side, to_other = (wide[:, None] * across for wide in half)
         corners = np.stack([begin + to_side, end + to_other, end - to_other, begin - to_side], axis=1)
-        return first, _fixed(corners), _fixed(end), np.rint(half[1] * _FINER * 2**_SHIFT).astype(np.int32)
+        return first, _to_fixed_point(corners), _to_fixed_point(end), np.rint(half[1] * _FINER * 2**_SHIFT).astype(np.int32)
 
 
 def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | None) -> list[NDArray[np.float32]]:
@@ -224,7 +224,7 @@ def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | Non
     for k, silhouette in enumerate(silhouettes):
         height, width = silhouette.coverage.shape
         canvas = np.zeros((height * _FINER, width * _FINER), np.float32)
-        use = at.seen[k, :-1] & at.seen[k, 1:] & (at.step_mm[:-1] > 0.0)
+        use = at.visible[k, :-1] & at.visible[k, 1:] & (at.step_mm[:-1] > 0.0)
         order = np.argsort(dark[:-1], kind="stable")  # darkest last
         first, sides, ends, radii = at.pieces(k, order[use[order]])
         for corners, end, radius, shade in zip(sides, ends.tolist(), radii.tolist(), dark[first].tolist(), strict=True):
@@ -234,6 +234,6 @@ def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | Non
     return pictures
 
 
-def _fixed(px: Array) -> Fixed:
+def _to_fixed_point(px: Array) -> Fixed:
     """Convert pixels, whose centres are at integers, to OpenCV's drawing coordinates."""
     return np.rint(((px + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)

@@ -35,8 +35,8 @@ def thin_width_px(silhouettes: Sequence[Silhouette]) -> float | None:
     """
     widths = []
     for one in silhouettes:
-        coverage = np.where(one.seen, one.coverage, 0.0).astype(np.float32)
-        line = skeletonize((cv2.GaussianBlur(coverage, (0, 0), _SMOOTH_PX) > _FAINT) & one.seen)
+        coverage = np.where(one.usable, one.coverage, 0.0).astype(np.float32)
+        line = skeletonize((cv2.GaussianBlur(coverage, (0, 0), _SMOOTH_PX) > _FAINT) & one.usable)
         area, length = (cv2.boxFilter(part, -1, (_WINDOW_PX, _WINDOW_PX)) for part in (coverage, line.astype(np.float32)))
         widths.append(area[line] / (_LENGTH * length[line]))
     every = np.concatenate(widths) if widths else np.zeros(0)

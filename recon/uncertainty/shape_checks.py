@@ -4,18 +4,18 @@ They cover motion, dirt, and agreement and visibility of the views.
 """
 
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, foremost, judged, state_of, stated, untold
+from rhizotwin.recon.uncertainty.checks import Check, classify, first_problem, judge, make_check, make_unknown
 
 
-def of_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
+def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that the roots did not move from picture to picture."""
     if sway_mm is None:
-        return untold("motion", "no thin roots were found, so that their motion could not be measured", unit="mm")
+        return make_unknown("motion", "no thin roots were found, so that their motion could not be measured", unit="mm")
     said = f"the roots deviate by {sway_mm:.3f} mm (root mean square) from their mean positions"
-    return judged("motion", sway_mm, "mm", trust.sway_mm, said, "wait longer after each step of the table, and rotate it more gently")
+    return judge("motion", sway_mm, "mm", trust.sway_mm, said, "wait longer after each step of the table, and rotate it more gently")
 
 
-def of_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
+def check_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that wall and water are clear.
 
     Parameters
@@ -23,7 +23,7 @@ def of_dirt(share: float | None, spread: float | None = None, trust: TrustSettin
     share : float or None
         Fraction of the wall that is fouled.
     spread : float or None
-        Fraction of light that is scattered about roots (`halo.spread`).
+        Fraction of light that is scattered about roots (`scattered_light.scattered_fraction`).
     trust : TrustSettings
         The limits.
     """
@@ -31,16 +31,16 @@ def of_dirt(share: float | None, spread: float | None = None, trust: TrustSettin
     if spread is not None:
         said = f"beside roots, light is {'increased' if spread < 0 else 'reduced'} by {100.0 * abs(spread):.1f} % of what they absorb"
         advice = "change the water, clean the lens, and switch off sharpening and tone mapping in the camera"
-        made.append(judged("dirt", abs(spread), "share", trust.spread, said, advice))
+        made.append(judge("dirt", abs(spread), "share", trust.spread, said, advice))
     if share is None:
-        made.append(untold("dirt", "too few views to separate dirt on the wall from roots", unit="share"))
+        made.append(make_unknown("dirt", "too few views to separate dirt on the wall from roots", unit="share"))
     else:
         said = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
-        made.append(judged("dirt", share, "share", trust.dirt, said, "clean the canister inside and outside, and remove the bubbles"))
-    return foremost(*made)
+        made.append(judge("dirt", share, "share", trust.dirt, said, "clean the canister inside and outside, and remove the bubbles"))
+    return first_problem(*made)
 
 
-def of_sight(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
+def check_agreement(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that the views agree, that the shape explains them, and that roots are not too dense.
 
     The worst of these is reported.
@@ -62,7 +62,7 @@ def of_sight(*, missed: float, unexplained: float, fill: float, trust: TrustSett
         (fill, trust.fill, f"thin roots cover {100.0 * fill:.0f} % of the root zone's picture", crowded),
     ]
     value, limits, found, advice = max(rows, key=lambda row: row[0] / row[1][1])
-    if state_of(value, *limits) == "good":
+    if classify(value, *limits) == "good":
         found = f"the views agree: the hull of all views excludes {100.0 * missed:.1f} % of their coverage"
-        return stated("sight", "good", missed, "share", trust.missed, found)
-    return judged("sight", value, "share", limits, found, advice)
+        return make_check("sight", "good", missed, "share", trust.missed, found)
+    return judge("sight", value, "share", limits, found, advice)

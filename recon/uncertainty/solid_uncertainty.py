@@ -15,8 +15,8 @@ from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
-from rhizotwin.recon.hull.parsimony import Trimmed
-from rhizotwin.recon.hull.spheres import Spheres, in_common_mm3
+from rhizotwin.recon.hull.spheres import Spheres, shared_volume_mm3
+from rhizotwin.recon.hull.trimming import Trimmed
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -49,7 +49,7 @@ _INDEX = 0.002
 degrees)."""
 
 
-def estimate(
+def estimate_terms(
     bank: ViewBank, hull: Hull, part: Leaves, solids: Trimmed, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
     """Return the terms of solids.
@@ -71,12 +71,12 @@ def estimate(
     by_px = mm3_per_px(hull, slack_px=slack_px) * thick_mm3 / hull.leaves.volume_mm3()
     outline_px, least_px = (_OUTLINE_BINARY_PX, _LEAST_BINARY_PX) if binary else (_OUTLINE_PX, _LEAST_PX)
     outline, removed = outline_px * by_px, max(0.0, part.volume_mm3() - thick_mm3)
-    beside = min(_beside_spheres(bank, part, solids, least_px), removed) if removed > 0.0 else 0.0
+    beside = min(_unconstrained_mm3(bank, part, solids, least_px), removed) if removed > 0.0 else 0.0
     absent = max(_ABSENT, kept / max(kept + removed, 1e-9))
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
     return (
-        Term.even("outlines", outline, f"the outlines of thick parts are uncertain by {outline_px:g} px"),
+        Term.symmetric("outlines", outline, f"the outlines of thick parts are uncertain by {outline_px:g} px"),
         Term(
             name="trimmed away",
             less_mm3=0.0,
@@ -98,7 +98,7 @@ def estimate(
     )
 
 
-def _beside_spheres(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: float) -> float:
+def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: float) -> float:
     """Return the volume of a hull (mm3) outside thick parts' spheres where outlines do not constrain it.
 
     It is the volume within some pixels of the spheres, and inside spheres that few views bound.
@@ -108,7 +108,7 @@ def _beside_spheres(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: floa
         return 0.0
     reach_mm = leaves.grid.size_mm * float(leaves.size.max())
     tree = cKDTree(leaves.middles_mm, balanced_tree=False, compact_nodes=False)  # built in a third of the time, and rarely queried
-    spheres, doubtful = (_some(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
+    spheres, doubtful = (_select(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
     if not len(spheres.radius_mm):
         return 0.0
     wider = Spheres(
@@ -119,11 +119,11 @@ def _beside_spheres(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: floa
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
     half_mm = 0.5 * part.grid.size_mm * part.size[:, None]
     middle = part.middles_mm
-    near = part.some(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
-    return in_common_mm3(wider, near) - in_common_mm3(spheres, near)
+    near = part.select(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
+    return shared_volume_mm3(wider, near) - shared_volume_mm3(spheres, near)
 
 
-def _some(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
+def _select(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
     """Return a subset of spheres (N,)."""
     return Spheres(spheres.centre_mm[chosen], spheres.radius_mm[chosen])
 
@@ -132,7 +132,7 @@ def _px_a_mm(bank: ViewBank, spheres: Spheres) -> float:
     """Return the scale at the largest sphere, px/mm, as the median over the views that show it."""
     middle = np.repeat(spheres.centre_mm[[int(spheres.radius_mm.argmax())]], bank.count, axis=0)
     p = projection.project(bank, dr.arange(mi.UInt32, bank.count), device.points(middle), mi.Bool(True))
-    scale, seen = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.seen)
+    scale, seen = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.visible)
     return float(np.median(scale[seen] if seen.any() else scale))
 
 
@@ -162,7 +162,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     every_other = every_second(frames)
     volumes = [
         carve.carve(some, outlines, grid, water).leaves.volume_mm3()
-        for some, outlines in ((bank, maps), (bank.chosen(every_other), maps.of_views(every_other)))
+        for some, outlines in ((bank, maps), (bank.select(every_other), maps.select_views(every_other)))
     ]
     return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
 
@@ -172,6 +172,6 @@ def every_second(frames: Sequence[int]) -> list[int]:
     return sorted(np.argsort(frames)[::2].tolist())
 
 
-def water(volume_mm3: float) -> Term:
+def water_term(volume_mm3: float) -> Term:
     """Return the term of the water's refractive index, which is neither measured nor estimated."""
-    return Term.even("water", _INDEX * volume_mm3, "the refractive index of the water may differ from the value used")
+    return Term.symmetric("water", _INDEX * volume_mm3, "the refractive index of the water may differ from the value used")

@@ -23,7 +23,7 @@ from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 Array = NDArray[np.float64]
 
-UNTOLD = 0.25
+NO_DATA = 0.25
 """Prior relative standard deviation of a radius without data: the scatter of roots of one order."""
 EXPLAINED = 0.03
 """Minimum coverage by the tubes of pixels that they explain, together with a margin of two pixels."""
@@ -58,33 +58,35 @@ class TubeUncertainty:
 
 def estimate(system: RootSystem) -> TubeUncertainty:
     """Compare the pictures with the fitted tubes, and convert the residuals to volumes."""
-    tubes, drawn = system.tubes, system.drawn
+    tubes, drawn = system.tubes, system.rendering
     found = tube_profiles.profiles(drawn, root_light.changes(drawn, np.diag(system.attenuation.covariance) > 0.0))
     profiles, equations = found.host(), found.light_equations()
-    by_light = tube_fit.followed(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
+    by_light = tube_fit.node_response(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
     gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # derivative of the volume by the radius
-    wish = _wishes(tubes, profiles, gain)
+    wish = _view_contributions(tubes, profiles, gain)
     total = float(wish.sum())
-    rest = _Rest.of(system.seen, drawn.passing, drawn.difference, system.px_a_mm)
+    rest = _Residual.compute(system.evidence, drawn.passing, drawn.difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
-    untold = _untold(tubes, profiles, gain, rest.variance)
+    untold = _hidden_radii(tubes, profiles, gain, rest.variance)
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
     flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
     ends = float(0.5 * gain @ (tubes.radius_mm * system.uncertain))
     oval = _OVAL * float(0.5 * gain @ (tubes.radius_mm * system.thick))
     terms = (
-        Term.even("radii, view against view", views, "the views disagree on the radii of the tubes (noise, poses, backlight)"),
-        Term.even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly constrained"),
-        _signed(
+        Term.symmetric("radii, view against view", views, "the views disagree on the radii of the tubes (noise, poses, backlight)"),
+        Term.symmetric(
+            "radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly constrained"
+        ),
+        _one_sided(
             "radii, residual gradient",
             total,
             "the smoothness of branches keeps the radii from fully matching the pictures",
         ),
-        _signed("area", balance, "the area covered by the tubes differs from that in the pictures"),
+        _one_sided("area", balance, "the area covered by the tubes differs from that in the pictures"),
         *_light(system, gain @ by_light),
-        Term.even("uncertain ends", ends, "ends whose tips are hidden by others may not be roots"),
+        Term.symmetric("uncertain ends", ends, "ends whose tips are hidden by others may not be roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots appear flat, and may be two roots side by side"),
         Term(name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are assumed round, and have less volume where they are not"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
@@ -97,33 +99,33 @@ def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
 
     Radii follow these parameters along the valley of equal absorption.
     """
-    attenuation, seen = system.attenuation, system.seen
+    attenuation, seen = system.attenuation, system.evidence
     half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
     if seen.mu_per_mm is None:
-        terms = [Term.even("radii, blur", half, "radii depend on the pictures' blur")]
+        terms = [Term.symmetric("radii, blur", half, "radii depend on the pictures' blur")]
         if attenuation.rival_per_mm is not None:
             more = _volume_change(system, replace(seen, mu_per_mm=attenuation.rival_per_mm))
             why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque roots explain the pictures almost as well"
             terms.append(Term(name="translucency", less_mm3=0.0, more_mm3=more, why=why))
         if attenuation.hairs == "maybe":
             change = _volume_change(system, replace(seen, hairs=1.0))
-            terms.append(_signed("hairs", change, "the pictures do not show whether the roots have hairs"))
+            terms.append(_one_sided("hairs", change, "the pictures do not show whether the roots have hairs"))
         return tuple(terms)
     why = f"the roots are translucent, and their attenuation is only known to {100.0 * attenuation.sigma:.0f} %"
-    terms = [Term.even("translucency", half, why)]
+    terms = [Term.symmetric("translucency", half, why)]
     if attenuation.hairs != "none":
         why = "the roots have hairs, whose absorption depends on their length, which is only known to 50 %"
-        terms.append(Term.even("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * seen.hairs), why))
+        terms.append(Term.symmetric("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * seen.hairs), why))
     return tuple(terms)
 
 
 def _volume_change(system: RootSystem, other: Evidence) -> float:
     """Return the change of the volume with other light parameters at equal absorption."""
-    tubes = root_light.with_light_kept(system.tubes, system.solid, system.seen, other)
+    tubes = root_light.match_absorption(system.tubes, system.solid, system.evidence, other)
     return float(np.pi * (np.square(tubes.radius_mm) - np.square(system.tubes.radius_mm)) @ _lengths(tubes))
 
 
-def _signed(name: str, change_mm3: float, why: str) -> Term:
+def _one_sided(name: str, change_mm3: float, why: str) -> Term:
     return Term(name=name, less_mm3=max(0.0, -change_mm3), more_mm3=max(0.0, change_mm3), why=why)
 
 
@@ -169,7 +171,7 @@ def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
     return np.where((share > _FLAT) & (harmonic * px_a_mm > _FLAT_PX), np.minimum(share, _FLATTEST), 0.0)
 
 
-def _wishes(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
+def _view_contributions(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
     """Return the change of the volume that each view (V,) alone would cause.
 
     It is the view's contribution to one more Gauss-Newton step of all radii.
@@ -179,28 +181,28 @@ def _wishes(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
     common to a view, such as its pose.
     """
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
-    weight: Array = spsolve((sparse.diags(_told(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
+    weight: Array = spsolve((sparse.diags(_radius_curvature(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
     return np.asarray((profiles.width * profiles.scale) @ weight)
 
 
-def _told(profiles: HostProfiles) -> Array:
+def _radius_curvature(profiles: HostProfiles) -> Array:
     """Return the curvature (N,) by the radii."""
     return np.asarray((profiles.width_2 * profiles.scale**2).sum(axis=0))
 
 
-def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
+def _hidden_radii(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
     """Return the 90 % half-width of the volume where pictures hardly constrain the radii.
 
     Errors are equal along a branch, and independent between branches.
     """
-    told = _told(profiles) / max(variance, 1e-9)
-    sigma = 1.0 / np.sqrt(told + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
+    told = _radius_curvature(profiles) / max(variance, 1e-9)
+    sigma = 1.0 / np.sqrt(told + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
     owner = tubes.owner
     return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
 
 
 @dataclass(frozen=True)
-class _Rest:
+class _Residual:
     """Residuals of the pictures after subtraction of the tubes."""
 
     variance: float
@@ -216,18 +218,18 @@ class _Rest:
     fill: float
 
     @staticmethod
-    def of(seen: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Rest:
+    def compute(evidence: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Residual:
         """Evaluate all views, one after the other, to limit memory."""
-        (width, height), count = seen.image_wh, seen.bank.count
-        pictures = [picture.numpy().reshape(count, height, width) for picture in (seen.seen, passing, difference)]
+        (width, height), count = evidence.image_wh, evidence.bank.count
+        pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, passing, difference)]
         views = [
-            _RestOfView.of(seen, silhouette, known > 0, 1.0 - free, left.astype(np.float32), px_a_mm)
-            for silhouette, known, free, left in zip(seen.silhouettes, *pictures, strict=True)
+            _ViewResidual.compute(evidence, silhouette, known > 0, 1.0 - free, left.astype(np.float32), px_a_mm)
+            for silhouette, known, free, left in zip(evidence.silhouettes, *pictures, strict=True)
         ]
         area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
         beyond = max(0.0, sum(view.beyond for view in views))
         fills, missing = ([view.fill for view in views if view.has_roots], [view.missing_px3 for view in views if view.has_roots])
-        return _Rest(
+        return _Residual(
             variance=sum(view.square for view in views) / max(pixels, 1),
             balance=sum(view.balance for view in views) / max(area, 1.0),
             missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
@@ -237,7 +239,7 @@ class _Rest:
 
 
 @dataclass(frozen=True)
-class _RestOfView:
+class _ViewResidual:
     """Residuals of one view, areas in pixels."""
 
     area: float
@@ -257,7 +259,7 @@ class _RestOfView:
     missing_px3: float = 0.0
 
     @staticmethod
-    def of(seen: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _RestOfView:
+    def compute(evidence: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _ViewResidual:
         """Compare a picture with the tubes.
 
         Parameters
@@ -270,27 +272,27 @@ class _RestOfView:
         drawn = drawn * known
         near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         far = left * ~near
-        if seen.has_opacity:  # ignore values at the noise level
+        if evidence.has_opacity:  # ignore values at the noise level
             far *= picture.coverage > 0.0
-        rest = _RestOfView(
+        rest = _ViewResidual(
             area=float(drawn.sum(dtype=np.float64)),
-            hidden=float((picture.coverage * picture.seen * ~known).sum(dtype=np.float64)),
+            hidden=float((picture.coverage * picture.usable * ~known).sum(dtype=np.float64)),
             pixels=int(near.sum()),
             square=float(np.square(left[near]).sum(dtype=np.float64)),
             balance=float(left[near].sum(dtype=np.float64)),
             beyond=float(far.sum(dtype=np.float64)),
             has_roots=False,
         )
-        rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
+        rows, columns = np.nonzero((picture.coverage > 0.5) & picture.usable)
         if not len(rows):
             return rest
         (top, bottom), (first, last) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
         zone = np.s_[top : bottom + 1, first : last + 1]
         inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
         width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
-        if seen.mu_per_mm is None:
+        if evidence.mu_per_mm is None:
             volume = 0.25 * np.pi * float((far * width_px).sum(dtype=np.float64))
         else:  # absorption of faint roots is proportional to their volume
-            volume = rest.beyond * px_a_mm / seen.mu_per_mm
+            volume = rest.beyond * px_a_mm / evidence.mu_per_mm
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
         return replace(rest, has_roots=True, fill=float(np.where(known, picture.coverage, 0.0)[zone].mean()), missing_px3=missing)

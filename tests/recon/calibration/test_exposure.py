@@ -33,7 +33,7 @@ def pictures(level: float = 0.6, width: float = 1.0) -> list[np.ndarray]:
 
 
 def measured(images: list[np.ndarray]) -> exposure.Exposures:
-    return exposure.measure(images, views(len(images)), [(0, 0)] * len(images), Optics.of(SCENE), SCENE)
+    return exposure.measure(images, views(len(images)), [(0, 0)] * len(images), Optics.from_scene(SCENE), SCENE)
 
 
 def test_each_picture_s_exposure_is_found() -> None:

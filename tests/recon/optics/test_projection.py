@@ -21,8 +21,8 @@ def bank_and_view(n_wall: float = 1.49, n_water: float = 1.333, *, sways: bool =
     level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=2.0)
     aside = frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ frames.rotation_z(0.7)
     view = cameras.View(camera=LENS, cam_from_canister=aside, sway=(0.004, -0.003, 2e-4) if sways else cameras.STILL)
-    optics = refraction.Optics.of(Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water)))
-    return projection.ViewBank.of([cameras.View(camera=LENS, cam_from_canister=level), view], optics), view, optics
+    optics = refraction.Optics.from_scene(Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water)))
+    return projection.ViewBank.pack([cameras.View(camera=LENS, cam_from_canister=level), view], optics), view, optics
 
 
 def test_what_sways_is_seen_where_it_is() -> None:
@@ -30,11 +30,11 @@ def test_what_sways_is_seen_where_it_is() -> None:
     points = random_points(optics, 1000) * [0.8, 0.8, 1.0]
     found = in_kernel(bank, points)
     seen = found["seen"]
-    still = cameras.project(replace(view, sway=cameras.STILL), optics, cameras.swayed(view, optics, points))[0][:, 0]
+    still = cameras.project(replace(view, sway=cameras.STILL), optics, cameras.apply_sway(view, optics, points))[0][:, 0]
     np.testing.assert_allclose(cameras.project(view, optics, points)[0][seen, 0], still[seen])
     assert np.abs(found["px"].T[seen] - still[seen]).max() < 1e-3
     deep = optics.water_z_mm - points[:, 2]
-    np.testing.assert_allclose(cameras.swayed(view, optics, points)[:, 0], points[:, 0] + deep * (0.004 - 2e-4 * points[:, 1]))
+    np.testing.assert_allclose(cameras.apply_sway(view, optics, points)[:, 0], points[:, 0] + deep * (0.004 - 2e-4 * points[:, 1]))
 
 
 def in_kernel(bank: projection.ViewBank, points: np.ndarray) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from rhizotwin.recon.device import UInt32
 from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, even, evenly
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -37,7 +37,7 @@ _WHERE = {
 """Description of the limit of visibility along the vertical, by side."""
 
 
-def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
+def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
     """Return the volume that a shape may have where it is occluded, at the top, the bottom and all sides.
 
     Columns of the shape along each axis that end where too few views look are extended, at most to where enough views
@@ -59,8 +59,8 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
     """
     units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
     index, size, occupancy = to_voxels(leaves, units)
-    cells = even(index, size).astype(np.int64)
-    full = evenly(occupancy, size)
+    cells = to_unit_cubes(index, size).astype(np.int64)
+    full = spread_values(occupancy, size)
     edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
     hidden = {}
     for axis in range(3):
@@ -72,7 +72,7 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
             hidden[axis, side] = _ANYWHERE * float((gaps_mm(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
-    where = _WHERE[side] if axis == 2 else _towards_wall(bank)
+    where = _WHERE[side] if axis == 2 else _describe_side(bank)
     return Term(
         name="occluded",
         less_mm3=0.0,
@@ -81,7 +81,7 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
     )
 
 
-def _towards_wall(bank: ViewBank) -> str:
+def _describe_side(bank: ViewBank) -> str:
     """Return the limit of visibility to the sides: a round wall in air deflects light, a tank does not."""
     optics = bank.optics
     bends = optics.tank is None and optics.n_water > 1.0
@@ -115,19 +115,19 @@ def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array,
         Extent of the water.
     """
     gap = np.zeros(len(end_mm))
-    way = _way(end_mm, direction, water)
+    way = _water_extent(end_mm, direction, water)
     ahead = end_mm + np.minimum(_EDGE_MM, way)[:, None] * direction
-    open_ = np.flatnonzero((way > 0) & ~_seen(bank, maps, ahead))
+    open_ = np.flatnonzero((way > 0) & ~_are_visible(bank, maps, ahead))
     if len(open_):
         share = (np.arange(_LOOKS) + 1.0) / _LOOKS
         on_way = ahead[open_, None] + (share[:, None] * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None, None]) * direction
-        seen = _seen(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
+        seen = _are_visible(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
         first = np.where(seen.any(axis=1), share[seen.argmax(axis=1)], 1.0)
         gap[open_] = first * way[open_]
     return gap
 
 
-def _way(from_mm: Array, direction: Array, water: Water) -> Array:
+def _water_extent(from_mm: Array, direction: Array, water: Water) -> Array:
     """Return the extent (N,) of the water from points (N, 3) in a direction along an axis; 0 outside."""
     if direction[2]:
         end = water.top_mm if direction[2] > 0 else water.bottom_mm
@@ -136,7 +136,7 @@ def _way(from_mm: Array, direction: Array, water: Water) -> Array:
     return np.maximum(np.sqrt(np.maximum(water.radius_mm**2 - across**2, 0.0)) - along, 0.0)
 
 
-def _seen(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
+def _are_visible(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
     """Return which points (N, 3) are visible in enough views."""
     return _votes(bank, maps, points_mm) >= distance_maps.least_votes(bank.count)
 
@@ -148,7 +148,7 @@ def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.i
     point = device.points(points_mm)
 
     def body(view: UInt32, votes: UInt32) -> tuple[UInt32, UInt32]:
-        _, _, seen = distance_maps.look(bank, maps, view, point, mi.Bool(True))
+        _, _, seen = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
         return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
     state = (mi.UInt32(0), dr.zeros(mi.UInt32, len(points_mm)))

@@ -21,22 +21,22 @@ _FLANK_PX = 0.5
 
 
 @dataclass(frozen=True)
-class Proof:
+class Support:
     """Squared coverage, summed over the profiles across each node (N,) in all views, px."""
 
     explained: Array
     """Increase of the squared difference between pictures and tubes if the node is removed."""
-    left: Array
+    residual: Array
     """Squared difference that remains with the node, where it covers."""
-    alone: Array
+    own: Array
     """Squared coverage of the node: the amount it explains where no other tube does."""
 
-    def of(self, nodes: NDArray[np.bool_]) -> Proof:
+    def select(self, nodes: NDArray[np.bool_]) -> Support:
         """Return the support of a subset of the nodes (N,)."""
-        return Proof(self.explained[nodes], self.left[nodes], self.alone[nodes])
+        return Support(self.explained[nodes], self.residual[nodes], self.own[nodes])
 
 
-def find(drawn: Rendering) -> Proof:
+def compute_support(drawn: Rendering) -> Support:
     """Compute the support of every node.
 
     With d the remaining difference, c the node's coverage and u the fraction that other tubes leave free, the
@@ -53,15 +53,15 @@ def find(drawn: Rendering) -> Proof:
         Each field has shape (N,).
     """
     evidence, at = drawn.evidence, drawn.at
-    cut = Sections.of(evidence, drawn.tubes, at)
+    cut = Sections.cut(evidence, drawn.tubes, at)
     if cut is None:
-        return Proof(*[np.zeros(at.shape[1])] * 3)
+        return Support(*[np.zeros(at.shape[1])] * 3)
     per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(evidence.blur_px, PIXEL_SIGMA)) * 2.0**0.5))
     explained, left, alone = (dr.zeros(mi.Float, cut.count) for _ in range(3))
     reach_px = cut.half_px + _FLANK_PX
     for k in range(_SAMPLES):
         o = cut.offset(k, _SAMPLES, reach_px)
-        d, passing, told = cut.read(o, drawn.difference, drawn.passing, evidence.seen)
+        d, passing, told = cut.read(o, drawn.difference, drawn.passing, evidence.usable)
         c = sum(layer.height * 0.5 * (dr.erf((o + layer.half_px) * per_px) - dr.erf((o - layer.half_px) * per_px)) for layer in cut.layers)
         c = dr.minimum(c, FULLEST)
         own = c * dr.minimum(passing / (1 - c), 1.0)
@@ -71,4 +71,4 @@ def find(drawn: Rendering) -> Proof:
     step = reach_px * (2.0 / (_SAMPLES - 1))
     totals = [cut.spread(total * step) for total in (explained, left, alone)]
     dr.eval(totals)  # together, as they use the same profiles
-    return Proof(*(np.array(total, np.float64).reshape(cut.shape).sum(axis=0) for total in totals))
+    return Support(*(np.array(total, np.float64).reshape(cut.shape).sum(axis=0) for total in totals))

@@ -48,24 +48,26 @@ _LEAST_VIEWS = 5
 """Minimum number of views: at top and bottom, only views from near show a place, a sixth of a ring."""
 
 
-def face_of(optics: Optics, px_a_mm: float) -> Face:
+def outer_face(optics: Optics, px_a_mm: float) -> Face:
     """Return the outside in texels of about one pixel, as far up and down as lines of sight cross it."""
     return Face(1.0 / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm)
 
 
-def find(opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, monitor: Monitor) -> Mask:
+def detect_dirt(
+    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, monitor: Monitor
+) -> Mask:
     """Detect dirt on the outside of the wall.
 
     Parameters
     ----------
     opacity : dict of (H, W) float32 array
         1 - image / backlight, by frame number; without films.
-    seen : dict of (H, W) bool array
+    usable : dict of (H, W) bool array
         Masks of usable pixels.
     views, optics : dict of View, Optics
         Cameras and canister.
     face : Face
-        The outside, as returned by `face_of`.
+        The outside, as returned by `outer_face`.
     monitor : Monitor
         Receives the progress, per view.
 
@@ -81,7 +83,7 @@ def find(opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View
         dark, number = np.zeros(size, np.float32), np.zeros(size, np.float32)
         keys = list(opacity)
         for some in (keys[i : i + _AT_ONCE] for i in range(0, len(keys), _AT_ONCE)):  # in groups, to limit memory
-            for part, of_view in monitor.each(partial(_marked, opacity, seen, views, optics, unrolled), "outside", some):
+            for part, of_view in monitor.each(partial(_dark_texels, opacity, usable, views, optics, unrolled), "outside", some):
                 dark += part
                 number += of_view
         counted[outside] = number
@@ -90,13 +92,13 @@ def find(opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View
     inside = cv2.resize(share[False], (columns, rows), interpolation=cv2.INTER_LINEAR)  # at the same azimuths
     likely = (share[True] > _ALWAYS) & (share[True] > inside + _SHARPER)
     label, _ = ndimage.label(likely, structure=np.ones((3, 3), bool))
-    sure = np.unique(label[likely & ~_by_chance(share[True], counted[True])])
+    sure = np.unique(label[likely & ~_chance_texels(share[True], counted[True])])
     dirty = likely & np.isin(label, sure)  # a seam continues in front of a cluster
     ringed = np.concatenate([dirty[:, -1:], dirty, dirty[:, :1]], axis=1)
     return np.asarray(ndimage.binary_dilation(ringed, np.ones((3, 3), bool))[:, 1:-1])
 
 
-def _by_chance(share: Image, number: Image) -> Mask:
+def _chance_texels(share: Image, number: Image) -> Mask:
     """Return the texels (rows, columns) that roots may have darkened in the observed number of views.
 
     Roots darken a place as often as its surroundings, and at least as often as the mean place, with probability p. The
@@ -111,22 +113,22 @@ def _by_chance(share: Image, number: Image) -> Mask:
     return np.asarray((rare < np.log(_NEVER * share.size)) | (q < p))
 
 
-def _marked(
-    opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, k: int
+def _dark_texels(
+    opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, k: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the dark fraction of each texel's pixels (rows, columns) in a view, and whether the view shows it.
 
     The near and the far wall count as two views.
     """
     rows, columns = face.shape(optics)
-    wide = _wide(opacity[k], face)
+    wide = _wide_objects(opacity[k], face)
     # Dilate by one pixel: smaller objects move between pixels.
     dark = cv2.dilate(opacity[k], np.ones((3, 3), np.uint8)) > _DARK
     at = wall.crossings(views[k], optics, face)
     share, sees = np.zeros(rows * columns, np.float32), np.zeros(rows * columns, np.float32)
     for column, row in zip(at.column, at.row, strict=True):
         nearest = np.rint(row).astype(np.int32)
-        here = seen[k] & ~wide & (nearest >= 0) & (nearest < rows)
+        here = usable[k] & ~wide & (nearest >= 0) & (nearest < rows)
         texel = nearest[here] * columns + np.mod(np.rint(column[here]).astype(np.int32), columns)
         number = np.bincount(texel, minlength=rows * columns)
         share += np.bincount(texel, weights=dark[here], minlength=rows * columns) / np.maximum(number, 1)
@@ -134,7 +136,7 @@ def _marked(
     return share.reshape(rows, columns), sees.reshape(rows, columns)
 
 
-def hidden(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
+def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
     """Return the pixels (H, W) that dirt on the outside hides, on the near or far wall.
 
     Pixels in front of a thick root are not affected.
@@ -148,10 +150,10 @@ def hidden(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
     where, face : Crossings, Face
         Crossings of the lines of sight with the outside.
     """
-    return np.asarray((wall.passed(dirty.astype(np.float32), where) >= 0.5) & ~_wide(opacity, face))
+    return np.asarray((wall.sum_crossings(dirty.astype(np.float32), where) >= 0.5) & ~_wide_objects(opacity, face))
 
 
-def _wide(opacity: Image, face: Face) -> Mask:
+def _wide_objects(opacity: Image, face: Face) -> Mask:
     """Return the pixels (H, W) of objects wider than dirt."""
     edge = 2 * round(0.5 * _WIDEST_MM / face.texel_mm) + 1
     return np.asarray(cv2.morphologyEx(opacity, cv2.MORPH_OPEN, np.ones((edge, edge), np.uint8)) > _DARK)

@@ -37,7 +37,7 @@ _OTHERS = 3
 contains a fourth of each view's own value. Cameras with fewer views are used without this comparison."""
 
 
-def spread(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]]) -> float | None:
+def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]]) -> float | None:
     """Return the fraction of light scattered about roots; None if too few pixels beside roots are visible.
 
     Parameters
@@ -56,7 +56,7 @@ def spread(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]
     about, dark = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
     for station in sorted(set(stations)):
         own = [one for one, at in zip(silhouettes, stations, strict=True) if at == station and one.opacity is not None]
-        for one, other in _against_others(own[:: max(1, len(own) // _VIEWS)]):
+        for one, other in _relative_to_others(own[:: max(1, len(own) // _VIEWS)]):
             about.append(one)
             dark.append(other)
     x, y = np.concatenate(about), np.concatenate(dark)
@@ -73,7 +73,7 @@ def spread(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]
     return float(np.polyfit(at, medians, 1, w=weight)[0])
 
 
-def _against_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]]:
+def _relative_to_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]]:
     """Yield, for each view, the results of `_beside` minus the same pixel's mean over all views of one camera."""
     if len(views) <= _OTHERS:
         yield from (_beside(view)[1:] for view in views)
@@ -93,9 +93,9 @@ def _against_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]
 
 def _beside(silhouette: Silhouette) -> tuple[Mask, Image, Image]:
     """Return the pixels beside roots (H, W), and the blurred coverage (N,) and the opacity (N,) there."""
-    root = (silhouette.coverage > _ROOT) & silhouette.seen
+    root = (silhouette.coverage > _ROOT) & silhouette.usable
     away = cv2.distanceTransform((~root).astype(np.uint8), cv2.DIST_L2, 5)
-    inner = cv2.erode(silhouette.seen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    inner = cv2.erode(silhouette.usable.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     beside = inner & (away > _BESIDE_PX) & (away < 4.0 * _WIDE_PX)
-    wide = cv2.GaussianBlur(np.where(silhouette.seen, silhouette.coverage, 0.0).astype(np.float32), (0, 0), _WIDE_PX)
+    wide = cv2.GaussianBlur(np.where(silhouette.usable, silhouette.coverage, 0.0).astype(np.float32), (0, 0), _WIDE_PX)
     return np.asarray(beside), wide[beside], np.asarray(silhouette.opacity, np.float32)[beside]

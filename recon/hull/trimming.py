@@ -20,11 +20,11 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon import device
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers
-from rhizotwin.recon.hull import distance_maps, explained
+from rhizotwin.recon.hull import distance_maps, unexplained
 from rhizotwin.recon.hull.centre_lines import centre_lines
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.hull.spheres import Spheres, against
+from rhizotwin.recon.hull.spheres import Spheres, subdivide_leaves
 from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
@@ -86,18 +86,20 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     spheres, doubtful = grow_spheres(bank, maps, points)
     if not len(spheres.radius_mm):
         return Trimmed(leaves, spheres, doubtful, leaves.occupancy)
-    index, size, hull, inside = against(spheres, leaves)
+    index, size, hull, inside = subdivide_leaves(spheres, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > _MISSING
     if missing.any():
-        needed = explained.needed(bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing], spheres)
+        needed = unexplained.required_fraction(
+            bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing], spheres
+        )
         kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
     return Trimmed(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
 
 
-def _across(points: Array) -> Array:
+def _perpendicular(points: Array) -> Array:
     """Return eight unit vectors (N, 8, 3) perpendicular to the local direction of points along curves.
 
     The reference is the axis least aligned with the direction, as a straight row of points defines no perpendicular.
@@ -120,23 +122,23 @@ def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Sph
     if not len(points):
         return Spheres(points, np.zeros(0)), Spheres(points, np.zeros(0))
     everywhere = np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
-    points, radius = _moved(bank, maps, points, _across(points) if len(points) >= _LEAST_CURVE else everywhere)
+    points, radius = _move_to_maximum(bank, maps, points, _perpendicular(points) if len(points) >= _LEAST_CURVE else everywhere)
     # Where a curve ends inside a solid, the largest sphere lies beyond its end: spheres that are local maxima move in
     # all directions.
     largest = _largest(points, radius)
     if len(largest):
-        freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
+        freed = _move_to_maximum(bank, maps, points[largest], everywhere[: len(largest)])
         points, radius = np.concatenate([points, freed[0]]), np.concatenate([radius, freed[1]])
     blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     points, radius, blunt = points[radius > 0], radius[radius > 0], blunt[radius > 0]
     if not len(points):
         return Spheres(points, radius), Spheres(points, radius)
     none, whole = _HELD
-    share = np.clip((_held(bank, maps, points, blunt) - none) / (whole - none), 0.0, 1.0)
+    share = np.clip((_bounding_fraction(bank, maps, points, blunt) - none) / (whole - none), 0.0, 1.0)
     return Spheres(points[share > 0.0], (share * radius)[share > 0.0]), Spheres(points[share < 1.0], radius[share < 1.0])
 
 
-def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
+def _move_to_maximum(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
     """Move points (N, 3) along any of their directions (N, D, 3) to where the largest spheres fit.
 
     Return the points and the radii (N,).
@@ -168,7 +170,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
-        allowed, _, seen = _allowed(bank, maps, view, point, sharpen=sharpen)
+        allowed, _, seen = _view_radius(bank, maps, view, point, sharpen=sharpen)
         return view + 1, dr.minimum(least, dr.select(seen, allowed, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
     point = device.points(points)
@@ -178,11 +180,11 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     return np.where(np.array(votes) >= distance_maps.least_votes(bank.count), np.array(least, np.float64), 0.0)
 
 
-def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
+def _bounding_fraction(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
     """Return the fraction (N,) of the views that bound spheres (N,), of those that show them."""
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
-        allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
+        allowed, px_a_mm, seen = _view_radius(bank, maps, view, point, sharpen=False)
         tight_mm = dr.maximum(_TIGHT_PX / px_a_mm, _TIGHT_SHARE * reach)
         bounds = dr.clip(1.5 - (allowed - reach) / tight_mm, 0.0, 1.0)
         return view + 1, tight + dr.select(seen, bounds, 0.0), votes + dr.select(seen, 1.0, 0.0)
@@ -193,12 +195,12 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
     return np.array(tight / dr.maximum(votes, 1.0), dtype=np.float64)
 
 
-def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *, sharpen: bool) -> tuple[Float, Float, Bool]:
+def _view_radius(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *, sharpen: bool) -> tuple[Float, Float, Bool]:
     """Return the radius in mm of the largest sphere about a point that a view allows.
 
     Also return px/mm at the point, and whether the view shows it.
     """
-    p, distance, seen = distance_maps.look(bank, maps, view, point, mi.Bool(True))
+    p, distance, seen = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance
     for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
         # Next to unusable pixels the map jumps; a distance cannot grow faster than the offset.

@@ -15,7 +15,7 @@ from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
 from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
 from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, even, evenly
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics import projection
@@ -32,7 +32,9 @@ _LEAST_EDGE_PX = 0.5
 """Minimum width of a line of sight: one sample of the maps."""
 
 
-def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres) -> NDArray[np.float32]:
+def required_fraction(
+    bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres
+) -> NDArray[np.float32]:
     """Return the fraction of uncertain finest nodes that silhouettes require and the trimmed shape does not explain.
 
     A single view may be wrong; the requirement of the view with the second-largest residual is used. Of all nodes on a
@@ -59,15 +61,15 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
     some = filled > 0.25
-    solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
-    share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
+    solid = _points(trimmed, 2 * to_unit_cubes(voxel[some], size[some]), 2)
+    share = numbers(np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0))
     places = _points(trimmed, uncertain, 1)
     edge_mm = trimmed.grid.size_mm
     beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
-        px, scale, seen = _seen(bank, maps, view, solid)
+        px, scale, seen = _project(bank, maps, view, solid)
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
@@ -78,8 +80,8 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
-        px, scale, seen = _seen(bank, maps, view, places)
-        lacks = dr.select(seen, DistanceMaps.of(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, seen), 0.0)
+        px, scale, seen = _project(bank, maps, view, places)
+        lacks = dr.select(seen, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, seen), 0.0)
         dr.eval(lacks)
         edge_px = max(edge_mm * _most(scale, lacks > 0.0), _LEAST_EDGE_PX)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
@@ -118,11 +120,11 @@ def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
     return device.points(centres)
 
 
-def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
+def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
     """Project points into a view: pixels, px/mm, and whether they are visible on its distance map."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
-    seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
+    seen = p.visible & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
     scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
     dr.eval(p.px, scale, seen)  # evaluated together, to project once
     return p.px, scale, seen

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import refraction
-from rhizotwin.recon.optics.cameras import View, approach, camera_directions, swayed
+from rhizotwin.recon.optics.cameras import View, apply_sway, approach, camera_directions
 from rhizotwin.recon.optics.refraction import Optics
 
 Array = NDArray[np.float64]
 
-Sight = tuple[View, Optics]
+ViewOptics = tuple[View, Optics]
 
 
 @dataclass(frozen=True)
@@ -42,30 +42,30 @@ class Quantity:
     unit: str
     step: float
     """Step of the difference quotient."""
-    changed: Callable[[Sight, float], Sight]
+    increase: Callable[[ViewOptics, float], ViewOptics]
     """Function that returns a view and its optics with the parameter increased by a value."""
 
 
-def _index(sight: Sight, value: float) -> Sight:
+def _index(sight: ViewOptics, value: float) -> ViewOptics:
     view, optics = sight
     return view, replace(optics, n_water=optics.n_water + value)
 
 
-def _focus(sight: Sight, value: float) -> Sight:
+def _focus(sight: ViewOptics, value: float) -> ViewOptics:
     view, optics = sight
     return replace(view, camera=view.camera.focused(1.0 + value)), optics
 
 
-def _canister(axis: int) -> Callable[[Sight, float], Sight]:
-    return lambda sight, value: (with_canister_moved(sight[0], value * np.eye(6)[axis]), sight[1])
+def _canister(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
+    return lambda sight, value: (move_canister(sight[0], value * np.eye(6)[axis]), sight[1])
 
 
-def _camera(axis: int) -> Callable[[Sight, float], Sight]:
-    return lambda sight, value: (displaced(sight[0], value * np.eye(6)[axis]), sight[1])
+def _camera(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
+    return lambda sight, value: (move_camera(sight[0], value * np.eye(6)[axis]), sight[1])
 
 
-def _sway(axis: int) -> Callable[[Sight, float], Sight]:
-    def changed(sight: Sight, value: float) -> Sight:
+def _sway(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
+    def changed(sight: ViewOptics, value: float) -> ViewOptics:
         view, optics = sight
         x, y, turn = np.asarray(view.sway) + value * np.eye(3)[axis]
         return replace(view, sway=(float(x), float(y), float(turn))), optics
@@ -73,14 +73,14 @@ def _sway(axis: int) -> Callable[[Sight, float], Sight]:
     return changed
 
 
-def with_canister_moved(view: View, step: Array) -> View:
+def move_canister(view: View, step: Array) -> View:
     """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame; a tank does not move."""
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
 
 
-def displaced(view: View, step: Array) -> View:
+def move_camera(view: View, step: Array) -> View:
     """Return a view whose camera moved by a left-hand twist (6,) (rad, mm) of ``cam_from_canister``."""
-    return view.moved(twist(step))
+    return view.move_camera(twist(step))
 
 
 INDEX = Quantity("index of the water", "", 1e-4, _index)
@@ -104,7 +104,7 @@ SWAY = tuple(Quantity(f"sway {what}", unit, 1e-5, _sway(k)) for k, (what, unit) 
 QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
-def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
+def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
     """Return the distances F1 and F2 (N, 2), mm, by which rays of directions (N, 3) miss points (N, 3).
 
     Parameters
@@ -121,8 +121,8 @@ def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> A
     (N, 2) array
         mm.
     """
-    at = swayed(view, optics, points_mm) @ view.azimuth_from_canister[:3, :3].T
-    line = refraction.follow(optics, refraction.within(optics, approach(view, optics, directions)[0]))
+    at = apply_sway(view, optics, points_mm) @ view.azimuth_from_canister[:3, :3].T
+    line = refraction.follow(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]))
     beside = np.sum(at[:, :2] * line.nu, axis=-1) - line.b_mm
     return np.stack([beside, refraction.height_at(optics, line, at[:, :2]) - at[:, 2]], axis=-1)
 
@@ -132,12 +132,14 @@ def normals(view: View, optics: Optics, directions: Array) -> Array:
 
     The normals are in the canister's frame, the directions in the camera's.
     """
-    line = refraction.follow(optics, refraction.within(optics, approach(view, optics, directions)[0]))
+    line = refraction.follow(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]))
     flat = np.concatenate([line.nu, np.zeros((len(directions), 1))], axis=-1)
     return np.asarray(flat @ view.azimuth_from_canister[:3, :3])
 
 
-def moves(view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Array, points_mm: Array, gradient: Array) -> Array:
+def picture_derivatives(
+    view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Array, points_mm: Array, gradient: Array
+) -> Array:
     """Return the derivatives of positions in a picture by parameters of the rig.
 
     The shape is (N, Q); the unit is that of ``gradient`` times mm per unit of the parameter.
@@ -153,14 +155,14 @@ def moves(view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Arra
     """
     directions = camera_directions(view.camera, px)
 
-    def at(changed: Sight) -> Array:
+    def at(changed: ViewOptics) -> Array:
         same = changed[0].camera is view.camera
-        return missed(*changed, directions if same else camera_directions(changed[0].camera, px), points_mm)
+        return miss_distances(*changed, directions if same else camera_directions(changed[0].camera, px), points_mm)
 
     beside = np.sum(gradient * normals(view, optics, directions), axis=-1)
     found = np.zeros((len(px), len(quantities)))
     for k, quantity in enumerate(quantities):
-        above, below = (at(quantity.changed((view, optics), side * quantity.step)) for side in (1.0, -1.0))
+        above, below = (at(quantity.increase((view, optics), side * quantity.step)) for side in (1.0, -1.0))
         by = (above - below) / (2.0 * quantity.step)
         found[:, k] = beside * by[:, 0] - gradient[:, 2] * by[:, 1]
     return found

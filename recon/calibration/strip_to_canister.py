@@ -27,7 +27,7 @@ UNSEEN = np.array([np.deg2rad(0.1), np.deg2rad(0.1), 0.2, 0.2])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chain:
+class StripToCanister:
     """The cameras relative to the strip, and the pose of the canister in the strip.
 
     The errors of its tilt about x, y and offset x, y are ``by_cameras @ s + e``, with the errors s that the cameras
@@ -44,17 +44,19 @@ class Chain:
     """(4, S)."""
 
     @staticmethod
-    def of(solved: Poses, canister: CanisterPose | None) -> Chain:
+    def combine(solved: Poses, canister: CanisterPose | None) -> StripToCanister:
         """Combine markers and edges; without edges, the canister is assumed aligned with the strip, within `UNSEEN`."""
         errors = solved.errors
         if errors is None:
             empty = PoseErrors(shared=np.zeros((6, 6)), carry=np.zeros((0, 6, 6)), own=np.zeros((0, 6, 6)))
-            errors = empty.of([None] * len(solved.views), [view.covariance for view in solved.views])
+            errors = empty.reorder([None] * len(solved.views), [view.covariance for view in solved.views])
         if canister is None:
             nothing = np.zeros((4, len(errors.shared)))
-            return Chain(solved=solved, errors=errors, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing)
+            return StripToCanister(
+                solved=solved, errors=errors, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing
+            )
         by_cameras = canister.by_cameras if solved.errors is not None else np.zeros((4, 6))
-        return Chain(
+        return StripToCanister(
             solved=solved,
             errors=errors,
             canister_from_strip=canister.canister_from_strip,
@@ -70,7 +72,7 @@ class Chain:
         lever = -adjoint(pose)[:, CANISTER]
         carry = self.errors.carry[k] + lever @ self.by_cameras
         covariance = carry @ self.errors.shared @ carry.T + lever @ self.covariance @ lever.T + self.errors.own[k]
-        return view.placed(pose, covariance)
+        return view.with_pose(pose, covariance)
 
     @property
     def table_from_canister(self) -> Array | None:

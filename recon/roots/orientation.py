@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, children_of, owners
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, list_children, owners
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ _ROUNDS = 8
 """Maximum number of rounds; reversing one branch may reverse another. Usually fewer are needed."""
 
 
-def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
+def orient_branches(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
     """Reverse branches that begin at their tips.
 
     These are branches that end at a root nearer to the top, along the roots, than their beginning, and branches that
@@ -50,9 +50,9 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
             parent, line = int(others[best]), branches[k]
             assert line is not None
             nearer = way[parent] + max(gap[best], 0.0) + _TOUCH_MM <= way[line[0]]
-            if gap[best] > _TOUCH_MM or not (nearer or _leaves_onward_turned(tubes, branches, owner, line, parent)):
+            if gap[best] > _TOUCH_MM or not (nearer or _should_reverse(tubes, branches, owner, line, parent)):
                 continue
-            if k not in above(branches, owner, int(owner[parent])):
+            if k not in ancestors(branches, owner, int(owner[parent])):
                 branches[k] = np.concatenate([[parent], line[:0:-1]])
                 _find_ways(centre, branches, owner, way, k)
                 turned = True
@@ -63,7 +63,7 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
 
 def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
     """Set the path length to the top for the nodes of a branch, from its first node's, and of all its descendants."""
-    children = children_of(branches, owner)
+    children = list_children(branches, owner)
     waiting = [branch]
     while waiting:
         k = waiting.pop()
@@ -73,7 +73,7 @@ def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: A
         waiting += children.get(k, [])
 
 
-def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
+def _should_reverse(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
     """Return whether a branch leaves its parent against its growth, but would leave another root along it.
 
     The other root would be left at a node near the branch's tip.

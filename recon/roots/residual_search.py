@@ -26,7 +26,7 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import ghosts, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tubes
-from rhizotwin.recon.tubes.translucent_tube import radius_of
+from rhizotwin.recon.tubes.translucent_tube import equivalent_radius
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ _TIP_MM = 0.4
 """Distance within which two ends are considered the same."""
 
 
-def own_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
+def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
     """Return the residual coverage (N,) of points, averaged over the views; 0 where too few views contribute.
 
     Parameters
@@ -56,16 +56,16 @@ def own_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
     free : Float
         Transmittance of the tubes in all views (`recon.tubes.tube_picture.transmittance`).
     """
-    left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.seen)
+    left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.usable)
     dr.eval(left)
     width, height = evidence.image_wh
     point, pixels = points(points_mm), dr.opaque(mi.UInt32, evidence.pixels)
 
     def body(view: UInt32, top: Float, weight: Float) -> tuple[UInt32, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.seen & readable(p.px, width, height)
+        seen = p.visible & readable(p.px, width, height)
         px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
-        tells = bilinear(evidence.seen, base, width, px.x, px.y, seen)
+        tells = bilinear(evidence.usable, base, width, px.x, px.y, seen)
         u, d = (bilinear(source, base, width, px.x, px.y, seen) for source in (free, left))
         good = seen & (tells > 0.99)
         return view + 1, top + dr.select(good, u * d, 0.0), weight + dr.select(good, dr.square(u), 0.0)
@@ -76,7 +76,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 
 
-def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
+def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
     """Attach to the tree the roots that its tubes leave unexplained.
 
     Parameters
@@ -88,16 +88,16 @@ def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cell
     px_a_mm : float
         Scale at the centre of the water.
     """
-    line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
-    flanked = ghosts.flanked(found, thick)
+    line, radius, node = _sample_tubes(found, 0.5 * cells.grid.size_mm)
+    flanked = ghosts.find_margin_nodes(found, thick)
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
     away, nearest = cKDTree(line).query(cells.centre_mm, distance_upper_bound=float(reach.max()), workers=-1)
     nearest = np.minimum(nearest, len(line) - 1)  # the distance is infinite where no node is near
     # Few views resolve the flank of a thick root: no branch begins there that the density did not contain.
     beside = ~((away < reach[nearest]) & thick[node[nearest]])
-    cells, away, nearest = cells.chosen(beside), away[beside], nearest[beside]
+    cells, away, nearest = cells.select(beside), away[beside], nearest[beside]
     centre = cells.centre_mm  # evaluated once, as the property is not cached
-    own, inside = own_coverage(evidence, centre, free), away < reach[nearest]
+    own, inside = residual_coverage(evidence, centre, free), away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
         return found
@@ -115,17 +115,17 @@ def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cell
     paths, radii, parents = [], [], []
     for way in lines:
         opaque = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        wide = radius_of(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
+        wide = equivalent_radius(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(wide[1:]))))
         first = int(node[nearest[way[0]]])
         if inside[way[0]] and at_tip[way[0]]:
             first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])
         parents.append(first if inside[way[0]] else -1)
-    return tubes.hang(found, paths, radii, parents)
+    return tubes.attach(found, paths, radii, parents)
 
 
-def _dense(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
+def _sample_tubes(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return points (P, 3) along the tubes, their radii, and the nearest node of each."""
     a, b = found.segments.T
     count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
