@@ -66,12 +66,7 @@ def find_cameras(
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
         return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
-        with monitor.stage("canister"):
-            bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
-        lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
-        return _require_views(
-            pictures, replace(_exact_cameras(pictures, lens, bare.cam_from_canister), bare=bare.uncertainty, warnings=bare.notes(scene))
-        )
+        return _require_views(pictures, _calibrate_bare(pictures, monitor))
     detected = _markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
@@ -80,9 +75,9 @@ def find_cameras(
     with monitor.stage("canister"):
         canister = None if single_view else _canister(pictures, solved, lens, settings)
     chain = StripToCanister.combine(solved, canister)
-    found = tuple(
-        _rotate_tank(chain.camera(k, view), canister) if scene.tank else chain.camera(k, view) for k, view in enumerate(solved.views)
-    )
+    found = tuple(chain.camera(k, view) for k, view in enumerate(solved.views))
+    if scene.tank:
+        found = tuple(_rotate_tank(camera, canister) for camera in found)
     cameras = Cameras(
         lens=lens,
         optics=optics,
@@ -93,6 +88,15 @@ def find_cameras(
         warnings=(*solved.warnings, *left_out),
     )
     return _require_views(pictures, cameras)
+
+
+def _calibrate_bare(pictures: Pictures, monitor: Monitor) -> Cameras:
+    """Calibrate the cameras of a scan without markers."""
+    scene = pictures.dataset.scene
+    with monitor.stage("canister"):
+        bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
+    cameras = _exact_cameras(pictures, replace(scene.camera, mm_per_px=bare.mm_per_px), bare.cam_from_canister)
+    return replace(cameras, bare=bare.uncertainty, warnings=bare.notes(scene))
 
 
 def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
