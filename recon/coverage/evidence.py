@@ -140,7 +140,7 @@ class Nodes:
     shape: tuple[int, int]
     """Number of views and points, V and N."""
     on_device: Projected
-    """Points of one view after those of another; ``seen`` only for points in the picture."""
+    """Points of one view after those of another; ``visible`` only for points in the picture."""
 
     @cached_property
     def px(self) -> Array:

@@ -132,7 +132,7 @@ def mark_nodes(
     return Marks((flags & _EMPTY) != 0, (flags & _PARTIAL) != 0, flags & (_PARTIAL - 1), depth, scale)
 
 
-def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
+def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, tested: Bool, min_votes: int) -> Bool:
     """Return which nodes have a corner visible in enough views, although too few views show the centre.
 
     These nodes intersect the edge of the blind zone.
@@ -145,7 +145,7 @@ def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half
         Centres of the nodes.
     half_mm : Float
         Half the nodes' edge.
-    asked : Bool
+    tested : Bool
         Nodes to test.
     min_votes : int
         Required number of views.
@@ -156,7 +156,7 @@ def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half
         False for nodes not tested.
     """
     result = dr.zeros(mi.Bool, dr.width(point))
-    chosen = dr.compress(asked)
+    chosen = dr.compress(tested)
     if dr.width(chosen) == 0:
         return result
     part = dr.gather(mi.Point3f, point, chosen)
