@@ -138,7 +138,7 @@ def _rays(optics: Optics, scene: Scene) -> bytes:
     return png(drawn, dpi=110)
 
 
-def _carving(carved: list[shaping.Carved]) -> bytes:
+def _carving(carved: list[shaping.CarvedHull]) -> bytes:
     drawn = figure(9.0, 4.0)
     water = carved[0].water
     for axes, one, mm in zip(drawn.subplots(1, len(carved), sharey=True), carved, CARVED_MM, strict=True):

@@ -95,10 +95,10 @@ def reconstruct(
     if tree is not None:
         cameras, settled = _finish_roots(tree, hull.water.top_mm, monitor)
         roots = stages.keep("roots", settled, leave=_ON_DEVICE)
-        told = remeasure_coverage(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
-        if told is not coverage or (cameras.roots is not None and cameras.roots.believed):
+        remeasured = remeasure_coverage(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
+        if remeasured is not coverage or (cameras.roots is not None and cameras.roots.believed):
             del hull  # later stages use one calibration and one attenuation
-            coverage = told
+            coverage = remeasured
             hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
     checked = checks.name_cause((*of_pictures, *solid.checks))
@@ -157,7 +157,7 @@ def _volume_objections(solid: Solid) -> tuple[str, ...]:
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
-def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
+def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate length, tips and mean diameter, with intervals and verdicts."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(
@@ -167,7 +167,7 @@ def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[
 
 def _hull_and_tree(
     pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
-) -> tuple[shaping.Carved, RootTree | None]:
+) -> tuple[shaping.CarvedHull, RootTree | None]:
     """Reconstruct hull and root tree, and repeat both if the roots sway from picture to picture."""
     dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
@@ -181,13 +181,13 @@ def _hull_and_tree(
     return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
-def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.Carved:
+def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.CarvedHull:
     """Carve the hull, and carve it again without the views that contradict all others.
 
     If the hull is empty, the failed checks of the pictures are added to the error, as they are usually the cause.
     """
     dataset = pictures.dataset
-    hull: shaping.Carved | UserError
+    hull: shaping.CarvedHull | UserError
     try:
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
         if shaping.missed_share(hull) <= settings.trust.missed[0]:

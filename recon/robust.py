@@ -51,10 +51,10 @@ def scatter(scores: Array, *clusters: Numbers, curvatures: Array | None = None, 
     """
     if len(clusters) == 2:
         both = clusters[0] * (int(clusters[1].max(initial=0)) + 1) + clusters[1]
-        one, other, common = (scatter(scores, of, curvatures=curvatures, normal=normal) for of in (*clusters, both))
+        one, other, common = (scatter(scores, cluster, curvatures=curvatures, normal=normal) for cluster in (*clusters, both))
         return _positive(one + other - common, np.diag(np.diag(one + other)) if normal is None else normal)
-    (of,) = clusters
-    _, number = np.unique(of, return_inverse=True)
+    (cluster,) = clusters
+    _, number = np.unique(cluster, return_inverse=True)
     count = int(number.max(initial=-1)) + 1
     sums = np.zeros((count, scores.shape[1]))
     np.add.at(sums, number, scores)

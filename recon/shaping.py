@@ -52,7 +52,7 @@ _MUCH_KEPT = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Carved:
+class CarvedHull:
     """A hull with its input."""
 
     hull: Hull
@@ -74,7 +74,7 @@ def carve_hull(
     slack_px: float,
     monitor: Monitor,
     ignore_blindness: bool = False,
-) -> Carved:
+) -> CarvedHull:
     """Carve the visual hull of the silhouettes out of the water between the floor and the net pot.
 
     Parameters
@@ -106,7 +106,7 @@ def carve_hull(
             f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
             "the poses or the scene file do not match the pictures."
         )
-    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
+    return CarvedHull(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
 
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
@@ -131,7 +131,7 @@ def water_space(scene: Scene, cameras: Cameras) -> Water:
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
-def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Carved:
+def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> CarvedHull:
     """Carve the visual hull of the silhouettes.
 
     Parameters
@@ -148,7 +148,7 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
     return carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
 
 
-def missed_share(carved: Carved) -> float:
+def missed_share(carved: CarvedHull) -> float:
     """Return the fraction of the coverage that no part of the hull explains."""
     leaves = carved.hull.leaves
     leaves = leaves.select(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
@@ -158,7 +158,7 @@ def missed_share(carved: Carved) -> float:
 
 
 def find_roots(
-    carved: Carved, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
+    carved: CarvedHull, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
 ) -> RootTree | None:
     """Reconstruct the roots as a tree of tubes; return None if there are none.
 
@@ -180,11 +180,11 @@ def find_roots(
     RootTree or None
         Tubes and solids, not yet divided into roots.
     """
-    seen = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
-    return rooting.find_tree(seen, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
+    evidence = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
+    return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 
-def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
+def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
     """Unite the tubes with the trimmed hull of solids, and measure the result.
 
     Parameters
@@ -243,7 +243,7 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     return replace(solid, roots=roots, mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
-def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop | None:
+def _hidden_top(roots: Sequence[Root], carved: CarvedHull) -> hidden_top.HiddenTop | None:
     """Estimate the parts of roots without a parent that the net pot hides."""
     main = [root for root in roots if root.parent < 0]
     if not main:
@@ -253,10 +253,10 @@ def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop |
 
 
 def _budget(
-    carved: Carved,
+    carved: CarvedHull,
     leaves: Leaves,
     system: RootSystem | None,
-    solids: trimming.Trimmed,
+    solids: trimming.TrimmedHull,
     part: Leaves,
     *,
     wide: Leaves,
@@ -274,10 +274,10 @@ def _budget(
     """
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
-    told = None if system is None else tube_uncertainty.estimate(system)
+    tubes = None if system is None else tube_uncertainty.estimate(system)
     edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
-        *(() if told is None else told.terms),
+        *(() if tubes is None else tubes.terms),
         *solid_uncertainty.estimate_terms(
             carved.bank,
             carved.hull,
@@ -299,14 +299,14 @@ def _budget(
         ),
         canister_uncertainty.canister_term(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
     )
-    fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
+    fill, unexplained = (0.0, 0.0) if tubes is None else (tubes.fill, tubes.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
 
 
 def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[Check, ...]:
     """Check the agreement of views and shape."""
-    asked = None if system is None else system.cameras.roots
-    sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
+    calibration = None if system is None else system.cameras.roots
+    sway_mm = None if system is None or calibration is None else calibration.after_px / system.px_a_mm
     agreed = shape_checks.check_agreement(
         missed=missed,
         unexplained=budget.unexplained,

@@ -68,7 +68,7 @@ class _Shape(NamedTuple):
     """What a baseline found."""
 
     pictures: Pictures
-    carved: shaping.Carved
+    carved: shaping.CarvedHull
     coverage: Coverage
     volume_mm3: float
 
@@ -103,7 +103,7 @@ def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape
 
 def _carve_strictly(
     dataset: Dataset, settings: Settings, monitor: Monitor, *, slack_px: float, outline: Outline | None
-) -> tuple[Pictures, shaping.Carved, Coverage]:
+) -> tuple[Pictures, shaping.CarvedHull, Coverage]:
     """Find a pose a picture, silhouettes, and the hull that no view may miss, as the thesis does."""
     pictures = read_pictures(dataset, settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)

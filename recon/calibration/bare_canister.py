@@ -71,15 +71,15 @@ class BareCanister:
         They include contradictions between the pictures and the scene.
         """
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
-        said = [
+        found = [
             f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel from its diameter of "
             f"{2.0 * can.outer_radius_mm:g} mm, steps of {step.mean():.2f} +- {step.std():.2f} degrees, elevation "
             f"{self.elevation_deg:.2f} degrees; under parallel rays, the opposite direction of the table gives the mirror image; check "
             "turntable.direction"
         ]
         if self.floor_z_mm is not None and abs(self.floor_z_mm - can.floor_z_mm) > HEIGHTS_AGREE_MM:
-            said.append(f"the floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene")
-        return tuple(said)
+            found.append(f"the floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene")
+        return tuple(found)
 
 
 def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[float]) -> BareCanister:

@@ -225,10 +225,10 @@ class Cameras:
     def leave_out(self, reasons: Mapping[int, str], *, unread: Sequence[LeftOut] = ()) -> Cameras:
         """Return the cameras with some frames left out, by number with the reason, and unread frames appended."""
         every = tuple(replace(camera, used=False, reason=reasons[k]) if k in reasons else camera for k, camera in enumerate(self.all))
-        said = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
+        notes = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
         order = tuple(k for k in self.order if k not in reasons)
         every += tuple(Camera(file=frame.file, ring=frame.ring, used=False, reason=reason) for frame, reason in unread)
-        return replace(self, all=every, order=order, warnings=(*self.warnings, *said))
+        return replace(self, all=every, order=order, warnings=(*self.warnings, *notes))
 
     def with_views(self, views: Sequence[View], optics: Optics) -> Cameras:
         """Return cameras with other poses of the used views (V,), all of one lens, and other optics."""

@@ -186,14 +186,14 @@ class _Edges:
     def from_pixels(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
         """Return the lines of sight through each view's pixels (M, 2)."""
         px = np.concatenate([pixels for pixels, _ in found])
-        of = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
+        owner = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
         undone = [
             cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix(view.camera), np.array(view.camera.distortion)).reshape(-1, 2)
             for (pixels, _), view in zip(found, views, strict=True)
             if len(pixels)
         ]
         side = np.concatenate([sides for _, sides in found])
-        one = px[(of == of[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
+        one = px[(owner == owner[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
         along = int(np.argmax(np.ptp(one, axis=0)))  # rows, if edges are vertical in the pictures
         block = np.ones(2)
         block[along] = TOGETHER_MM * views[0].camera.focal_px[0] / views[0].rho_mm
@@ -201,7 +201,7 @@ class _Edges:
         return _Edges(
             views=views,
             optics=optics,
-            view=of,
+            view=owner,
             side=side,
             ray=rays / np.linalg.norm(rays, axis=1, keepdims=True),
             place=np.asarray(np.unique(np.floor(px / block), axis=0, return_inverse=True)[1].ravel(), np.int64),
@@ -252,7 +252,7 @@ def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, setting
     the position of an edge between two pixels determines its error. The two sides of a view are uncorrelated (below
     0.1) except for the view's own pose, which is propagated with the others.
     """
-    told = [0, 1, 2, 3, *range(_OPEN, len(found))]
+    chosen = [0, 1, 2, 3, *range(_OPEN, len(found))]
     jacobian = _slopes(edges.off, found, _SCALE[: len(found)])
     square = (edges.off(found) / settings.edge_mm) ** 2
     psi = edges.off(found) / (1.0 + square)  # psi of Cauchy's loss, and its mean derivative
@@ -261,13 +261,13 @@ def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, setting
     normal = parts.sum(axis=0) + np.diag((settings.edge_mm / PRIOR[: len(found)]) ** 2 / len(edges.view))
     meat = scatter(jacobian * psi[:, None], 2 * edges.view + edges.side, edges.place, curvatures=parts, normal=normal)
     bread = inverse(normal)
-    covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(told, told)]
+    covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(chosen, chosen)]
     if errors is None:
-        return covariance, np.zeros((len(told), 1))
+        return covariance, np.zeros((len(chosen), 1))
     by_pose = _slopes(lambda step: edges.displace(step).off(found), np.zeros(6), _POSE_SCALE)
     follow = np.zeros((len(edges.views), len(found), 6))
     np.add.at(follow, edges.view, -stiff * jacobian[:, :, None] * by_pose[:, None, :])
-    follow = (bread @ follow)[:, told]
+    follow = (bread @ follow)[:, chosen]
     own = follow @ errors.own @ follow.transpose(0, 2, 1)
     return covariance + own.sum(axis=0), np.einsum("vij,vjs->is", follow, errors.carry)
 

@@ -43,14 +43,14 @@ def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
         return pictures
     some = sorted({round(k) for k in np.linspace(0, len(captured) - 1, _SOME)})
 
-    def markers_of(image: Grey) -> Markers:
+    def detect(image: Grey) -> Markers:
         return detect_markers(image, dataset.scene.strip)
 
     def again(curve: Curve) -> list[Markers]:
-        return monitor.each(lambda k: markers_of(read_image(dataset, captured[k], curve=curve)), "curve", some)
+        return monitor.each(lambda k: detect(read_image(dataset, captured[k], curve=curve)), "curve", some)
 
     with monitor.stage("curve"):
-        detected = monitor.each(markers_of, "curve", [pictures.images[k] for k in some])
+        detected = monitor.each(detect, "curve", [pictures.images[k] for k in some])
         found = find(detected, stated_curve(dataset, captured), again)
         if found.warning is None:
             return replace(pictures, curve=found, measured=dict(zip(some, detected, strict=True)))

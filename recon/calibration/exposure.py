@@ -52,7 +52,7 @@ class Exposures:
 
     gain: Array
     """(V,) exposure relative to the station's median picture; 1 if unknown."""
-    told: bool
+    measured: bool
     """Whether it was measured on the panel beside the canister in all pictures."""
     clipped: Array
     """(V,) fraction of the panel's pixels that are at full scale."""
@@ -127,7 +127,7 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         Station of each picture.
     """
     gain, clipped, level = np.ones(len(images)), np.zeros(len(images)), np.full(len(images), np.nan)
-    told, uneven = True, np.zeros(len(images))
+    measured, uneven = True, np.zeros(len(images))
     sides: list[Sides | None] = [None] * len(images)
     for station in sorted(set(stations)):
         own = [k for k, one in enumerate(stations) if one == station]
@@ -138,14 +138,14 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
             middle = np.median(light, axis=0)
             panel = middle > _LIT * np.quantile(middle, _BRIGHT)
         if panel.sum() < _LEAST_PIXELS:
-            told = False
+            measured = False
             continue
         light = light[:, panel]
         full = light >= FULL
         clipped[own], level[own] = full.mean(axis=1), np.median(light, axis=1)
         usable = ~full.any(axis=0)
         if usable.sum() < _LEAST_PIXELS:
-            told = False
+            measured = False
             continue
         light = light[:, usable]
         ratio = light / np.median(light, axis=0)
@@ -153,7 +153,7 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
             sides[k], uneven[k] = _unevenness(one / gain[k], row, column, images[k].shape[1])
-    return Exposures(gain=gain, told=told, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
+    return Exposures(gain=gain, measured=measured, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
 
 
 def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
@@ -186,10 +186,10 @@ def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
     rows = np.unique(row)
     share = []
     for side in (left, ~left):
-        told, inverse = np.unique(row[side], return_inverse=True)
+        side_rows, inverse = np.unique(row[side], return_inverse=True)
         order = np.argsort(inverse, kind="stable")
         medians = [float(np.median(part)) for part in np.split(ratio[side][order], np.flatnonzero(np.diff(inverse[order])) + 1)]
-        share.append(ndimage.gaussian_filter1d(np.interp(rows, told, medians), _ROWS, mode="nearest"))
+        share.append(ndimage.gaussian_filter1d(np.interp(rows, side_rows, medians), _ROWS, mode="nearest"))
     columns = float(np.mean(column[left])), float(np.mean(column[~left]))
     return Sides(rows=rows, columns=columns, share=np.maximum(share, _DARKEST))
 
@@ -208,5 +208,5 @@ def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
     climb = line.p_z / np.sqrt(optics.n_around**2 - line.p_z**2)
     z_mm = line.foot_z_mm + climb * (view.rho_mm - np.sqrt(view.rho_mm**2 - line.b_mm**2))  # at the distance of the axis
     below = through & (z_mm < scene.net_pot.skirt_bottom_mm) & (z_mm > optics.floor_z_mm)
-    seen = ((past_mm > outer_mm) & below).reshape(u.shape)
-    return cv2.erode(seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    visible = ((past_mm > outer_mm) & below).reshape(u.shape)
+    return cv2.erode(visible.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

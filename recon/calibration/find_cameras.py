@@ -148,13 +148,13 @@ def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optic
 
 def _table_deg(pictures: Pictures) -> list[float]:
     """Return the commanded table angles, the initial values for cameras without markers."""
-    told = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
-    if len(told) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
+    angles = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
+    if len(angles) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
             f"{pictures.dataset.folder}: without markers, pictures of one ring with table angles are required; "
             "the plan of the scene must have as many views as there are pictures"
         )
-    return told
+    return angles
 
 
 def _used_frames(found: Sequence[Camera]) -> tuple[int, ...]:
@@ -162,7 +162,7 @@ def _used_frames(found: Sequence[Camera]) -> tuple[int, ...]:
 
 
 def _require_views(pictures: Pictures, cameras: Cameras) -> Cameras:
-    """Return the cameras if there are enough of them."""
+    """Return the cameras; raise a UserError if too few views have one."""
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(

@@ -85,28 +85,28 @@ def find_poses(
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
     _reject_foreign_markers(detected, scene, captured)
     views: list[Camera] = []
-    seen: dict[int, Sightings] = {}
+    sightings: dict[int, Sightings] = {}
     for k, (markers, frame) in enumerate(zip(detected, captured, strict=True)):
         view, sight = _fit_single_view(markers, scene, frame, polish=not single_view)
         views.append(view)
         if sight is not None:
-            seen[k] = sight
-    if not seen:
+            sightings[k] = sight
+    if not sightings:
         raise UserError(
             f"{captured[0].file}: {views[0].reason}; no camera could be calibrated in any of the {len(captured)} pictures: "
             "check focus, light and the strip in the scene file, or give the cameras"
         )
-    median_px = float(np.median([views[k].reprojection_px for k in seen]))
-    for k in list(seen):
+    median_px = float(np.median([views[k].reprojection_px for k in sightings]))
+    for k in list(sightings):
         reason = _misfit(views[k].reprojection_px, median_px, settings)
         if reason:
             views[k] = replace(views[k], used=False, reason=reason)
-            if not single_view and len(seen) > 1:
-                del seen[k]
+            if not single_view and len(sightings) > 1:
+                del sightings[k]
     if single_view:
         _require_camera(views, captured)
         return Poses(views=tuple(views), after_px=median_px)
-    return _fit_all_views(views, seen, scene, captured, settings)
+    return _fit_all_views(views, sightings, scene, captured, settings)
 
 
 def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
@@ -133,14 +133,14 @@ def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bo
     if count < LEAST_MARKERS:
         reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
         return replace(nothing, reason=reason), None
-    seen = view_fit.sightings(markers, scene)
-    pose = view_fit.single_view(seen, polish=polish)
+    sightings = view_fit.sightings(markers, scene)
+    pose = view_fit.single_view(sightings, polish=polish)
     if pose is None:
         reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
         return replace(nothing, reason=reason), None
-    local = view_fit.linearise(seen, pose)
+    local = view_fit.linearise(sightings, pose)
     view = _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
-    return replace(view, single_view_px=local.rms_px), seen
+    return replace(view, single_view_px=local.rms_px), sightings
 
 
 def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:

@@ -257,7 +257,7 @@ class _System:
             movement = (self.own + local[:, 1:]) ** 2 + np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
             square = movement.reshape(-1, 2, 3).sum(axis=2)
             weight = (TAIL + 6.0) / (TAIL + np.sum(square / spread[self.rig.ring] ** 2, axis=1))
-            found = np.array([np.sqrt(np.mean(weight[of, None] * square[of], axis=0) / 3.0) for of in self._members()])
+            found = np.array([np.sqrt(np.mean(weight[members, None] * square[members], axis=0) / 3.0) for members in self._members()])
             spread = np.maximum(found**2 / spread, STILL)
         return spread, weight
 

@@ -56,14 +56,14 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
     command, known = angle.copy(), np.zeros(len(poses), bool)
     warnings: list[str] = []
     for r, (number, _) in enumerate(stations):
-        of = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
-        if not of:
+        members = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
+        if not members:
             continue
-        asked = direction * np.deg2rad([captured[i].table_deg or 0.0 for i in of])
-        if _scatter(angle[of] - asked) < AGREE_RAD:
-            command[of], known[of] = asked, True
+        commanded = direction * np.deg2rad([captured[i].table_deg or 0.0 for i in members])
+        if _scatter(angle[members] - commanded) < AGREE_RAD:
+            command[members], known[members] = commanded, True
         else:
-            other = " (they match the opposite turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
+            other = " (they match the opposite turntable.direction)" if _scatter(angle[members] + commanded) < AGREE_RAD else ""
             warnings.append(f"ring {number}: the pictures contradict the commanded table angles{other}; angles from the pictures are used")
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
     cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])

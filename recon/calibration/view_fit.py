@@ -22,7 +22,8 @@ _MISREAD_PX = 1.5, 10.0
 """Median and largest reprojection error of SQPNP, above which some markers may be misread: corners found by OpenCV are
 off by 0.1 to 0.2 (`docs/calibration.md`), those of another marker by its side."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
-"""Inlier distance, and number of trials: with half of the corners misread, nine of 300 samples of five contain none."""
+"""Inlier distance, and number of trials: with half of the corners misread, nine of 300 samples of five contain no
+misread corner."""
 _ENOUGH_MM = 1e-5
 """Step of the camera below which the fit of one picture ends: a thousandth of the accuracy of a picture."""
 WIDE = 3.0

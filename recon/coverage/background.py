@@ -47,8 +47,9 @@ _FITS = 8
 """Number of fits of the surface. The upper tolerance is halved each time: at first roots lower the surface, later the
 flanks of a reflection would raise it."""
 _CLOSING_PX = 31
-"""Maximum width of dark objects that are closed in a single picture: 7 mm at a bench's 0.23 mm per pixel; hypocotyls of
-the library's radishes without a globe have 1.5 to 3 mm. Wider objects are rejected as outliers of the surface."""
+"""Maximum width of dark objects that are closed in a single picture: 7 mm at 0.23 mm per pixel (profile `bench`);
+hypocotyls of the library's radishes without a globe have 1.5 to 3 mm. Wider objects are rejected as outliers of the
+surface."""
 _BRIGHT = 0.9
 """Quantile of the background that defines its brightness, robust against glare and hot pixels."""
 _AGREED = 0.5
@@ -213,8 +214,8 @@ def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, 
     """
     about = cv2.dilate(spots.astype(np.uint8), np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8))
     rows, columns = np.nonzero((about > 0) & (smooth > 0))
-    seen = inside[:, rows, columns] if inside.ndim == 3 else inside[rows, columns][None]
-    darkest = np.where(seen, stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
+    visible = inside[:, rows, columns] if inside.ndim == 3 else inside[rows, columns][None]
+    darkest = np.where(visible, stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
     here, beside = ((darkest < _DARK) & part[rows, columns] for part in (spots, added == 0.0))
     if here.sum() < _LEAST_DARK or beside.sum() < _LEAST_DARK:
         return False

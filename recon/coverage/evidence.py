@@ -32,8 +32,8 @@ _AROUND = 1.5
 """Distance from a bright spot, in its diameters, within which full coverage must be uninterrupted: a bubble in front of
 a ball of 20 mm, 2 mm from its outline in the picture, has 1.9 (`hard-1`)."""
 CORE_PX = 1.25
-"""Depth inside full coverage, in every view, of points in a taproot, hypocotyl or solid, which are 3.5 px wide or
-more."""
+"""Points at least this deep inside full coverage in every view lie in a taproot, hypocotyl or solid, which is then at
+least 3.5 px wide."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class Evidence:
         """
         window = Window.around(silhouettes)
         cut = tuple(silhouette.cut(window) for silhouette in silhouettes)
-        coverage, seen = halves([s.coverage for s in cut]), halves([s.usable for s in cut])
-        return Evidence(bank.crop(window.low_px), cut, coverage, seen, window)
+        coverage, usable = halves([s.coverage for s in cut]), halves([s.usable for s in cut])
+        return Evidence(bank.crop(window.low_px), cut, coverage, usable, window)
 
     def with_cameras(self, cameras: Cameras) -> Evidence:
         """Return the same evidence with other cameras, in the order of the views."""
@@ -101,15 +101,15 @@ class Evidence:
 
     def exclude(self, covered: NDArray[np.bool_]) -> Evidence:
         """Return the evidence outside the pixels (V, H, W) that other objects cover."""
-        seen = self.usable * halves(list(~covered))
-        dr.eval(seen)
-        return replace(self, usable=seen)
+        usable = self.usable * halves(list(~covered))
+        dr.eval(usable)
+        return replace(self, usable=usable)
 
     def select_views(self, which: Sequence[int]) -> Evidence:
         """Return the evidence of a subset of the views."""
-        coverage, seen = (select_parts(part, which, self.pixels) for part in (self.coverage, self.usable))
+        coverage, usable = (select_parts(part, which, self.pixels) for part in (self.coverage, self.usable))
         return replace(
-            self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=seen
+            self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=usable
         )
 
     @property

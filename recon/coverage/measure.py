@@ -33,7 +33,8 @@ _LEARN_VIEWS = 16
 MOST_WRONG = 0.1
 """Maximum fraction of bad views: above it, the scan is at fault and not a picture."""
 _SAME = 0.2
-"""Maximum logarithm of the ratio of two attenuations that agree: estimates from the widest roots vary by as much."""
+"""Two attenuations count as equal up to this logarithm of their ratio, the scatter of estimates from the widest
+roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +134,8 @@ def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Cover
     with monitor.stage("silhouettes"):
         for k, view in cameras.by_frame.items():
             picture = pictures.images[k].astype(np.float32) / np.iinfo(pictures.images[k].dtype).max
-            seen = np.ones(picture.shape, bool) if optics.straight else background.water_mask(view, optics, pictures.dataset.scene)
-            drawn[k] = Silhouette(np.where(seen, picture, 0.0).astype(np.float32), seen)
+            usable = np.ones(picture.shape, bool) if optics.straight else background.water_mask(view, optics, pictures.dataset.scene)
+            drawn[k] = Silhouette(np.where(usable, picture, 0.0).astype(np.float32), usable)
     return Coverage(silhouettes=drawn)
 
 
@@ -182,23 +183,23 @@ def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSetti
     """Measure coverage relative to the empty backlight."""
     keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in keys}
-    lit, exposures, seen = light.lit, light.exposures, light.usable
+    lit, exposures, usable = light.lit, light.exposures, light.usable
     del light  # it needs as much memory as all pictures
     with monitor.stage("wall"):
-        opacity, seen, film = _remove_fouling(cameras, opacity, seen, settings, monitor)
+        opacity, usable, film = _remove_fouling(cameras, opacity, usable, settings, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = _px_a_mm(cameras)
-        attenuation = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
+        attenuation = translucency.learn([opacity[k] for k in some], [usable[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:
             dark = opacity.pop(k)
             # Noise is kept, so that faint roots do not lose their flanks.
             clear = dark / np.float32(1.0 - attenuation.own)
-            return replace(_make_silhouette(dark, seen[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
+            return replace(_make_silhouette(dark, usable[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
-    clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
+    clear = sum(int(usable[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
     dirt = None if film is None else 1.0 - (1.0 - film) * clear
     return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=exposures, dirt=dirt)
 

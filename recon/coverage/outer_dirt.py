@@ -99,15 +99,15 @@ def detect_dirt(
 
 
 def _chance_texels(share: Image, number: Image) -> Mask:
-    """Return the texels (rows, columns) that roots may have darkened in the observed number of views.
+    """Return the texels (rows, columns) that may be dark in the observed number of views by chance, due to roots.
 
     Roots darken a place as often as its surroundings, and at least as often as the mean place, with probability p. The
     probability that it is dark in a fraction q of n views is at most exp(-n (q log(q / p) + (1 - q) log((1 - q) / (1 -
     p)))) (Chernoff bound); it must be small for the whole wall.
     """
     about = cv2.medianBlur(np.round(255.0 * share).astype(np.uint8), _ABOUT) / 255.0
-    told = number >= _LEAST_VIEWS
-    mean = float(share[told].mean()) if told.any() else 0.0
+    enough = number >= _LEAST_VIEWS
+    mean = float(share[enough].mean()) if enough.any() else 0.0
     p, q = np.clip(about, max(mean, _LEAST_SHARE), 1.0), np.clip(share, 1e-6, 1.0 - 1e-6)
     rare = number * (q * np.log(q / p) + (1.0 - q) * np.log((1.0 - q) / np.maximum(1.0 - p, 1e-6)))
     return np.asarray((rare < np.log(_NEVER * share.size)) | (q < p))

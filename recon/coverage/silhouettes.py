@@ -88,13 +88,13 @@ class Window:
 
         It includes a margin of unusable pixels, unless limited by the border of the picture.
         """
-        told = np.logical_or.reduce([silhouette.usable for silhouette in silhouettes])
+        usable = np.logical_or.reduce([silhouette.usable for silhouette in silhouettes])
         low, size = [], []
         for axis in (0, 1):  # columns, then rows
-            some = np.flatnonzero(told.any(axis=axis))
+            some = np.flatnonzero(usable.any(axis=axis))
             first, last = (some[0], some[-1]) if len(some) else (0, 0)
             low.append(max(0, int(first) - _SILENT_PX))
-            size.append(min(told.shape[1 - axis], int(last) + 1 + _SILENT_PX) - low[-1])
+            size.append(min(usable.shape[1 - axis], int(last) + 1 + _SILENT_PX) - low[-1])
         return Window((low[0], low[1]), (size[0], size[1]))
 
 

@@ -227,8 +227,8 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
     typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
     i, k = divmod(int(np.argmin(typical)), len(own))
     mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
-    told = typical[-1].min() > CLEARLY * typical.min()
-    return Attenuation(float(own[k]), mu, int(good.sum())) if told else Attenuation(bright, None, int(good.sum()))
+    is_translucent = typical[-1].min() > CLEARLY * typical.min()
+    return Attenuation(float(own[k]), mu, int(good.sum())) if is_translucent else Attenuation(bright, None, int(good.sum()))
 
 
 def _vertex(at: Array, cost: Array, best: int) -> float:
@@ -261,11 +261,11 @@ def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
     """
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]
-    x, seen = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
+    x, sharp = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
     _, smooth = _bands(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
     low, high = np.ones(len(radii)), np.full(len(radii), _MOST_GAIN)
     for _ in range(40):  # bisection
         gain = 0.5 * (low + high)
-        small = np.minimum(seen * gain[:, None], 1.0).sum(axis=1) * (x[1] - x[0]) < 2.0 * radii
+        small = np.minimum(sharp * gain[:, None], 1.0).sum(axis=1) * (x[1] - x[0]) < 2.0 * radii
         low, high = np.where(small, gain, low), np.where(small, high, gain)
     return smooth.max(axis=1), 0.5 * (low + high)

@@ -165,10 +165,10 @@ class _Carving:
                 return None
         about = _centres(grid, part, 2.0 * edge_mm if by_parent else edge_mm)
         parts = marks.corners(half_mm) if by_parent else [mi.Vector3f(dr.opaque(mi.Float, 0.0))]
-        seen = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
+        marked = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
         part = _split(part) if by_parent else part
         point = _centres(grid, part, edge_mm)
-        empty, partial, votes, depth, scale = seen.empty, seen.partial, seen.votes, seen.depth, seen.scale
+        empty, partial, votes, depth, scale = marked.empty, marked.partial, marked.votes, marked.depth, marked.scale
         if by_parent:
             empty |= ~self._inside(point, edge_mm)
         blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # 1.01: rounding

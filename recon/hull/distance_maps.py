@@ -165,6 +165,6 @@ def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[
     mi.Float, mi.Bool
         The distance in px, and whether the pixel is usable.
     """
-    seen = active & maps.contains(px)
-    distance = maps.at(view, px, seen)
-    return distance, seen & (distance < TELLS_PX)
+    usable = active & maps.contains(px)
+    distance = maps.at(view, px, usable)
+    return distance, usable & (distance < TELLS_PX)

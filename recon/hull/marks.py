@@ -106,10 +106,10 @@ def mark_nodes(
         reach, px_per_mm = _footprint_px(p, half_mm), dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
         for part, mark in zip(parts, marks, strict=True):
             px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
-            distance, seen = distance_maps.read(maps, view, px, p.visible & ~mark.empty)
-            mark.add_view(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
+            distance, usable = distance_maps.read(maps, view, px, p.visible & ~mark.empty)
+            mark.add_view(distance, usable, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
             if ignore_blindness:
-                mark.empty |= ~seen
+                mark.empty |= ~usable
         return view + 1, marks
 
     def undecided(view: UInt32, marks: list[Marks]) -> Bool:
@@ -169,8 +169,8 @@ def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half
         at = part + offset
 
         def body(view: UInt32, votes: UInt32, at: Point3f = at) -> tuple[UInt32, UInt32]:
-            seen = distance_maps.project_and_read(bank, maps, view, at, mi.Bool(True))[2]
-            return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+            usable = distance_maps.project_and_read(bank, maps, view, at, mi.Bool(True))[2]
+            return view + 1, votes + dr.select(usable, mi.UInt32(1), mi.UInt32(0))
 
         state = (mi.UInt32(0), dr.select(some, least, mi.UInt32(0)))
         some |= dr.while_loop(state, undecided, body)[1] >= least

@@ -60,7 +60,7 @@ _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
-class Trimmed:
+class TrimmedHull:
     """Hull trimmed to what its silhouettes require."""
 
     leaves: Leaves
@@ -77,7 +77,7 @@ class Trimmed:
         return self.leaves.volume_mm3(self.kept)
 
 
-def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
+def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
     """Trim a hull to what its silhouettes require.
 
     The occupancies of the trimmed shape are at most those of the hull.
@@ -85,7 +85,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     points = centre_lines(leaves) if len(leaves.size) else np.zeros((0, 3))
     spheres, doubtful = grow_spheres(bank, maps, points)
     if not len(spheres.radius_mm):
-        return Trimmed(leaves, spheres, doubtful, leaves.occupancy)
+        return TrimmedHull(leaves, spheres, doubtful, leaves.occupancy)
     index, size, hull, inside = subdivide_leaves(spheres, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > _MISSING
@@ -96,7 +96,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
         kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
-    return Trimmed(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
+    return TrimmedHull(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
 
 
 def _perpendicular(points: Array) -> Array:
@@ -170,8 +170,8 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
-        allowed, _, seen = _view_radius(bank, maps, view, point, sharpen=sharpen)
-        return view + 1, dr.minimum(least, dr.select(seen, allowed, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        allowed, _, usable = _view_radius(bank, maps, view, point, sharpen=sharpen)
+        return view + 1, dr.minimum(least, dr.select(usable, allowed, 1e4)), votes + dr.select(usable, mi.UInt32(1), mi.UInt32(0))
 
     point = device.points(points)
     state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
@@ -184,10 +184,10 @@ def _bounding_fraction(bank: ViewBank, maps: DistanceMaps, points: Array, radius
     """Return the fraction (N,) of the views that bound spheres (N,), of those that show them."""
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
-        allowed, px_a_mm, seen = _view_radius(bank, maps, view, point, sharpen=False)
+        allowed, px_a_mm, usable = _view_radius(bank, maps, view, point, sharpen=False)
         tight_mm = dr.maximum(_TIGHT_PX / px_a_mm, _TIGHT_SHARE * reach)
         bounds = dr.clip(1.5 - (allowed - reach) / tight_mm, 0.0, 1.0)
-        return view + 1, tight + dr.select(seen, bounds, 0.0), votes + dr.select(seen, 1.0, 0.0)
+        return view + 1, tight + dr.select(usable, bounds, 0.0), votes + dr.select(usable, 1.0, 0.0)
 
     point, reach = device.points(points), numbers(radius)
     state = (mi.UInt32(0), dr.zeros(mi.Float, len(points)), dr.zeros(mi.Float, len(points)))
@@ -200,17 +200,17 @@ def _view_radius(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3
 
     Also return px/mm at the point, and whether the view shows it.
     """
-    p, distance, seen = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
+    p, distance, usable = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance
     for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
         # Next to unusable pixels the map jumps; a distance cannot grow faster than the offset.
-        near = [dr.minimum(maps.at(view, p.px + sign * unit, seen), distance + _REACH_PX) for sign in (1.0, -1.0)]
+        near = [dr.minimum(maps.at(view, p.px + sign * unit, usable), distance + _REACH_PX) for sign in (1.0, -1.0)]
         slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
         if sharpen:
-            falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
+            falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, usable) for side, sign in ((0, 1.0), (1, -1.0))]
             crease = 0.5 * (near[0] + near[1]) + dr.clip(dr.minimum(falls[0], falls[1]), 0.0, _REACH_PX)
             peak = dr.maximum(peak, crease)
     norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
     g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
     g = dr.select(norm_2 < _FLAT, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
-    return peak / g, g, seen
+    return peak / g, g, usable

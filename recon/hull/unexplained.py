@@ -69,19 +69,19 @@ def required_fraction(
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
-        px, scale, seen = _project(bank, maps, view, solid)
+        px, scale, visible = _project(bank, maps, view, solid)
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
-        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
-        apart = 2.0 * edge_mm * _most(scale, seen) * UPSAMPLING  # samples between adjacent voxels of the solid
+        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), visible)
+        apart = 2.0 * edge_mm * _most(scale, visible) * UPSAMPLING  # samples between adjacent voxels of the solid
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
         values = maps.picture(view)
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
-        px, scale, seen = _project(bank, maps, view, places)
-        lacks = dr.select(seen, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, seen), 0.0)
+        px, scale, visible = _project(bank, maps, view, places)
+        lacks = dr.select(visible, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
         dr.eval(lacks)
         edge_px = max(edge_mm * _most(scale, lacks > 0.0), _LEAST_EDGE_PX)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
@@ -124,7 +124,7 @@ def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> 
     """Project points into a view: pixels, px/mm, and whether they are visible on its distance map."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
-    seen = p.visible & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
+    visible = p.visible & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
     scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
-    dr.eval(p.px, scale, seen)  # evaluated together, to project once
-    return p.px, scale, seen
+    dr.eval(p.px, scale, visible)  # evaluated together, to project once
+    return p.px, scale, visible

@@ -215,8 +215,8 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
         Number of images; 0 where the view is blind.
     """
     if optics.tank is not None:
-        px, seen, _ = project_through_tank(view, optics, points_mm)
-        return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), seen.astype(np.int64)
+        px, visible, _ = project_through_tank(view, optics, points_mm)
+        return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), visible.astype(np.int64)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
@@ -246,14 +246,14 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     -------
     px : (N, 2) float64 array
         Pixels; NaN for invisible points.
-    seen : (N,) bool array
+    visible : (N,) bool array
         Whether the point is visible.
     jacobian : (N, 2, 3) float64 array
         Derivatives of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
     """
     at = tank_view(view, optics)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
-    q, seen = tank.find_rays(at, points)
+    q, visible = tank.find_rays(at, points)
     by_ray = np.stack(
         [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
     )
@@ -263,8 +263,8 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     by_point = np.zeros((len(q), 2, 3))
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)
-    jacobian[seen] = -by_ray[seen] @ np.linalg.solve(slopes[seen], by_point[seen])
-    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
+    jacobian[visible] = -by_ray[visible] @ np.linalg.solve(slopes[visible], by_point[visible])
+    return _pixels(view, q), visible, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
 
 
 def _pixels(view: View, q: Array) -> Array:

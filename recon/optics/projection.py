@@ -152,7 +152,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     x, y = point.x + aside * deep, point.y + along * deep
     at = c * x - s * y, s * x + c * y, point.z
     end = _solve_direct(bank, view, parameter, at, active) if bank.optics.tank is None else _solve_tank(bank, view, parameter, at, active)
-    ray, seen, clear_mm = end.ray, end.visible, end.clear_mm
+    ray, visible, clear_mm = end.ray, end.visible, end.clear_mm
     u, v, in_front, (u_b, u_p, v_b, v_p) = end.pixel
 
     # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
@@ -167,7 +167,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     for by_point in (du, dv):
         by_point.z -= by_point.x * aside + by_point.y * along
         by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
-    return Projected(mi.Vector2f(u, v), seen & in_front, clear_mm, du, dv)
+    return Projected(mi.Vector2f(u, v), visible & in_front, clear_mm, du, dv)
 
 
 @dataclass
@@ -184,16 +184,16 @@ def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
     """Find the rays of cameras without a tank to points in the azimuth frame."""
     o = bank.optics
     rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
-    seen, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
+    visible, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
     limit, per_radii = _FLANK * o.w_limit * o.outer_radius_mm, 1 / (rho * (o.outer_radius_mm * o.inner_radius_mm) ** 2)
     for step in range(NEWTON_STEPS + 1):
         ray = ray_kernel.follow(o, n_w, ray_kernel.from_camera(o, (rho, z_cam, per_radii), b, p), at, b, p)
         if step < NEWTON_STEPS:
             b = dr.clip(b - ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2), -limit, limit)
             p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
-    seen &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
-    seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
-    return _End(ray, seen, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
+    visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
+    visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
+    return _End(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
 
 
 def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
@@ -217,13 +217,13 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
             q_y -= (line.b - b) / line.b_q[0] + ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2)
             q_z = dr.clip(q_z - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
             q_y = dr.clip(q_y, -_STEEPEST, _STEEPEST) * dr.minimum(1.0, _STEEPEST * dr.rsqrt(q_y * q_y + q_z * q_z))
-    seen = active & (clear_mm > 0.5 * CELL_MM) & line.through & (dr.abs(line.b) < limit)
-    seen &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM) & (ray.outer_z < tank.level_mm)
-    seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
+    visible = active & (clear_mm > 0.5 * CELL_MM) & line.through & (dr.abs(line.b) < limit)
+    visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM) & (ray.outer_z < tank.level_mm)
+    visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
     ahead = dr.sqrt(1 - q_y * q_y - q_z * q_z)
     zero, one = mi.Float(0.0), mi.Float(1.0)
     pixel = ray_kernel.through_lens(parameter, (-ahead, q_y, q_z), (q_y / ahead, one, zero), (q_z / ahead, zero, one))
-    return _End(ray, seen, clear_mm, pixel)
+    return _End(ray, visible, clear_mm, pixel)
 
 
 def _first_ray(
@@ -233,7 +233,7 @@ def _first_ray(
 
     Returns
     -------
-    seen : mi.Bool
+    visible : mi.Bool
         Whether the view shows the point exactly once.
     clear_mm : mi.Float
         Horizontal distance within which all points are shown exactly once as well.

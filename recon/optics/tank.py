@@ -145,7 +145,7 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
     -------
     q : (N, 2) float64
         Components of the rays' unit directions in air along the tank's front; NaN if no ray ends there.
-    seen : (N,) bool
+    visible : (N,) bool
         Whether a ray was found that enters through the front and the wall.
 
     Notes
@@ -185,8 +185,8 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
             share[worse] *= 0.5
         q[left[~worse]] = trial[~worse]
     f = miss(at, points_mm, q)
-    seen = (np.linalg.norm(f, axis=1) < 1e2 * _CLOSE_MM) & trace(at, q[:, 0], q[:, 1])[1]
-    return np.where(seen[:, None], q, np.nan), seen
+    visible = (np.linalg.norm(f, axis=1) < 1e2 * _CLOSE_MM) & trace(at, q[:, 0], q[:, 1])[1]
+    return np.where(visible[:, None], q, np.nan), visible
 
 
 def _pull_inside(at: TankView, q: Array, points_mm: Array) -> Array:

@@ -50,10 +50,10 @@ class Windows:
         """Return windows that contain all footprints, with the four pixels of each."""
         bounds = [footprints.bounds() for footprints in several]
         low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
-        seen = (high >= low).all(axis=1)  # a view may contain no cell
-        size = (high - low + 2)[seen].max(axis=0, initial=2)
+        used = (high >= low).all(axis=1)  # a view may contain no cell
+        size = (high - low + 2)[used].max(axis=0, initial=2)
         image_wh = np.asarray(several[0].image_wh)
-        return Windows(np.clip(np.where(seen[:, None], low, 0), 0, image_wh - size), int(size[0]), int(size[1]))
+        return Windows(np.clip(np.where(used[:, None], low, 0), 0, image_wh - size), int(size[0]), int(size[1]))
 
     def cut(self, evidence: Evidence, pictures: Kernel) -> Kernel:
         """Cut the windows out of whole pictures, (V, H, W) flattened; the array type is kept."""
@@ -86,10 +86,10 @@ class Footprints:
         view = lane // dr.opaque(mi.UInt32, count)
         point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.visible & readable(p.px, width, height)
-        px = dr.select(seen, p.px, mi.Vector2f(0.0))
-        told = dr.gather(mi.Float16, evidence.usable, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
-        area = mi.Float16(dr.select(seen & is_positive(told), dr.norm(dr.cross(p.du, p.dv)), 0.0))
+        visible = p.visible & readable(p.px, width, height)
+        px = dr.select(visible, p.px, mi.Vector2f(0.0))
+        usable = dr.gather(mi.Float16, evidence.usable, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
+        area = mi.Float16(dr.select(visible & is_positive(usable), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)
         return Footprints(views, count, (width, height), steps_a_px, place, area)
@@ -104,10 +104,10 @@ class Footprints:
 
         def body(cell: UInt32, *found: Kernel) -> tuple[Kernel, ...]:
             at = view * count + cell
-            place, seen = dr.gather(mi.UInt32, self.place, at), is_positive(dr.gather(mi.Float16, self.px2_a_mm2, at))
+            place, visible = dr.gather(mi.UInt32, self.place, at), is_positive(dr.gather(mi.Float16, self.px2_a_mm2, at))
             u, v = (mi.Int32(mi.Float(steps) / self.steps_a_px) for steps in (place & 0xFFFF, place >> 16))
-            low = [dr.select(seen, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
-            high = [dr.select(seen, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
+            low = [dr.select(visible, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
+            high = [dr.select(visible, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
             return cell + _PARTS, *low, *high
 
         state = [dr.full(mi.Int32, none, self.views * _PARTS) for none in (1 << 16, 1 << 16, -(1 << 16), -(1 << 16))]
@@ -192,9 +192,9 @@ class Table:
 
         def body(view: UInt32, total: Float, votes: Float) -> tuple[UInt32, Float, Float]:
             u, v, area = self._at(view)
-            seen = is_positive(area)
-            value = bilinear(pictures, (view - first) * self._pixels, self._columns, u, v, seen)
-            return view + 1, total + dr.select(seen, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(seen, 1.0, 0.0)
+            visible = is_positive(area)
+            value = bilinear(pictures, (view - first) * self._pixels, self._columns, u, v, visible)
+            return view + 1, total + dr.select(visible, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(visible, 1.0, 0.0)
 
         count = dr.width(self._cells)
         _, total, votes = self._loop(views, (dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)), body)

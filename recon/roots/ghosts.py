@@ -34,8 +34,8 @@ _SHARED = 0.3
 """Minimum fraction of its coverage that a branch explains alone. Below it, the branch duplicates a root or is a ghost
 among roots."""
 _THINNER = 0.5
-"""Minimum thickness of the beginning of a root relative to the rest: roots taper towards their tips, so a thinner
-beginning is a detour."""
+"""Minimum thickness of the beginning of a root relative to the rest; a thinner beginning is a detour, since roots taper
+towards their tips."""
 _SHORT_MM = 1.5
 """Branches that protrude less than this are kept only if the neighbours, fitted without them, leave them
 unexplained."""

@@ -78,7 +78,7 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
         if root.parent >= 0:
             leaving.setdefault((root.parent, _nearest(roots[root.parent], root.points_mm[0])), []).append(index)
 
-    def meeting(line: int, at: int) -> list[int]:
+    def lines_at(line: int, at: int) -> list[int]:
         """Return the lines that leave from a point, including those that leave from their bases."""
         found = list(leaving.get((line, at), []))
         for k in found:  # the list grows during the loop
@@ -96,12 +96,12 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
         while at < len(roots[line].points_mm):
             here = (roots[line].points_mm[at], float(roots[line].diameters_mm[at]))
             path.append(here)
-            line, at, others = _fork(roots, line, at, meeting(line, at))
+            line, at, others = _fork(roots, line, at, lines_at(line, at))
             begun += [(k, first, number, [(here[0], _own_diameter(roots[k], first))] if first else []) for k, first in others[::-1]]
         order = made[parent].order + 1 if parent >= 0 else 0
         points, diameters = np.stack([point for point, _ in path]), np.array([diameter for _, diameter in path])
-        seen = roots[line].tip_seen  # of the line in which it ends
-        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label, tip_seen=seen))
+        tip_seen = roots[line].tip_seen  # of the line in which it ends
+        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label, tip_seen=tip_seen))
     return made
 
 

@@ -61,13 +61,13 @@ def compute_support(drawn: Rendering) -> Support:
     reach_px = cut.half_px + _FLANK_PX
     for k in range(_SAMPLES):
         o = cut.offset(k, _SAMPLES, reach_px)
-        d, passing, told = cut.read(o, drawn.difference, drawn.passing, evidence.usable)
+        d, passing, usable = cut.read(o, drawn.difference, drawn.passing, evidence.usable)
         c = sum(layer.height * 0.5 * (dr.erf((o + layer.half_px) * per_px) - dr.erf((o - layer.half_px) * per_px)) for layer in cut.layers)
         c = dr.minimum(c, FULLEST)
         own = c * dr.minimum(passing / (1 - c), 1.0)
         explained += own * (2.0 * d + own)
         left += dr.square(d)
-        alone += dr.square(c) * told
+        alone += dr.square(c) * usable
     step = reach_px * (2.0 / (_SAMPLES - 1))
     totals = [cut.spread(total * step) for total in (explained, left, alone)]
     dr.eval(totals)  # together, as they use the same profiles

@@ -63,11 +63,11 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Arra
 
     def body(view: UInt32, top: Float, weight: Float) -> tuple[UInt32, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.visible & readable(p.px, width, height)
-        px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
-        tells = bilinear(evidence.usable, base, width, px.x, px.y, seen)
-        u, d = (bilinear(source, base, width, px.x, px.y, seen) for source in (free, left))
-        good = seen & (tells > 0.99)
+        visible = p.visible & readable(p.px, width, height)
+        px, base = dr.select(visible, p.px, mi.Vector2f(0.0)), view * pixels
+        usable = bilinear(evidence.usable, base, width, px.x, px.y, visible)
+        u, d = (bilinear(source, base, width, px.x, px.y, visible) for source in (free, left))
+        good = visible & (usable > 0.99)
         return view + 1, top + dr.select(good, u * d, 0.0), weight + dr.select(good, dr.square(u), 0.0)
 
     state = (dr.zeros(mi.UInt32, len(points_mm)), dr.zeros(mi.Float, len(points_mm)), dr.zeros(mi.Float, len(points_mm)))
@@ -129,9 +129,9 @@ def _sample_tubes(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[n
     """Return points (P, 3) along the tubes, their radii, and the nearest node of each."""
     a, b = found.segments.T
     count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
-    of = np.repeat(np.arange(len(a)), count)
-    share = (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[of]
-    first, second = a[of], b[of]
+    segment = np.repeat(np.arange(len(a)), count)
+    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[segment]
+    first, second = a[segment], b[segment]
     # The first node of a branch has its parent's radius.
     radius = np.minimum(found.radius_mm[first], found.radius_mm[second])
     return (

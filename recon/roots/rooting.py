@@ -167,8 +167,8 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
         Tree with refined cameras. ``cameras.roots`` holds the estimate; None if there are too few roots.
     """
     with monitor.stage("calibration"):
-        seen, fitted, cameras = root_calibration.calibrate(tree.evidence, tree.cameras, tree.tubes, tree.thick)
-        return replace(tree, evidence=seen, tubes=fitted, cameras=cameras)
+        evidence, fitted, cameras = root_calibration.calibrate(tree.evidence, tree.cameras, tree.tubes, tree.thick)
+        return replace(tree, evidence=evidence, tubes=fitted, cameras=cameras)
 
 
 def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:

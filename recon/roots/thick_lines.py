@@ -44,9 +44,9 @@ def _ancestors(roots: Sequence[Root], root: Root) -> list[Root]:
 def _trim(root: Root, above: Sequence[Root]) -> Root:
     """Return a root without the first part that lies deep inside others; one that lies inside entirely is unchanged."""
     least_mm = 2.0 * max(BURIED_MM, 0.5 * SWOLLEN * float(np.median(root.diameters_mm)))
-    wide = [of.diameters_mm > least_mm for of in above]
-    point = np.concatenate([np.zeros((0, 3)), *(of.points_mm[some] for of, some in zip(above, wide, strict=True))])
-    diameter = np.concatenate([np.zeros(0), *(of.diameters_mm[some] for of, some in zip(above, wide, strict=True))])
+    wide = [ancestor.diameters_mm > least_mm for ancestor in above]
+    point = np.concatenate([np.zeros((0, 3)), *(ancestor.points_mm[some] for ancestor, some in zip(above, wide, strict=True))])
+    diameter = np.concatenate([np.zeros(0), *(ancestor.diameters_mm[some] for ancestor, some in zip(above, wide, strict=True))])
     if not len(point):
         return root
     out_mm = (cdist(root.points_mm, point) - (0.5 * diameter - BURIED_MM)).min(axis=1)

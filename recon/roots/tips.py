@@ -73,13 +73,13 @@ def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     views, p = at.shape[0], at.on_device
     start = wholes(np.repeat(np.arange(views), at.shape[1]) * evidence.pixels)
     dr.eval(explained_there)
-    measured, explained, told = (
+    measured, explained, usable = (
         np.array(bilinear(picture, start, evidence.image_wh[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
         for picture in (evidence.coverage, explained_there, evidence.usable)
     )
-    clear = (at.visible.reshape(told.shape) & (told > 0.99)).all(axis=2)
+    clear = (at.visible.reshape(usable.shape) & (usable > 0.99)).all(axis=2)
     clear &= np.where(way > (radius + 0.5 * _REACH_PX / px_a_mm)[:, None], explained, 0.0).max(axis=2) < _OTHERS
-    clear &= at.sine(np.repeat(axis, _SAMPLES, axis=0)).reshape(told.shape)[:, :, 0] > _LEAST_SINE
+    clear &= at.sine(np.repeat(axis, _SAMPLES, axis=0)).reshape(usable.shape)[:, :, 0] > _LEAST_SINE
     inner = way < -0.5 * reach[:, None]
     own = np.where(inner, explained, 0.0).sum(axis=2) / inner.sum(axis=1)
     clear &= own > _LEAST_COVERAGE

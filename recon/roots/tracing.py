@@ -164,7 +164,7 @@ def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> i
 
 
 def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
-    """Return the highest cells of a plant; those of its organ if only laterals reach a little higher."""
+    """Return the highest cells of a plant, or of its taproot or hypocotyl if only laterals are slightly higher."""
     highest = float(height_mm[plant].max())
     core_mm = float(height_mm[plant[depth_mm[plant] > 0.0]].max(initial=-np.inf))
     if highest - _RISE_MM < core_mm < highest - _TOP_MM:

@@ -117,10 +117,10 @@ def _fill_tubes(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Itera
         number, place = _repeat_indices(count[discs])
         disc = discs[number]
         at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)  # slices are rotated
-        of = segment[disc]
-        point = piece.begin_mm[of] + share[disc, None] * along[of]
-        point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
-        yield FillPoints(point, each_mm3[disc], piece.branch[of], reached[disc])
+        owner = segment[disc]
+        point = piece.begin_mm[owner] + share[disc, None] * along[owner]
+        point += at[:, None] * (np.cos(turn)[:, None] * side[owner] + np.sin(turn)[:, None] * up[owner])
+        yield FillPoints(point, each_mm3[disc], piece.branch[owner], reached[disc])
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _pieces(tubes: Tubes) -> _Pieces:
     length = np.linalg.norm(way, axis=1)
     end = np.cumsum(length)
     begin = end - length
-    begin, end = (of - begin[np.searchsorted(branch, branch)] for of in (begin, end))
+    begin, end = (value - begin[np.searchsorted(branch, branch)] for value in (begin, end))
     last = np.flatnonzero(tubes.segment_neighbours[:, 1] == nodes[:, 1])
     tip, radius = nodes[last, 1], radii[last, 1]
     return _Pieces(

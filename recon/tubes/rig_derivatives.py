@@ -65,12 +65,12 @@ def _camera(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
 
 
 def _sway(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
-    def changed(sight: ViewOptics, value: float) -> ViewOptics:
+    def increase(sight: ViewOptics, value: float) -> ViewOptics:
         view, optics = sight
         x, y, turn = np.asarray(view.sway) + value * np.eye(3)[axis]
         return replace(view, sway=(float(x), float(y), float(turn))), optics
 
-    return changed
+    return increase
 
 
 def move_canister(view: View, step: Array) -> View:

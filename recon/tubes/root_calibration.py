@@ -2,8 +2,8 @@
 
 Roots are visible in all views and at all distances from the axis. A wrong refractive index displaces them in the
 pictures in a pattern that no shape, and hardly any camera error, can reproduce. `tube_picture` and `tube_profiles` give
-the lateral displacement of the tube at each node and view, and `rig_derivatives` its derivatives.
-The nodes' own positions and radii are eliminated (Schur complement, 4x4 blocks), and
+the lateral displacement of the tube at each node and view, and `rig_derivatives` its derivatives. The nodes' own
+positions and radii are eliminated (Schur complement, 4x4 blocks), and
 
     (S / phi + prior) q = g / phi
 
@@ -111,20 +111,20 @@ class Columns:
     def for_rig(order: Sequence[int], known: RigUncertainty | None) -> Columns:
         """Return the columns of the rig; of the index only if the uncertainty of the cameras is unknown."""
         views = len(order)
-        of = np.full((views, len(QUANTITIES)), -1)
-        of[:, 0] = 0
+        index = np.full((views, len(QUANTITIES)), -1)
+        index[:, 0] = 0
         if known is None:
-            return Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
-        of[:, 1:6] = np.arange(1, 6)
-        of[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
+            return Columns(index, np.array([[INDEX_PRIOR**-2.0]]), 1)
+        index[:, 1:6] = np.arange(1, 6)
+        index[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
         shared = 6 + 6 * known.stations
-        of[:, 6] = shared + np.arange(views)
+        index[:, 6] = shared + np.arange(views)
         precision = np.zeros((shared + views, shared + views))
         precision[0, 0] = INDEX_PRIOR**-2.0
         precision[1:shared, 1:shared] = inverse(known.covariance)
         turn = np.arange(shared, shared + views)
         precision[turn, turn] = np.maximum(known.turn[list(order)], LEAST_TURN_RAD) ** -2.0
-        return Columns(of, precision, shared)
+        return Columns(index, precision, shared)
 
 
 def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
@@ -164,7 +164,7 @@ def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -
                 break
         if found.after_px > first.before_px:
             sure, (evidence, tubes), found, now = False, given, first, cameras
-    told = RootCalibration(
+    calibration = RootCalibration(
         n_water=now.optics.n_water if sure else cameras.optics.n_water + float(found.change[0]),
         n_water_sigma=float(found.sigma[0]),
         n_water_given=cameras.optics.n_water,
@@ -174,7 +174,7 @@ def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -
         before_px=first.before_px,
         after_px=found.after_px,
     )
-    return evidence, tubes, replace(now, roots=told)
+    return evidence, tubes, replace(now, roots=calibration)
 
 
 def estimate(evidence: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> RigCorrection | None:
@@ -221,8 +221,8 @@ def build_system(
     """
     drawn = Rendering.draw(evidence, tubes)
     at, profiles = drawn.at, tube_profiles.profiles(drawn)
-    told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
-    chosen = np.flatnonzero(told.sum(axis=0) >= _LEAST_VIEWS)
+    usable = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
+    chosen = np.flatnonzero(usable.sum(axis=0) >= _LEAST_VIEWS)
     if len(chosen) < LEAST_NODES:
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
@@ -238,9 +238,9 @@ def build_system(
 
 def is_significant(found: RigCorrection, optics: Optics) -> bool:
     """Return whether the index estimated from the roots is significant and within limits."""
-    asked = optics.n_water + float(found.change[0])
+    estimated = optics.n_water + float(found.change[0])
     sure = abs(float(found.change[0])) > SURE * float(found.sigma[0])
-    return sure and found.after_px < (1.0 - LEAST_GAIN) * found.before_px and INDEX_LIMITS[0] < asked < INDEX_LIMITS[1]
+    return sure and found.after_px < (1.0 - LEAST_GAIN) * found.before_px and INDEX_LIMITS[0] < estimated < INDEX_LIMITS[1]
 
 
 def apply_change(cameras: Cameras, change: Array) -> Cameras:
@@ -363,9 +363,9 @@ class System:
         square = weight = 0.0
         for v in range(len(self.by)):
             shift, _ = self._left(change, v)
-            seen = self.sums.shift_2[v]
-            square += float(np.sum(np.square(shift) / np.maximum(seen, 1e-9), where=seen > 0.0))
-            weight += float(seen.sum())
+            weights = self.sums.shift_2[v]
+            square += float(np.sum(np.square(shift) / np.maximum(weights, 1e-9), where=weights > 0.0))
+            weight += float(weights.sum())
         return float(np.sqrt(square / weight))
 
 

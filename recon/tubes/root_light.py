@@ -139,10 +139,10 @@ def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Eviden
 
 def changes(drawn: Rendering, free: Mask) -> Changes:
     """Return the derivatives of the pictures of tubes by their radii and by the free light parameters (L,)."""
-    seen, tubes, now = drawn.evidence, drawn.tubes, light_vector(drawn.evidence)
+    evidence, tubes, now = drawn.evidence, drawn.tubes, light_vector(drawn.evidence)
     wider = with_geometry(tubes, tubes.centre_mm, (1.0 + _WIDER) * tubes.radius_mm)
-    more = {k: with_light(seen, now + _CHANGES[k] * np.eye(len(now))[k]) for k in np.flatnonzero(free).tolist()}
-    return Changes(drawn.change(seen, wider, _WIDER), {k: drawn.change(other, tubes, _CHANGES[k]) for k, other in more.items()})
+    more = {k: with_light(evidence, now + _CHANGES[k] * np.eye(len(now))[k]) for k in np.flatnonzero(free).tolist()}
+    return Changes(drawn.change(evidence, wider, _WIDER), {k: drawn.change(other, tubes, _CHANGES[k]) for k, other in more.items()})
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class LightSystem:
     reduced: Array
     """S (L, L)."""
     right: Array
-    """s (L,)"""
+    """s (L,)."""
     meat: Array
     """M (L, L)."""
     lone: int
@@ -210,9 +210,9 @@ class LightSystem:
             if not len(f):
                 return change, covariance
             normal, known = self.reduced[np.ix_(f, f)], np.diag(prior.sigma[f] ** -2.0)
-            told = normal @ inverse(self.meat[np.ix_(f, f)])  # times the normal matrix, this is the inverse of the sandwich
-            covariance[np.ix_(f, f)] = found = inverse(told @ normal + known)
-            change[f] = found @ (told @ self.right[f] + known @ (prior.mean - light)[f])
+            information = normal @ inverse(self.meat[np.ix_(f, f)])  # times the normal matrix, this is the inverse of the sandwich
+            covariance[np.ix_(f, f)] = found = inverse(information @ normal + known)
+            change[f] = found @ (information @ self.right[f] + known @ (prior.mean - light)[f])
             change /= max(1.0, float((np.abs(change) / _LARGEST_STEP).max()))
             least, most = _BOUNDS + np.array([[ROUNDING], [-ROUNDING]])
             held = free & (((light <= least) & (change < 0.0)) | ((light >= most) & (change > 0.0)))
@@ -231,10 +231,10 @@ def _scatter(profiles: Profiles, back: Array, lone: Mask, tubes: Tubes) -> Array
     lone : (V, N) bool array
         Mask of the profiles that contribute.
     """
-    parts, of = profiles.host(), profiles.light
-    if of is None:
+    parts, light_profiles = profiles.host(), profiles.light
+    if light_profiles is None:
         raise ValueError("these profiles have no derivatives by the light parameters")
-    radius, *light = (np.array(part, np.float64).reshape(profiles.shape) for part in (of.radius, *of.light))
+    radius, *light = (np.array(part, np.float64).reshape(profiles.shape) for part in (light_profiles.radius, *light_profiles.light))
     (views, count), roots, many = profiles.shape, len(tubes.branches), back.shape[2]
     of_root = sparse.csr_matrix((np.ones(count), (tubes.owner, np.arange(count))), shape=(roots, count))
     scores = []

@@ -198,8 +198,8 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
     """
     own = radius_mm
     if mu_per_mm is not None:
-        seen = strips(mu_per_mm * radius_mm, index)
-        own = np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
+        layer = strips(mu_per_mm * radius_mm, index)
+        own = np.asarray(radius_mm * (layer.width * layer.height).sum(axis=0))
     if not hairs:
         return own
     half_mm = np.sqrt(0.75 * (radius_mm**2 + (radius_mm + HAIRS.length_mm) ** 2))

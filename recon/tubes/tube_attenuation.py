@@ -115,11 +115,11 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
         losses, lone = _losses(opaque, translucent, thick)
     against, profiles = float(losses[0].sum() / max(losses[1].sum(), 1e-12)), int(lone.sum())
     mu_per_mm = translucent.evidence.mu_per_mm or DARKEST
-    is_told = profiles >= LEAST_LONE
+    is_sufficient = profiles >= LEAST_LONE
     below = np.log(DARKEST / mu_per_mm) > _TELLING * update_attenuation(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
-    perhaps = is_told and against > _PERHAPS and bool(below)
+    perhaps = is_sufficient and against > _PERHAPS and bool(below)
     clearly = perhaps and (against > CLEARLY or significance(losses[0] - losses[1], opaque.tubes.owner) > _TELLING)
-    is_translucent = clearly or (not is_told and learned_per_mm is not None)
+    is_translucent = clearly or (not is_sufficient and learned_per_mm is not None)
     fit = translucent if is_translucent else opaque
     found = replace(TubeAttenuation.opaque(), against_opaque=against, profiles=profiles)
     return update_attenuation(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit

@@ -131,8 +131,8 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
     wanted = residual.gradient.ravel() - prior @ state
-    asked = np.stack([wanted, np.zeros_like(wanted) if change is None else change.ravel()], axis=1)
-    step, follow = splu((blocks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(asked).T.reshape(2, count, 4)
+    right = np.stack([wanted, np.zeros_like(wanted) if change is None else change.ravel()], axis=1)
+    step, follow = splu((blocks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(right).T.reshape(2, count, 4)
     step[:, 3] *= _RELAXED
     step = step - follow
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)

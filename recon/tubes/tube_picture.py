@@ -88,7 +88,7 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     first, last = (y + dr.minimum(0.0, strips.length * t_y) - reach, y + dr.maximum(0.0, strips.length * t_y) + reach)
     top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
-    def covered(v: Int32) -> tuple[Int32, Int32]:
+    def row_span(v: Int32) -> tuple[Int32, Int32]:
         """Return the first and the last covered column of a row."""
         e_y = mi.Float(v) - y
         by_side, by_end = side_px * dr.abs(per_y), (0.5 * strips.length + end_px) * dr.abs(per_x)
@@ -112,10 +112,10 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
         value, own = -dr.log(1 - dr.minimum(c, FULLEST)), (before >= 0) & ((beyond < 0) | is_tip)
         place = strips.start + mi.UInt32(v * width + u)
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, own & (value > _NOTHING) & (u <= end), mode=dr.ReduceMode.Direct)
-        ended, (low, high) = u >= end, covered(v + 1)
+        ended, (low, high) = u >= end, row_span(v + 1)
         return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)
 
-    dr.while_loop((*covered(top), top), lambda _u, _end, v: v <= bottom, body)
+    dr.while_loop((*row_span(top), top), lambda _u, _end, v: v <= bottom, body)
     return dr.exp(-depth)
 
 
@@ -162,9 +162,9 @@ class _Strips:
             return view, segment, [view * nodes + dr.gather(mi.UInt32, end, segment) for end in numbered]
 
         _, _, both = ends(dr.arange(mi.UInt32, views * len(segments)))
-        seen = [dr.gather(mi.Bool, p.visible, end) for end in both]
+        visible = [dr.gather(mi.Bool, p.visible, end) for end in both]
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
-        drawn = dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > _LEAST_PX))
+        drawn = dr.compress(visible[0] & visible[1] & (dr.norm(there - here) > _LEAST_PX))
         if not dr.width(drawn):
             return None
         view, segment, both = ends(drawn)

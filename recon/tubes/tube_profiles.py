@@ -279,25 +279,25 @@ class Profiles:
 
     def light_equations(self) -> LightEquations:
         """Return the normal equations of nodes and light parameters, from lone profiles."""
-        of, many = self.light, len(LIGHT)
-        if of is None:
+        light, many = self.light, len(LIGHT)
+        if light is None:
             raise ValueError("these profiles have no derivatives by the light parameters")
 
         def terms(at: UInt32) -> Iterator[Float]:
             """Yield the sums of a view: products of x, y, z, radius and `LIGHT` by rows, gradient, then `by_light`."""
             read = partial(dr.gather, mi.Float, index=at)
             parts, scale, lone = [read(part) for part in self.across], read(self.scale), read(self.lone)
-            by_shift, by_width, by_radius = ([read(part) for part in group] for group in (of.by_shift, of.by_width, of.by_radius))
+            by_shift, by_width, by_radius = ([read(part) for part in group] for group in (light.by_shift, light.by_width, light.by_radius))
             for i in range(3):
                 yield from (lone * read(self.shift_2) * parts[i] * parts[j] for j in range(i, 3))
-                yield read(of.shift_radius) * parts[i]
+                yield read(light.shift_radius) * parts[i]
                 yield from (lone * part * parts[i] for part in by_shift)
-            yield read(of.radius_2)
+            yield read(light.radius_2)
             yield from by_radius
-            yield from (read(part) for part in of.light_2)
+            yield from (read(part) for part in light.light_2)
             yield from (lone * read(self.shift) * part for part in parts)
-            yield read(of.radius)
-            yield from (read(part) for part in of.light)
+            yield read(light.radius)
+            yield from (read(part) for part in light.light)
             yield from (part * along for along in parts for part in by_shift)
             yield from (part * scale for part in by_width)
 

@@ -112,8 +112,8 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     found = corners + _shifts(some, believed, true, corners)
     ends = found.reshape(3, 2, len(points_mm), 3)
     edges = ((ends[:, 1] - ends[:, 0]) / CUBE_MM).transpose(1, 0, 2)
-    told = np.isfinite(edges).all(axis=(1, 2))
-    return float(np.linalg.det(edges[told]).mean() - 1.0) if told.any() else 0.0
+    valid = np.isfinite(edges).all(axis=(1, 2))
+    return float(np.linalg.det(edges[valid]).mean() - 1.0) if valid.any() else 0.0
 
 
 def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, points_mm: Array) -> Array:
@@ -125,10 +125,10 @@ def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, 
         here, *ahead = project_inner(view, believed, steps_mm).reshape(4, count, 2)
         gradient = np.stack([(px - here) / STEP_MM for px in ahead], axis=-1)  # (N, 2, 3)
         away = project_inner(true_view, true, points_mm) - here
-        seen = np.isfinite(gradient).all(axis=(1, 2)) & np.isfinite(away).all(axis=1)
-        normal[seen] += np.einsum("nki,nkj->nij", gradient[seen], gradient[seen])
-        side[seen] += np.einsum("nki,nk->ni", gradient[seen], away[seen])
-        votes += seen
+        visible = np.isfinite(gradient).all(axis=(1, 2)) & np.isfinite(away).all(axis=1)
+        normal[visible] += np.einsum("nki,nkj->nij", gradient[visible], gradient[visible])
+        side[visible] += np.einsum("nki,nk->ni", gradient[visible], away[visible])
+        votes += visible
     shift, enough = np.full((count, 3), np.nan), votes >= 3
     shift[enough] = np.linalg.solve(normal[enough], side[enough][:, :, None])[:, :, 0]
     return shift

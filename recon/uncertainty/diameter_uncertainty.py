@@ -65,12 +65,12 @@ def combine_sigma(tubes: Tubes, profiles: HostProfiles, variance: float) -> Arra
     variance : float
         Variance of the residual per pixel that the tubes cover.
     """
-    told = (profiles.width_2 * profiles.scale**2).sum(axis=0)
+    curvature = (profiles.width_2 * profiles.scale**2).sum(axis=0)
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
-    steps: Array = splu((sparse.diags(told + tube_fit.LEAST) + smooth).tocsc()).solve((profiles.width * profiles.scale).T)
+    steps: Array = splu((sparse.diags(curvature + tube_fit.LEAST) + smooth).tocsc()).solve((profiles.width * profiles.scale).T)
     views = np.sqrt(steps.shape[1] * np.var(steps, axis=1))
-    untold = 1.0 / np.sqrt(told / max(variance, 1e-9) + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
-    return np.hypot(views, untold)
+    unconstrained = 1.0 / np.sqrt(curvature / max(variance, 1e-9) + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
+    return np.hypot(views, unconstrained)
 
 
 def _mean(value: Float, weight: Float) -> float:

@@ -121,8 +121,8 @@ def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array,
     if len(open_):
         share = (np.arange(_LOOKS) + 1.0) / _LOOKS
         on_way = ahead[open_, None] + (share[:, None] * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None, None]) * direction
-        seen = _are_visible(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
-        first = np.where(seen.any(axis=1), share[seen.argmax(axis=1)], 1.0)
+        visible = _are_visible(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
+        first = np.where(visible.any(axis=1), share[visible.argmax(axis=1)], 1.0)
         gap[open_] = first * way[open_]
     return gap
 
@@ -148,8 +148,8 @@ def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.i
     point = device.points(points_mm)
 
     def body(view: UInt32, votes: UInt32) -> tuple[UInt32, UInt32]:
-        _, _, seen = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
-        return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        _, _, usable = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
+        return view + 1, votes + dr.select(usable, mi.UInt32(1), mi.UInt32(0))
 
     state = (mi.UInt32(0), dr.zeros(mi.UInt32, len(points_mm)))
     return np.array(dr.while_loop(state, lambda view, _: view < bank.end, body)[1], np.int64)

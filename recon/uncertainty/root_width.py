@@ -23,8 +23,8 @@ _WINDOW_PX = 5
 roots are irrelevant."""
 _THIN = 0.25
 """Quantile over the length of the width that is returned: roots that cross or run side by side appear wide. For a
-radish of five days it is 0.61, 0.75 and 0.95 px in pictures of 400, 560 and 800 pixels; a quarter of its length is
-thinner than 0.232 mm, 0.6, 0.8 and 1.2 px."""
+radish of five days the measured width is 0.61, 0.75 and 0.95 px in pictures of 400, 560 and 800 pixels; the true
+quantile of its diameter is 0.232 mm, which is 0.6, 0.8 and 1.2 px."""
 
 
 def thin_width_px(silhouettes: Sequence[Silhouette]) -> float | None:

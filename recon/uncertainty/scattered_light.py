@@ -64,12 +64,12 @@ def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tup
         return None
     place = np.minimum(((x - x.min()) / np.ptp(x) * _BINS).astype(np.int64), _BINS - 1)
     count = np.bincount(place, minlength=_BINS)
-    told = np.flatnonzero(count >= _LEAST)
-    at = np.array([x[place == one].mean() for one in told])
-    if len(told) < 3 or np.ptp(at) < _ENOUGH:
+    filled = np.flatnonzero(count >= _LEAST)
+    at = np.array([x[place == one].mean() for one in filled])
+    if len(filled) < 3 or np.ptp(at) < _ENOUGH:
         return None
-    medians = np.array([np.median(y[place == one]) for one in told])
-    weight = np.sqrt(count[told])
+    medians = np.array([np.median(y[place == one]) for one in filled])
+    weight = np.sqrt(count[filled])
     return float(np.polyfit(at, medians, 1, w=weight)[0])
 
 

@@ -11,8 +11,8 @@ def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) 
     """Check that the roots did not move from picture to picture."""
     if sway_mm is None:
         return make_unknown("motion", "no thin roots were found, so that their motion could not be measured", unit="mm")
-    said = f"the roots deviate by {sway_mm:.3f} mm (root mean square) from their mean positions"
-    return judge("motion", sway_mm, "mm", trust.sway_mm, said, "wait longer after each step of the table, and rotate it more gently")
+    finding = f"the roots deviate by {sway_mm:.3f} mm (root mean square) from their mean positions"
+    return judge("motion", sway_mm, "mm", trust.sway_mm, finding, "wait longer after each step of the table, and rotate it more gently")
 
 
 def check_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
@@ -29,14 +29,14 @@ def check_dirt(share: float | None, spread: float | None = None, trust: TrustSet
     """
     made = []
     if spread is not None:
-        said = f"beside roots, light is {'increased' if spread < 0 else 'reduced'} by {100.0 * abs(spread):.1f} % of what they absorb"
+        finding = f"beside roots, light is {'increased' if spread < 0 else 'reduced'} by {100.0 * abs(spread):.1f} % of what they absorb"
         advice = "change the water, clean the lens, and switch off sharpening and tone mapping in the camera"
-        made.append(judge("dirt", abs(spread), "share", trust.spread, said, advice))
+        made.append(judge("dirt", abs(spread), "share", trust.spread, finding, advice))
     if share is None:
         made.append(make_unknown("dirt", "too few views to separate dirt on the wall from roots", unit="share"))
     else:
-        said = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
-        made.append(judge("dirt", share, "share", trust.dirt, said, "clean the canister inside and outside, and remove the bubbles"))
+        finding = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
+        made.append(judge("dirt", share, "share", trust.dirt, finding, "clean the canister inside and outside, and remove the bubbles"))
     return first_problem(*made)
 
 

@@ -16,7 +16,7 @@ from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
 from rhizotwin.recon.hull.spheres import Spheres, shared_volume_mm3
-from rhizotwin.recon.hull.trimming import Trimmed
+from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -50,7 +50,7 @@ degrees)."""
 
 
 def estimate_terms(
-    bank: ViewBank, hull: Hull, part: Leaves, solids: Trimmed, *, slack_px: float, half_excess: float, missed: float, binary: bool
+    bank: ViewBank, hull: Hull, part: Leaves, solids: TrimmedHull, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
     """Return the terms of solids.
 
@@ -98,7 +98,7 @@ def estimate_terms(
     )
 
 
-def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: float) -> float:
+def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_px: float) -> float:
     """Return the volume of a hull (mm3) outside thick parts' spheres where outlines do not constrain it.
 
     It is the volume within some pixels of the spheres, and inside spheres that few views bound.
@@ -132,8 +132,8 @@ def _px_a_mm(bank: ViewBank, spheres: Spheres) -> float:
     """Return the scale at the largest sphere, px/mm, as the median over the views that show it."""
     middle = np.repeat(spheres.centre_mm[[int(spheres.radius_mm.argmax())]], bank.count, axis=0)
     p = projection.project(bank, dr.arange(mi.UInt32, bank.count), device.points(middle), mi.Bool(True))
-    scale, seen = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.visible)
-    return float(np.median(scale[seen] if seen.any() else scale))
+    scale, visible = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.visible)
+    return float(np.median(scale[visible] if visible.any() else scale))
 
 
 def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
@@ -141,7 +141,7 @@ def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
     return (hull.moved_out_mm3 - hull.moved_in_mm3) / (2.0 * slack_px)
 
 
-def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: Trimmed, water: Water) -> float:
+def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: TrimmedHull, water: Water) -> float:
     """Return the relative growth of a hull when every other view carves it; 0 if little untrimmed hull is kept.
 
     A flat face that no view looks along is bounded by the two adjacent views: its excess is inversely proportional to

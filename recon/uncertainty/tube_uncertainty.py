@@ -68,7 +68,7 @@ def estimate(system: RootSystem) -> TubeUncertainty:
     rest = _Residual.compute(system.evidence, drawn.passing, drawn.difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
-    untold = _hidden_radii(tubes, profiles, gain, rest.variance)
+    hidden = _hidden_radii(tubes, profiles, gain, rest.variance)
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
     flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
@@ -77,7 +77,7 @@ def estimate(system: RootSystem) -> TubeUncertainty:
     terms = (
         Term.symmetric("radii, view against view", views, "the views disagree on the radii of the tubes (noise, poses, backlight)"),
         Term.symmetric(
-            "radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly constrained"
+            "radii, hidden", hidden, "some roots are hidden by others in most views, so that their radii are hardly constrained"
         ),
         _one_sided(
             "radii, residual gradient",
@@ -99,23 +99,23 @@ def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
 
     Radii follow these parameters along the valley of equal absorption.
     """
-    attenuation, seen = system.attenuation, system.evidence
+    attenuation, evidence = system.attenuation, system.evidence
     half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
-    if seen.mu_per_mm is None:
+    if evidence.mu_per_mm is None:
         terms = [Term.symmetric("radii, blur", half, "radii depend on the pictures' blur")]
         if attenuation.rival_per_mm is not None:
-            more = _volume_change(system, replace(seen, mu_per_mm=attenuation.rival_per_mm))
+            more = _volume_change(system, replace(evidence, mu_per_mm=attenuation.rival_per_mm))
             why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque roots explain the pictures almost as well"
             terms.append(Term(name="translucency", less_mm3=0.0, more_mm3=more, why=why))
         if attenuation.hairs == "maybe":
-            change = _volume_change(system, replace(seen, hairs=1.0))
+            change = _volume_change(system, replace(evidence, hairs=1.0))
             terms.append(_one_sided("hairs", change, "the pictures do not show whether the roots have hairs"))
         return tuple(terms)
     why = f"the roots are translucent, and their attenuation is only known to {100.0 * attenuation.sigma:.0f} %"
     terms = [Term.symmetric("translucency", half, why)]
     if attenuation.hairs != "none":
         why = "the roots have hairs, whose absorption depends on their length, which is only known to 50 %"
-        terms.append(Term.symmetric("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * seen.hairs), why))
+        terms.append(Term.symmetric("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * evidence.hairs), why))
     return tuple(terms)
 
 
@@ -195,8 +195,8 @@ def _hidden_radii(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: f
 
     Errors are equal along a branch, and independent between branches.
     """
-    told = _radius_curvature(profiles) / max(variance, 1e-9)
-    sigma = 1.0 / np.sqrt(told + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
+    curvature = _radius_curvature(profiles) / max(variance, 1e-9)
+    sigma = 1.0 / np.sqrt(curvature + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
     owner = tubes.owner
     return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
 

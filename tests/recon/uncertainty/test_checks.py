@@ -25,7 +25,7 @@ def curve(used: Curve, bend: float | None, stated: Curve = LINEAR) -> checks.Che
 
 def exposed(*gain: float, clipped: float = 0.0, level: float = 0.7, uneven: float = 0.0) -> checks.Check:
     each = {name: np.full(len(gain), value) for name, value in {"clipped": clipped, "level": level, "uneven": uneven}.items()}
-    return check_exposure(Exposures(gain=np.array(gain), told=True, **each))
+    return check_exposure(Exposures(gain=np.array(gain), measured=True, **each))
 
 
 CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {

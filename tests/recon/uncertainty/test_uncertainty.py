@@ -13,7 +13,7 @@ from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
 from rhizotwin.recon.hull.spheres import Spheres
-from rhizotwin.recon.hull.trimming import Trimmed
+from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
@@ -143,7 +143,7 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     spheres, none = Spheres(centre[None], np.array([radius])), Spheres(np.zeros((0, 3)), np.zeros(0))
     removed_mm3 = larger.volume_mm3() - ball.volume_mm3()
     needed = np.float32(kept * removed_mm3 / ball.volume_mm3())
-    trimmed = Trimmed(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
+    trimmed = TrimmedHull(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
     hull = Hull(larger, larger.occupancy, larger.volume_mm3(), 0.0)
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
     bank = ViewBank.pack(exact_pictures.views_of(scene), Optics.from_scene(scene))
