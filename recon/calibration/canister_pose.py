@@ -147,7 +147,7 @@ def find_canister(
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
     if near.sum() < LEAST_EDGES:
         return None
-    covariance, by_cameras = _uncertainty(edges.only(near), fit.x, errors, settings)
+    covariance, by_cameras = _uncertainty(edges.select(near), fit.x, errors, settings)
     sigma = _sigmas(covariance, by_cameras, errors)
     straight = edges.off(np.zeros(len(prior)))[near]
     return CanisterPose(
@@ -233,7 +233,7 @@ class _Edges:
         oval_mm = unknown[5] * np.cos(2.0 * azimuth) + unknown[6] * np.sin(2.0 * azimuth)
         return np.asarray(away_mm - self.optics.outer_radius_mm - unknown[4] - oval_mm)
 
-    def only(self, some: NDArray[np.bool_]) -> _Edges:
+    def select(self, some: NDArray[np.bool_]) -> _Edges:
         """Return a subset of the lines."""
         rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "ray")}
         return replace(self, **rows)

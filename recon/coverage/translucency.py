@@ -78,7 +78,7 @@ _LONGEST_PX = 60.0
 _FINE = 16
 """Samples per pixel of the bands with which profiles are compared."""
 _PEAK_BLUR_PX = 1.0
-"""Standard deviation of the blur in which the nearby peak is found, to suppress noise of single pixels."""
+"""Standard deviation of the blur before the search for the nearby peak, to suppress noise of single pixels."""
 _SIGMA_PX = 0.5
 """Standard deviation of a picture's blur, including the square pixel, assumed for profiles."""
 _THINNEST_MM = 0.08

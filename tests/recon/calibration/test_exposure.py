@@ -38,7 +38,7 @@ def measured(images: list[np.ndarray]) -> exposure.Exposures:
 
 def test_each_picture_s_exposure_is_found() -> None:
     found = measured(pictures())
-    assert found.told
+    assert found.measured
     np.testing.assert_allclose(found.gain / found.gain[0], GAINS / GAINS[0], rtol=0.002)
     assert found.wander == pytest.approx(np.std(GAINS), rel=0.05)
     assert not found.clipped.any()
