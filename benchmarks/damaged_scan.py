@@ -63,7 +63,7 @@ class Scan:
     @cached_property
     def optics(self) -> Optics:
         """Return the canister."""
-        return Optics.of(self.dataset.scene)
+        return Optics.from_scene(self.dataset.scene)
 
     @cached_property
     def water(self) -> tuple[Mask, ...]:

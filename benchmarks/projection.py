@@ -163,7 +163,7 @@ def measure() -> list[Metric]:
     import mitsuba as mi
 
     rng = np.random.default_rng(0)
-    optics = refraction.Optics.of(Scene())
+    optics = refraction.Optics.from_scene(Scene())
     worst, lost, kernel_worst, kernel_wrong, given_away, total = 0.0, 0, 0.0, 0, 0, 0
     swept_wrong, swept = 0, 0
     for _ in range(6):
@@ -174,9 +174,9 @@ def measure() -> list[Metric]:
         nearest = np.where(np.isnan(error), np.inf, error).min(axis=1)
         lost += int((nearest > 1e-3).sum())
         worst = max(worst, float(nearest[nearest < 1.0].max(initial=0.0)))
-        bank = projection.ViewBank.of([view], optics)
+        bank = projection.ViewBank.pack([view], optics)
         kernel = projection.project(bank, dr.zeros(mi.UInt32, len(points)), mi.Point3f(points.T.astype(np.float32)), mi.Bool(True))
-        seen = np.array(kernel.seen)
+        seen = np.array(kernel.visible)
         kernel_worst = max(kernel_worst, float(np.abs(np.array(kernel.px).T[seen] - found[seen, 0]).max()))
         kernel_wrong += int((count[seen] != 1).sum())
         given_away += int(((count == 1) & ~seen).sum())

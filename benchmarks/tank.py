@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.projection import images_swept
 from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View, through_tank
+from rhizotwin.recon.optics.cameras import View, tank_view
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_bytes
@@ -31,7 +31,7 @@ def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]
     Points lie in the horizontal plane of a level camera, where a sweep of rays counts the images of each; a turn of the
     canister brings every azimuth before the camera, so that the share of azimuths is the share of views.
     """
-    optics = Optics.of(scene)
+    optics = Optics.from_scene(scene)
     radius = (np.arange(RADII) + 0.5) / RADII * optics.inner_radius_mm
     azimuth = (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS * 2.0 * np.pi
     r, a = (grid.ravel() for grid in np.meshgrid(radius, azimuth, indexing="ij"))
@@ -39,7 +39,7 @@ def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]
     view = View(camera=Camera(), cam_from_canister=frames.level_camera(distance_mm=distance_mm, height_mm=HEIGHT_MM, tilt_deg=0.0))
     through = {"round": images_swept(view, optics, points, rays=8001)}
     wet = replace(optics, tank=Tank(n_liquid=scene.water.n_water))
-    at = through_tank(replace(view, cam_from_tank=view.cam_from_canister), wet)
+    at = tank_view(replace(view, cam_from_tank=view.cam_from_canister), wet)
     through["tank of water"] = images_at_height(at, points, rays=8001)
     return radius, {name: (count.reshape(RADII, AZIMUTHS) == 1).mean(axis=1) for name, count in through.items()}
 

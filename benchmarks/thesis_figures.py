@@ -49,7 +49,7 @@ def draw(pictures: Pictures) -> dict[str, bytes]:
     }
     hulls = [shaping.carve_hull(dataset, cameras, coverage, finest_mm=mm, slack_px=0.3, monitor=monitor) for mm in CARVED_MM]
     scene = dataset.scene
-    return {"circle": _circle(scene, found), "rays": _rays(Optics.of(scene), scene), "carving": _carving(hulls)}
+    return {"circle": _circle(scene, found), "rays": _rays(Optics.from_scene(scene), scene), "carving": _carving(hulls)}
 
 
 def fit_circle(points_mm: Array) -> tuple[Array, float, Array]:
@@ -138,7 +138,7 @@ def _rays(optics: Optics, scene: Scene) -> bytes:
     return png(drawn, dpi=110)
 
 
-def _carving(carved: list[shaping.Carved]) -> bytes:
+def _carving(carved: list[shaping.CarvedHull]) -> bytes:
     drawn = figure(9.0, 4.0)
     water = carved[0].water
     for axes, one, mm in zip(drawn.subplots(1, len(carved), sharey=True), carved, CARVED_MM, strict=True):

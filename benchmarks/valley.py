@@ -37,7 +37,7 @@ def main() -> None:
 def measure(path: Path) -> tuple[Array, Array, Array]:
     """Return the loss (blur, attenuation) on lone roots, and the fitted light (L,) with its covariance (L, L)."""
     from rhizotwin.recon import shaping
-    from rhizotwin.recon.calibration.curve import read_by_edges
+    from rhizotwin.recon.calibration.curve import verify_curve
     from rhizotwin.recon.calibration.find_cameras import find_cameras
     from rhizotwin.recon.coverage.measure import measure_coverage
     from rhizotwin.recon.pictures import read_pictures
@@ -47,23 +47,23 @@ def measure(path: Path) -> tuple[Array, Array, Array]:
     from rhizotwin.recon.tubes.tube_profiles import OUTLIER
 
     settings, monitor, dataset = Settings(), Monitor(), load_dataset(path)
-    pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
+    pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
     carved = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     tree = shaping.find_roots(carved, coverage, dataset.scene, monitor=monitor)
     if tree is None or tree.attenuation.mu_per_mm is None:
         raise UserError("these roots are opaque: there is no valley")
-    system, lone = rooting.settle(tree, monitor=monitor), None
+    system, lone = rooting.finish_tree(tree, monitor=monitor), None
     left = []
     for blur_px in BLUR_PX:
         for mu_per_mm in MU_PER_MM:
-            evidence = replace(system.seen, mu_per_mm=float(mu_per_mm), blur_px=float(blur_px))
-            start = root_light.with_light_kept(system.tubes, system.thick, system.seen, evidence)
+            evidence = replace(system.evidence, mu_per_mm=float(mu_per_mm), blur_px=float(blur_px))
+            start = root_light.match_absorption(system.tubes, system.thick, system.evidence, evidence)
             fit = tube_fit.fit(evidence, start, system.thick, steps=STEPS)
-            told = tube_profiles.misfit(evidence, fit.tubes, fit.drawn.difference)
+            told = tube_profiles.misfit(evidence, fit.tubes, fit.rendering.difference)
             if lone is None:
-                lone = tube_profiles.profiles(system.drawn).is_lone & ~system.thick & np.isfinite(told)
+                lone = tube_profiles.profiles(system.rendering).is_lone & ~system.thick & np.isfinite(told)
             left.append(float(OUTLIER * np.log1p(np.nan_to_num(told[lone]) / OUTLIER).sum()))
     return np.array(left).reshape(len(BLUR_PX), len(MU_PER_MM)), system.attenuation.light, system.attenuation.covariance
 

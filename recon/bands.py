@@ -64,7 +64,7 @@ def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str,
 
 
 def _ratio(dataset: Dataset, frame: Frame) -> float:
-    """Return the signal-to-noise ratio of one picture; 0 where it cannot be read, which is said elsewhere."""
+    """Return the signal-to-noise ratio of one picture; 0 if it cannot be read, which `read_pictures` reports."""
     try:
         picture = read_image(dataset, frame)
     except UserError:

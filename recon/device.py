@@ -1,8 +1,8 @@
-"""Numbers for Dr.Jit's kernels: how they get there, and what a checker calls them.
+"""Conversion of numbers for Dr.Jit kernels, and type names for static checkers.
 
-Dr.Jit takes an array of NumPy as it lies in memory, and compiles a kernel anew for every combination of inputs that
-begin at a multiple of 64 bytes and inputs that do not. Small arrays begin anywhere, so that a kernel of twenty inputs
-would be compiled time and again (a second each). These are copied to where they begin at a multiple of 64 bytes.
+Dr.Jit uses NumPy arrays in place, and compiles a kernel for every combination of inputs that are aligned to 64 bytes
+and inputs that are not. Small arrays have arbitrary alignment, so that a kernel with twenty inputs would be compiled
+many times (a second each). Arrays are therefore copied to aligned memory.
 """
 
 import ctypes
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from rhizotwin import engine
 
-# Mitsuba's types exist only once a variant is chosen, so that a checker knows none of them:
-# these names say what is meant.
+# Mitsuba's types exist only once a variant is set, so that a static checker does not know them; these names document
+# the intended types.
 Float: TypeAlias = Any
 """mi.Float"""
 UInt32: TypeAlias = Any
@@ -36,77 +36,78 @@ Vector3f: TypeAlias = Any
 Point3f: TypeAlias = Any
 """mi.Point3f"""
 Kernel: TypeAlias = Any
-"""Any of them."""
+"""Any of the above."""
 
 engine.choose_on_first_use()
 
 _ALIGNED = 64
-"""Bytes of the widest vector that Dr.Jit loads."""
+"""Alignment in bytes of the widest vector that Dr.Jit loads."""
 
 
 TO_LAST = 1.01
-"""Look-ups stay this far from a picture's width and height: within the last sample, however float32 rounds."""
+"""Minimum distance of look-ups from a picture's width and height: within the last sample, with a margin for float32
+rounding."""
 
 
 _BELOW_HALF = 1e-9
-"""Below the smallest half, 6e-8, and no half itself."""
+"""Threshold below the smallest positive half, 6e-8, and not representable as a half."""
 
 
 def readable(px: Vector2f, width: int, height: int) -> Bool:
-    """Tell which pixels a bilinear look-up in a picture can read."""
+    """Return which pixels can be read with bilinear interpolation in a picture."""
     return (px.x > 0) & (px.x < width - TO_LAST) & (px.y > 0) & (px.y < height - TO_LAST)
 
 
 def numbers(values: NDArray[np.generic]) -> Float:
-    """Return mi.Float of an array (...), flattened."""
-    return mi.Float(_aligned(values, np.dtype(np.float32)))
+    """Return an array (...) as mi.Float, flattened."""
+    return mi.Float(_align(values, np.dtype(np.float32)))
 
 
 def halves(pictures: Sequence[NDArray[np.generic]]) -> Kernel:
-    """Return mi.Float16 of pictures (H, W), flattened one after the other.
+    """Return pictures (H, W) as mi.Float16, flattened and concatenated.
 
-    Halves keep a coverage to 1/4096, a twentieth of what the noise of a picture leaves of it.
+    Half precision stores a coverage to 1/4096, a twentieth of the noise of a picture.
     """
     size = pictures[0].size
-    placed = room(len(pictures) * size, np.dtype(np.float16))
+    placed = aligned_empty(len(pictures) * size, np.dtype(np.float16))
     for k, picture in enumerate(pictures):
         placed[k * size : (k + 1) * size] = picture.ravel()
     return mi.Float16(placed)
 
 
 def vectors(values: NDArray[np.generic]) -> Vector3f:
-    """Return mi.Vector3f of (N, 3)."""
+    """Return (N, 3) as mi.Vector3f."""
     return mi.Vector3f(*(numbers(part) for part in values.T))
 
 
 def points(values: NDArray[np.generic]) -> Point3f:
-    """Return mi.Point3f of (N, 3)."""
+    """Return (N, 3) as mi.Point3f."""
     return mi.Point3f(*(numbers(part) for part in values.T))
 
 
 def wholes(values: NDArray[np.generic]) -> UInt32:
-    """Return mi.UInt32 of an array (...) of whole numbers, flattened."""
-    return mi.UInt32(_aligned(values, np.dtype(np.uint32)))
+    """Return an array (...) of integers as mi.UInt32, flattened."""
+    return mi.UInt32(_align(values, np.dtype(np.uint32)))
 
 
-def _aligned(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[np.generic]:
-    placed = room(values.size, kind)
+def _align(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[np.generic]:
+    placed = aligned_empty(values.size, kind)
     placed[:] = values.ravel()
     return placed
 
 
-def room(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
-    """Return an array (count,) to be filled, which Dr.Jit then takes as it lies."""
+def aligned_empty(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
+    """Return an aligned array (count,) to be filled, which Dr.Jit uses in place."""
     buffer = np.empty(count * kind.itemsize + _ALIGNED, np.uint8)
     begin = -buffer.ctypes.data % _ALIGNED
     return buffer[begin : begin + count * kind.itemsize].view(kind)
 
 
 def release() -> None:
-    """Give back the memory that is used no more.
+    """Release unused memory.
 
-    Dr.Jit and the C library (glibc) keep what was freed to use it again, but what follows a stage, a fit or a thinning
-    has other sizes. What loops of Dr.Jit refer to is freed by Python's search for cycles only.
+    Dr.Jit and the C library (glibc) cache freed memory for reuse, but later stages need other sizes. Memory referenced
+    by loops of Dr.Jit is only freed by Python's cyclic garbage collector.
     """
     gc.collect()
     dr.flush_malloc_cache()
@@ -115,8 +116,8 @@ def release() -> None:
         trim(0)
 
 
-def some_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
-    """Return some of the parts, each of ``size`` elements, that lie one after the other in an array."""
+def select_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
+    """Return some of the consecutive parts, of ``size`` elements each, of an array."""
     lane, length = dr.arange(mi.UInt32, len(which) * size), dr.opaque(mi.UInt32, size)
     part = lane // length
     found = dr.gather(type(source), source, dr.gather(mi.UInt32, wholes(np.asarray(which)), part) * length + (lane - part * length))
@@ -125,11 +126,11 @@ def some_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
 
 
 def is_positive(half: Kernel) -> Bool:
-    """Return which elements (mi.Float16) are above zero.
+    """Return which elements (mi.Float16) are positive.
 
-    They are compared as mi.Float with a number that is no half. Below version 22, LLVM swaps the operands of a masked
-    comparison of halves on processors with AVX512-FP16 (llvm-project issue 159723), and it narrows a comparison of
-    floats to one of halves where the constant is a half.
+    They are converted to mi.Float and compared with a number that is not a half. Below version 22, LLVM swaps the
+    operands of a masked comparison of halves on processors with AVX512-FP16 (llvm-project issue 159723), and it narrows
+    a comparison of floats to one of halves if the constant is a half.
     """
     return mi.Float(half) > _BELOW_HALF
 
@@ -151,15 +152,15 @@ def bilinear(
     source : mi.Float or mi.Float16
         Pictures, flattened.
     base : mi.UInt32
-        Where the picture begins, in elements of ``kind``.
+        Offset of the picture, in elements of ``kind``.
     width : mi.UInt32 or int
-        Columns of the picture.
+        Number of columns of the picture.
     u, v : mi.Float
         Column and row, between the first and the last.
     kind : type, optional
-        What an element is; that of the source where not given. Halves become mi.Float.
+        Type of an element; by default that of the source. Halves are converted to mi.Float.
     most : float, optional
-        What a larger element counts as.
+        Upper bound of an element.
     """
     kind = kind or type(source)
     column, row = mi.UInt32(u), mi.UInt32(v)

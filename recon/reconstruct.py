@@ -1,4 +1,4 @@
-"""The whole way from a dataset to a result, in memory.
+"""Complete reconstruction from a dataset to a result, in memory.
 
 Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result.
 """
@@ -13,9 +13,9 @@ import numpy as np
 
 from rhizotwin.recon import passes, shaping
 from rhizotwin.recon.calibration.cameras import Cameras
-from rhizotwin.recon.calibration.curve import read_by_edges
+from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
-from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, with_attenuation
+from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, remeasure_coverage
 from rhizotwin.recon.device import release
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated, dividing
@@ -27,7 +27,7 @@ from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
-from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, root_width, shape_checks
+from rhizotwin.recon.uncertainty import checks, picture_checks, root_uncertainty, root_width, scattered_light, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import memory
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -39,11 +39,12 @@ from rhizotwin.scenes.schema import to_plain
 
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 _SWAYS = 3
-"""Times that swaying roots are found anew: half a millimetre at the tips hides a third of them at first."""
+"""Maximum number of times that swaying roots are reconstructed again: half a millimetre at the tips hides a third of
+them at first."""
 _WIDTH_VIEWS = 6
-"""Views in which the width of roots is measured."""
-_ON_DEVICE = ("seen", "bank", "maps", "silhouettes")
-"""What hull and roots carry of coverage and cameras, as the kernels want it."""
+"""Number of views in which the width of roots is measured."""
+_ON_DEVICE = ("evidence", "bank", "maps", "silhouettes")
+"""Fields of hull and roots that hold device data of coverage and cameras."""
 
 
 def reconstruct(
@@ -54,81 +55,81 @@ def reconstruct(
     keep_stages: Path | str | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Result:
-    """Reconstruct a dataset, in memory; `Result.save` writes it.
+    """Reconstruct a dataset, in memory; `Result.save` writes the result.
 
     Parameters
     ----------
     dataset : Dataset or path
-        As `scenes.dataset.load_dataset` gives it, or its folder.
+        Dataset from `scenes.dataset.load_dataset`, or its folder.
     settings : Settings, optional
-        What may be set, a group for each stage.
+        Settings, with a group for each stage.
     mass_g : float, optional
-        Mass of the roots, if they were weighed; for the traits only.
+        Mass of the roots, if weighed; used for the traits only.
     keep_stages : path, optional
-        Folder for what each stage made, for study (`recon.stages`).
+        Folder for the results of each stage (`recon.stages`).
     monitor : Monitor, type of tqdm, callable or None
-        Hears how far the work is, and may stop it.
+        Receives the progress, and may cancel the reconstruction.
 
     Returns
     -------
     Result
-        Shape, volume with its interval, roots, cameras and what is to be said of them.
+        Shape, volume with its interval, roots, cameras and warnings.
 
     Raises
     ------
     UserError
-        Where the pictures cannot be used; the message names the file and what to do.
+        If the pictures cannot be used; the message names the file and gives advice.
     Cancelled
         After `Monitor.cancel`.
     """
     dataset, settings = dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings or Settings()
-    stages, monitor = StageFolder.begin(keep_stages), _begun(monitor)
-    pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
+    stages, monitor = StageFolder.begin(keep_stages), _start_monitor(monitor)
+    pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
-    cameras, coverage = cameras.without({}, unread=pictures.left_out), stages.keep("coverage", coverage)
-    pictures = replace(pictures, images=(), measured={})  # as large as all that follows
+    cameras, coverage = cameras.leave_out({}, unread=pictures.left_out), stages.keep("coverage", coverage)
+    pictures = replace(pictures, images=(), measured={})  # they take as much memory as all later stages
     (hull, tree), roots = _hull_and_tree(pictures, cameras, coverage, settings, stages, monitor), None
     cameras = hull.cameras
     of_pictures = _checks(pictures, cameras, coverage, settings.trust)
     if tree is not None:
-        cameras, settled = _settled(tree, hull.water.top_mm, monitor)
+        cameras, settled = _finish_roots(tree, hull.water.top_mm, monitor)
         roots = stages.keep("roots", settled, leave=_ON_DEVICE)
-        told = with_attenuation(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
-        if told is not coverage or (cameras.roots is not None and cameras.roots.believed):
-            del hull  # what follows uses one calibration and one attenuation
-            coverage = told
+        remeasured = remeasure_coverage(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
+        if remeasured is not coverage or (cameras.roots is not None and cameras.roots.believed):
+            del hull  # later stages use one calibration and one attenuation
+            coverage = remeasured
             hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
-    checked = checks.explained((*of_pictures, *solid.checks))
-    solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
+    checked = checks.name_cause((*of_pictures, *solid.checks))
+    solid, of_plants, plants_said = _divide_plants(_apply_checks(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
-    warnings = (*pictures.warnings, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
+    warnings = (*pictures.warnings, *cameras.warnings, *_root_warnings(solid, roots), *plants_said, *shoot_said)
     found = gather(pictures, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull, solid, monitor), plants=of_plants, shoot=shoot)
 
 
-def _settled(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
-    """Return the cameras as the roots calibrate them, and the roots at rest."""
+def _finish_roots(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
+    """Return the cameras calibrated with the roots, and the refined roots."""
     tree = rooting.calibrate(tree, monitor=monitor)
-    return tree.cameras, crown.without(rooting.settle(tree, monitor=monitor), top_mm)
+    return tree.cameras, crown.mark_hidden(rooting.finish_tree(tree, monitor=monitor), top_mm)
 
 
-def _begun(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
-    """Return a monitor after whose stages memory that is used no more is given back, and count passes from zero."""
+def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
+    """Return a monitor that releases unused memory after each stage, and reset the pass counters."""
     passes.begin()
     made = Monitor.of(monitor)
     made.after_stage = release
     return made
 
 
-def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
-    """Return a solid whose roots know their plants, what is of each plant, and what is to be said of that."""
+def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
+    """Return a solid with roots assigned to plants, the results of each plant, and warnings."""
     if not scene.plants:
         return solid, (), ()
     if not solid.roots:
-        return solid, (), ("no roots were found, so that nothing tells the plants apart",)
-    planted = plants.give(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
+        return solid, (), ("no roots were found, so that nothing can be assigned to the plants",)
+    planted = plants.assign(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
     shape = dividing.Shape(
         leaves=solid.voxels,
         surface=solid.surface,
@@ -140,88 +141,90 @@ def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], t
     return replace(solid, roots=planted.roots), found, dividing.warnings(planted, found)
 
 
-def _judged(solid: Solid, checked: tuple[Check, ...]) -> Solid:
-    """Return a solid whose volume is not trusted where a check failed."""
-    failed = checks.failed(checked)
-    return replace(solid, volume=solid.volume.distrusted(failed)) if failed else solid
+def _apply_checks(solid: Solid, checked: tuple[Check, ...]) -> Solid:
+    """Return a solid whose volume is not trusted if a check failed."""
+    failed = checks.failure_reasons(checked)
+    return replace(solid, volume=solid.volume.distrust(failed)) if failed else solid
 
 
-def _said(solid: Solid, roots: RootSystem | None) -> tuple[str, ...]:
-    """Return what is to be said of roots and solid."""
-    return (*(() if roots is None else roots.attenuation.warnings()), *solid.warnings, *_lost(solid))
+def _root_warnings(solid: Solid, roots: RootSystem | None) -> tuple[str, ...]:
+    """Return the warnings about roots and solid."""
+    return (*(() if roots is None else roots.attenuation.warnings()), *solid.warnings, *_volume_objections(solid))
 
 
-def _lost(solid: Solid) -> tuple[str, ...]:
-    """Return why a volume is not trusted."""
+def _volume_objections(solid: Solid) -> tuple[str, ...]:
+    """Return the reasons for which the volume is not trusted."""
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
-def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
-    """Estimate length, tips and mean diameter, with intervals and verdicts of their own."""
+def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
+    """Estimate length, tips and mean diameter, with intervals and verdicts."""
     with monitor.stage("compare roots"):
-        return root_uncertainty.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_lost(solid))
+        return root_uncertainty.estimates(
+            solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_volume_objections(solid)
+        )
 
 
 def _hull_and_tree(
     pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
-) -> tuple[shaping.Carved, RootTree | None]:
-    """Find hull and roots, and both again where the roots tell that they sway from picture to picture."""
+) -> tuple[shaping.CarvedHull, RootTree | None]:
+    """Reconstruct hull and root tree, and repeat both if the roots sway from picture to picture."""
     dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     for _ in range(_SWAYS):
-        if tree is None or not rooting.swayed(tree, hull.cameras):
+        if tree is None or not rooting.has_swayed(tree, hull.cameras):
             break
         cameras, known = tree.cameras, tree.attenuation
-        del hull, tree  # as large as what comes in their place
+        del hull, tree  # free their memory before they are replaced
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
         tree = shaping.find_roots(hull, coverage, dataset.scene, known=known, monitor=monitor)
     return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
-def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.Carved:
-    """Carve, and again without the views that contradict all others where there are some.
+def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.CarvedHull:
+    """Carve the hull, and carve it again without the views that contradict all others.
 
-    Where nothing is left, say what the pictures failed, too: that is the cause more often than not.
+    If the hull is empty, the failed checks of the pictures are added to the error, as they are usually the cause.
     """
     dataset = pictures.dataset
-    hull: shaping.Carved | UserError
+    hull: shaping.CarvedHull | UserError
     try:
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
         if shaping.missed_share(hull) <= settings.trust.missed[0]:
             return hull
     except UserError as error:
-        failed = checks.failed(_checks(pictures, cameras, coverage, settings.trust))
+        failed = checks.failure_reasons(_checks(pictures, cameras, coverage, settings.trust))
         hull = UserError("; ".join([str(error).removesuffix("."), *failed]) + ".")
     wrong = shaping.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
     if wrong:
         del hull
-        return shaping.find_hull(dataset, cameras.without(wrong), coverage, settings, monitor=monitor)
+        return shaping.find_hull(dataset, cameras.leave_out(wrong), coverage, settings, monitor=monitor)
     if isinstance(hull, UserError):
         raise hull
     return hull
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
-    """Check the pictures that are used; silhouettes, and pictures with given cameras, tell only some of it."""
+    """Check the pictures that are used; masks, and pictures with given cameras, allow only some of the checks."""
     dataset, found, order = pictures.dataset, cameras.markers, sorted(cameras.order)
     drawn = [coverage.silhouettes[k] for k in order]
     azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
     width_px = root_width.thin_width_px(drawn[:: max(1, len(drawn) // _WIDTH_VIEWS)])
     made = [
-        picture_checks.of_scan(dataset.origin, pictures.frames),
-        picture_checks.of_resolution(width_px, dataset.scene.camera.image_wh, trust),
-        picture_checks.of_views(azimuth_deg, len(cameras.all), trust),
+        picture_checks.check_scan(dataset.origin, pictures.frames),
+        picture_checks.check_resolution(width_px, dataset.scene.camera.image_wh, trust),
+        picture_checks.check_views(azimuth_deg, len(cameras.all), trust),
     ]
     if not dataset.masks:
-        spread = halo.spread(drawn, [pictures.frames[k].station for k in order])
-        exposures = coverage.exposures_of(order)
-        made += [picture_checks.of_exposure(exposures, trust), shape_checks.of_dirt(coverage.dirt, spread, trust)]
+        spread = scattered_light.scattered_fraction(drawn, [pictures.frames[k].station for k in order])
+        exposures = coverage.select_exposures(order)
+        made += [picture_checks.check_exposure(exposures, trust), shape_checks.check_dirt(coverage.dirt, spread, trust)]
     if found is not None:
         made += [
-            picture_checks.of_curve(pictures.curve),
-            picture_checks.of_sharpness(found.blur_px, found.refocus_px, trust),
-            picture_checks.of_markers(found.inset_px, found.after_px, trust),
-            picture_checks.of_canister(found.canister, dataset.scene, trust),
+            picture_checks.check_curve(pictures.curve),
+            picture_checks.check_sharpness(found.blur_px, found.refocus_px, trust),
+            picture_checks.check_markers(found.inset_px, found.after_px, trust),
+            picture_checks.check_canister(found.canister, dataset.scene, trust),
         ]
     return tuple(made)
 
@@ -237,20 +240,20 @@ def gather(
     settings: Json,
     monitor: Monitor,
 ) -> Result:
-    """Put a result together.
+    """Assemble a result.
 
     Parameters
     ----------
     pictures : Pictures
         Their dataset, and the band they were taken in.
     cameras, coverage, solid : Cameras, Coverage, Solid
-        What the stages made.
+        Results of the stages.
     warnings, checked : tuple of str, tuple of Check
-        What a person should know, and what the trust rests on.
+        Warnings for the user, and results of the checks.
     settings : Json
-        As given, for the record.
+        The settings used, for the record.
     monitor : Monitor
-        Has the stages' times.
+        Provides the times of the stages.
 
     Returns
     -------
@@ -258,7 +261,7 @@ def gather(
         The result, not saved.
     """
     dataset, files = pictures.dataset, [camera.file for camera in cameras.all]
-    used = {camera.file for camera in cameras.all if camera.used}  # others may have no file that can be read
+    used = {camera.file for camera in cameras.all if camera.used}  # other cameras may have no readable file
     contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.sha256 or frame.file in used}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(
@@ -276,7 +279,7 @@ def gather(
         warnings=warnings,
         checks=checked,
         timings_s=dict(monitor.timings_s),
-        passes=passes.counted(),
+        passes=passes.get_counts(),
         peak_memory_mib=memory.peak_mib(),
         settings=settings | {"finest_mm": solid.finest_mm},
         versions=versions(_VERSIONED),

@@ -125,9 +125,9 @@ class TrustSettings:
     dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
     """Share of the wall before the roots that films, bubbles and glare cover."""
     spread: tuple[float, float] = bounded((0.02, 0.04), 0.0, 1.0)
-    """Share of what roots take of the light that is missing beside them (`recon.uncertainty.halo`). Printed phantoms
-    and plants in `clean`, `bench` and `camera` have 0.000 to 0.007; a quarter of the light scattered over 20 px has
-    0.19, and made a printed phantom 5.9 % too large, so that these are 0.6 and 1.2 % of volume
+    """Share of what roots take of the light that is missing beside them (`recon.uncertainty.scattered_light`). Printed
+    phantoms and plants in `clean`, `bench` and `camera` have 0.000 to 0.007; a quarter of the light scattered over 20
+    px has 0.19, and made a printed phantom 5.9 % too large, so that these are 0.6 and 1.2 % of volume
     (`docs/log/2026-11-22-damages.md`)."""
     clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
     """Share of the panel's pixels at full scale: where the panel is clipped, what roots absorb of it is not known."""

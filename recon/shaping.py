@@ -1,4 +1,4 @@
-"""From silhouettes to a shape: outlines, hull, what the silhouettes need of it, surface and size."""
+"""From silhouettes to a shape: outlines, hull, trimming, surface and extents."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import agreement, carve, parsimony, surface
+from rhizotwin.recon.hull import agreement, carve, surface, trimming
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Hull, Leaves
@@ -26,8 +26,8 @@ from rhizotwin.recon.uncertainty import (
     canister_uncertainty,
     diameter_uncertainty,
     hidden_top,
+    occlusion,
     shape_checks,
-    sight,
     solid_uncertainty,
     tube_uncertainty,
     wall_contact,
@@ -41,19 +41,19 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 _MISSED_VIEWS = 8
-"""Views that are looked at; they come in an order that spreads neighbours over the turn."""
+"""Number of views that are used; their order spreads neighbours over the turn."""
 _MISSED_LEAVES = 100_000
-"""Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the
-other."""
+"""Number of leaves above which only a subset is used: those of a solid are closer in a picture than a pixel, and hide
+each other."""
 _SURFACE_LEAVES = 1_000_000
-"""More finest leaves than this are gathered before the surface is drawn."""
+"""Number of finest leaves above which they are merged before the surface is computed."""
 _MUCH_KEPT = 0.2
-"""Share of the volume that is untrimmed hull, beyond which a warning is given."""
+"""Fraction of untrimmed hull in the volume above which a warning is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Carved:
-    """A hull with what it was carved from."""
+class CarvedHull:
+    """A hull with its input."""
 
     hull: Hull
     bank: projection.ViewBank
@@ -74,39 +74,39 @@ def carve_hull(
     slack_px: float,
     monitor: Monitor,
     ignore_blindness: bool = False,
-) -> Carved:
-    """Carve the silhouettes' hull out of the water between the floor and the net pot.
+) -> CarvedHull:
+    """Carve the visual hull of the silhouettes out of the water between the floor and the net pot.
 
     Parameters
     ----------
     finest_mm : float
         Edge of the finest nodes.
     slack_px, ignore_blindness : float, bool
-        As in `carve.carve`.
+        See `carve.carve`.
 
     Raises
     ------
     UserError
-        Where the silhouettes have no volume in common.
+        If the silhouettes have no volume in common.
     """
     numbers = sorted(cameras.order)
     order = [numbers[place] for place in carve.spread(len(numbers))]
-    cameras = cameras.ordered(order)
+    cameras = cameras.reorder(order)
     with monitor.stage("outlines"):
         drawn = tuple(coverage.silhouettes[k] for k in order)
-        maps = DistanceMaps.drawn(drawn, "outlines", monitor)
+        maps = DistanceMaps.compute(drawn, "outlines", monitor)
     with monitor.stage("carve"):
-        bank = projection.ViewBank.of(cameras.views, cameras.optics)
-        water = water_of(dataset.scene, cameras)
+        bank = projection.ViewBank.pack(cameras.views, cameras.optics)
+        water = water_space(dataset.scene, cameras)
         grid = water.grid(finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
             hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
             f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
-            "the poses or the scene file do not fit the pictures."
+            "the poses or the scene file do not match the pictures."
         )
-    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
+    return CarvedHull(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
 
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
@@ -115,90 +115,90 @@ def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, 
     Parameters
     ----------
     dataset, cameras, coverage : Dataset, Cameras, Coverage
-        Scene, lines of sight and silhouettes.
+        Scene, cameras and silhouettes.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
     """
     with monitor.stage("wrong views"):
-        bank = projection.ViewBank.of(cameras.views, cameras.optics)
+        bank = projection.ViewBank.pack(cameras.views, cameras.optics)
         silhouettes = [coverage.silhouettes[k] for k in cameras.order]
-        found = agreement.find_wrong_views(bank, silhouettes, water_of(dataset.scene, cameras))
-    return {cameras.order[view]: "it contradicts all other pictures, as one that is mirrored or half-written does" for view in found}
+        found = agreement.find_wrong_views(bank, silhouettes, water_space(dataset.scene, cameras))
+    return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or truncated" for view in found}
 
 
-def water_of(scene: Scene, cameras: Cameras) -> Water:
+def water_space(scene: Scene, cameras: Cameras) -> Water:
     """Return the space between the floor and the net pot, or the surface of the water."""
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
-def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Carved:
-    """Carve the silhouettes' hull.
+def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> CarvedHull:
+    """Carve the visual hull of the silhouettes.
 
     Parameters
     ----------
     dataset, cameras, coverage : Dataset, Cameras, Coverage
-        Scene, lines of sight and silhouettes.
+        Scene, cameras and silhouettes.
     settings : Settings
-        Voxels and slack.
+        Voxel size and slack.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
     """
     halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
     finest_mm = settings.voxel_mm / 2**halvings
     return carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
 
 
-def missed_share(carved: Carved) -> float:
-    """Return the share of what some views show before which no part of the hull stands."""
+def missed_share(carved: CarvedHull) -> float:
+    """Return the fraction of the coverage that no part of the hull explains."""
     leaves = carved.hull.leaves
-    leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
+    leaves = leaves.select(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
     views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
     edge_mm = leaves.grid.size_mm * leaves.size.astype(np.float64)
-    return agreement.compare(carved.bank.chosen(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
+    return agreement.compare(carved.bank.select(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
 
 
 def find_roots(
-    carved: Carved, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
+    carved: CarvedHull, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
 ) -> RootTree | None:
-    """Find the roots as a tree of tubes; None where there are none.
+    """Reconstruct the roots as a tree of tubes; return None if there are none.
 
     Parameters
     ----------
     carved : Carved
         Views and silhouettes.
     coverage : Coverage
-        How much light roots let through.
+        Attenuation of the roots.
     scene : Scene
-        Where plants begin.
+        Positions of the plants.
     known : TubeAttenuation, optional
-        As in `rooting.find`.
+        See `rooting.find_tree`.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     RootTree or None
         Tubes and solids, not yet divided into roots.
     """
-    seen = replace(Evidence.of(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
-    return rooting.find(seen, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
+    evidence = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
+    return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 
-def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the tubes and the hull of what no tube explains, and measure the whole.
+def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
+    """Unite the tubes with the trimmed hull of solids, and measure the result.
 
     Parameters
     ----------
     carved : Carved
         The hull.
     system : RootSystem or None
-        The roots; None where there are none.
+        The roots; None if there are none.
     coverage : Coverage
-        How far the silhouettes may be trusted.
+        Coverage, with the attenuation of the roots.
     settings : Settings
-        Voxels and limits of trust.
+        Voxel size and limits of trust.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
@@ -208,20 +208,21 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     hull = carved.hull
     with monitor.stage("trim"):
         part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
-        solids = parsimony.trim(carved.bank, carved.maps, part)
+        solids = trimming.trim(carved.bank, carved.maps, part)
     leaves, tubes = solids.leaves, None
     if system is not None:
         with monitor.stage("unite"):
-            tubes = tube_volume.paint(solids.leaves, system, hull.widest)
+            tubes = tube_volume.combine(solids.leaves, system, hull.widest)
         leaves = tubes.leaves
     volume = leaves.volume_mm3()
-    # at most the hull with its outlines moved out; at least the shape, less what moving them in costs about solids
+    # Upper bound: the hull with outlines moved out. Lower bound: the shape, minus the effect on solids of moving them
+    # in.
     moved_in_mm3 = part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
     thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
     with monitor.stage("uncertainty"):
         missed = missed_share(carved)
-        roots = () if system is None else diameter_uncertainty.told(system.roots(), system)
+        roots = () if system is None else diameter_uncertainty.add_sigma(system.roots(), system)
         hidden = _hidden_top(roots, carved)
         budget = _budget(
             carved, leaves, system, solids, part, wide=leaves if tubes is None else tubes.thick, missed=missed, settings=settings
@@ -242,42 +243,42 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     return replace(solid, roots=roots, mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
-def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop | None:
-    """Return what the net pot may hide of the roots that have no parent."""
+def _hidden_top(roots: Sequence[Root], carved: CarvedHull) -> hidden_top.HiddenTop | None:
+    """Estimate the parts of roots without a parent that the net pot hides."""
     main = [root for root in roots if root.parent < 0]
     if not main:
         return None
     tops_mm = np.array([root.points_mm[0] for root in main])
-    return hidden_top.find(main, sight.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
+    return hidden_top.estimate_hidden(main, occlusion.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
 
 
 def _budget(
-    carved: Carved,
+    carved: CarvedHull,
     leaves: Leaves,
     system: RootSystem | None,
-    solids: parsimony.Trimmed,
+    solids: trimming.TrimmedHull,
     part: Leaves,
     *,
     wide: Leaves,
     missed: float,
     settings: Settings,
 ) -> Budget:
-    """Gather what every part of the shape leaves open.
+    """Collect the terms of every part of the shape.
 
     Parameters
     ----------
     leaves, wide, part : Leaves
-        Of the shape, of thick roots and solids alone, and of the hull about solids.
+        Leaves of the shape, of thick roots and solids only, and of the hull about solids.
     missed : float
-        As `missed_share` has it.
+        See `missed_share`.
     """
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
-    told = None if system is None else tube_uncertainty.estimate(system)
+    tubes = None if system is None else tube_uncertainty.estimate(system)
     edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
-        *(() if told is None else told.terms),
-        *solid_uncertainty.estimate(
+        *(() if tubes is None else tubes.terms),
+        *solid_uncertainty.estimate_terms(
             carved.bank,
             carved.hull,
             part,
@@ -287,32 +288,32 @@ def _budget(
             missed=missed,
             binary=all(silhouette.binary for silhouette in carved.silhouettes),
         ),
-        sight.occluded(carved.bank, carved.maps, leaves, carved.water),
+        occlusion.occlusion_term(carved.bank, carved.maps, leaves, carved.water),
         wall_contact.wall_contact(wide, carved.water),
-        solid_uncertainty.water(volume_mm3),
-        *bare_uncertainty.terms(
+        solid_uncertainty.water_term(volume_mm3),
+        *bare_uncertainty.camera_terms(
             carved.cameras.bare,
             leaves,
             views=carved.bank.count,
             mm3_per_px=solid_uncertainty.mm3_per_px(carved.hull, slack_px=settings.hull.slack_px),
         ),
-        canister_uncertainty.canister(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
+        canister_uncertainty.canister_term(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
     )
-    fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
+    fill, unexplained = (0.0, 0.0) if tubes is None else (tubes.fill, tubes.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
 
 
 def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[Check, ...]:
-    """Check what views and shape say of each other."""
-    asked = None if system is None else system.cameras.roots
-    sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
-    agreed = shape_checks.of_sight(
+    """Check the agreement of views and shape."""
+    calibration = None if system is None else system.cameras.roots
+    sway_mm = None if system is None or calibration is None else calibration.after_px / system.px_a_mm
+    agreed = shape_checks.check_agreement(
         missed=missed,
         unexplained=budget.unexplained,
         fill=budget.fill,
         trust=budget.trust,
     )
-    return shape_checks.of_motion(sway_mm, budget.trust), agreed
+    return shape_checks.check_motion(sway_mm, budget.trust), agreed
 
 
 def measure(
@@ -325,24 +326,24 @@ def measure(
     untrimmed_mm3: float,
     monitor: Monitor,
 ) -> Solid:
-    """Gather leaves into voxels, draw the surface, and find the extents.
+    """Merge leaves into voxels, compute the surface, and determine the extents.
 
     Parameters
     ----------
     hull : Hull
-        As carved, with its lattice.
+        The carved hull with its lattice.
     leaves : Leaves
-        Of the solid.
+        Leaves of the solid.
     voxel_mm : float
-        Edge of the voxels that are given out.
+        Edge of the output voxels.
     budget : Budget
-        What the volume may be off by.
+        Error budget of the volume.
     bounds_mm3 : tuple of float
-        Least and greatest volume that the silhouettes allow.
+        Smallest and largest volume that the silhouettes allow.
     untrimmed_mm3 : float
-        What of the solid was not trimmed.
+        Volume of the solid that was not trimmed.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
     """
     warnings: tuple[str, ...] = ()
     with monitor.stage("surface"):
@@ -375,18 +376,18 @@ def measure(
 
 
 def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:
-    """Gather leaves into voxels."""
+    """Merge leaves into voxels."""
     low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
     origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
     return parts.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
-    """Say what the shape holds that no silhouette asks for."""
+    """Return warnings about parts of the shape that are untrimmed hull."""
     kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
         found.append(
-            f"{100.0 * kept:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
-            "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
+            f"{100.0 * kept:.0f} % of the volume is untrimmed hull: parts other than roots, or roots too thin or too "
+            "dense for this resolution, whose volume is mostly overestimated; use a higher resolution or a second ring"
         )
     return found

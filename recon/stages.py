@@ -1,7 +1,7 @@
-"""The values that a reconstruction hands from stage to stage, written for study in open formats.
+"""Results that are passed from stage to stage, written in open formats for inspection.
 
-Each stage has two files: NAME.json holds its fields as they are named in Python, NAME.npz the arrays among them. Where
-an array stands, the JSON has ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
+Each stage has two files: NAME.json contains its fields, named as in Python, and NAME.npz the arrays. An array is
+represented in the JSON by ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from rhizotwin.scenes import atomic
 
 T = TypeVar("T")
 STAGES = ("cameras", "coverage", "hull", "roots", "hull_again", "solid")
-"""What there is, in the order in which it is made; the first hull is carved again where the roots sway, and the
-other one where they told of the cameras."""
+"""Names of the stages, in order. The hull is carved again if the roots sway (the last one is kept as "hull"), and once
+more if the roots change the calibration or the attenuation ("hull_again")."""
 
 
 @dataclass(frozen=True)
 class StageFolder:
-    """Where the stages of a reconstruction are kept."""
+    """Folder for the results of the stages of a reconstruction."""
 
     folder: Path | None
-    """None: nothing is kept."""
+    """None: nothing is written."""
 
     @staticmethod
     def begin(folder: Path | str | None) -> StageFolder:
-        """Return a folder for stages, from which those of an earlier reconstruction are taken away."""
+        """Return a folder for stages, after removing those of an earlier reconstruction."""
         kept = StageFolder(None if folder is None else Path(folder))
         if kept.folder is not None:
             for name in STAGES:
@@ -43,27 +43,27 @@ class StageFolder:
         return kept
 
     def keep(self, stage: str, value: T, *, leave: tuple[str, ...] = ()) -> T:
-        """Write a stage's value and hand it on; its ``.json`` comes last, so that a stage with one is whole.
+        """Write a stage's value and return it; the ``.json`` is written last, so that a stage with one is complete.
 
         Parameters
         ----------
         stage : str
             One of `STAGES`.
         value : dataclass
-            What the stage made.
+            Result of the stage.
         leave : tuple of str
-            Names of fields that are left out wherever they stand: what comes from an earlier stage, or is made from it
-            on the device.
+            Names of fields that are omitted at any depth: results of an earlier stage, and device data derived from
+            them.
 
         Returns
         -------
         dataclass
-            The value.
+            The value, unchanged.
 
         Raises
         ------
         UserError
-            Where the folder cannot be written.
+            If the folder cannot be written.
         """
         if stage not in STAGES:
             raise ValueError(f"{stage=} is none of {STAGES}")
@@ -79,7 +79,7 @@ class StageFolder:
 
 
 def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDArray[Any]]) -> object:
-    """Return a value as JSON has it, and put the arrays in it among ``arrays``.
+    """Return a value in JSON form, and add its arrays to ``arrays``.
 
     Numbers that are not finite become null.
     """
@@ -98,7 +98,7 @@ def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDAr
         return {str(key): _plain(item, f"{at}/{key}", leave, arrays) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return [_plain(item, f"{at}/{place}", leave, arrays) for place, item in enumerate(value)]
-    array = np.asarray(value)  # also of Dr.Jit
+    array = np.asarray(value)  # also for Dr.Jit arrays
     if array.dtype.hasobject:
         raise TypeError(f"{at}: {type(value).__name__} has no open format")
     if not array.shape:

@@ -1,4 +1,4 @@
-"""Points spread evenly over the surface of a triangle mesh."""
+"""Uniformly distributed points on the surface of a triangle mesh."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,16 +7,16 @@ Floats = NDArray[np.float64]
 
 
 def sample(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
-    """Return points evenly distributed over the area of a mesh, and the face that each lies on.
+    """Return points uniformly distributed over the area of a mesh, and the face of each.
 
     Parameters
     ----------
     vertices_mm, faces : (V, 3), (F, 3) array
         The mesh.
     count : int
-        How many points.
+        Number of points.
     rng : np.random.Generator
-        Draws them.
+        Random number generator.
 
     Returns
     -------

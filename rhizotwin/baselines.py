@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from rhizotwin.recon import shaping
-from rhizotwin.recon.calibration.curve import read_by_edges
+from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, Outline, measure_coverage
@@ -68,7 +68,7 @@ class _Shape(NamedTuple):
     """What a baseline found."""
 
     pictures: Pictures
-    carved: shaping.Carved
+    carved: shaping.CarvedHull
     coverage: Coverage
     volume_mm3: float
 
@@ -103,12 +103,12 @@ def _regularised(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape
 
 def _carve_strictly(
     dataset: Dataset, settings: Settings, monitor: Monitor, *, slack_px: float, outline: Outline | None
-) -> tuple[Pictures, shaping.Carved, Coverage]:
+) -> tuple[Pictures, shaping.CarvedHull, Coverage]:
     """Find a pose a picture, silhouettes, and the hull that no view may miss, as the thesis does."""
     pictures = read_pictures(dataset, settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=outline)
-    cameras = cameras.without({}, unread=pictures.left_out)
+    cameras = cameras.leave_out({}, unread=pictures.left_out)
     carved = shaping.carve_hull(
         pictures.dataset, cameras, coverage, finest_mm=settings.voxel_mm, slack_px=slack_px, ignore_blindness=True, monitor=monitor
     )
@@ -126,10 +126,10 @@ def _hull(dataset: Dataset, settings: Settings, watch: Monitor) -> _Shape:
     Cameras, silhouettes and refraction are those of the reconstruction; where thin roots cross, the hull holds what no
     silhouette can exclude.
     """
-    pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=watch), monitor=watch)
+    pictures = verify_curve(read_pictures(dataset, settings=settings.pictures, monitor=watch), monitor=watch)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=watch)
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=watch)
-    cameras = cameras.without({}, unread=pictures.left_out)
+    cameras = cameras.leave_out({}, unread=pictures.left_out)
     carved = shaping.find_hull(pictures.dataset, cameras, coverage, settings, monitor=watch)
     return _Shape(pictures, carved, coverage, carved.hull.leaves.volume_mm3())
 
@@ -160,7 +160,7 @@ def _result(method: Baseline, shape: _Shape, *, settings: Settings, monitor: Mon
         monitor=monitor,
     )
     reason = f"{TITLES[method]} is a baseline without an error budget"
-    solid = replace(solid, volume=solid.volume.distrusted([reason]))
+    solid = replace(solid, volume=solid.volume.distrust([reason]))
     recorded = {"method": method, "voxel_mm": settings.voxel_mm}
     return gather(
         pictures,

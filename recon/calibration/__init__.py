@@ -1,1 +1,1 @@
-"""Where the cameras and the canister were, from the markers of all pictures together and the canister's own edges."""
+"""Calibration of cameras and canister, from the markers of all pictures together and the edges of the canister."""

@@ -1,20 +1,20 @@
-"""Cameras of a telecentric scan without markers: from the canister's own edges, and from what makes the views agree.
+"""Cameras of a telecentric scan without markers, from the canister's edges and the consistency of the views.
 
-With parallel rays that nothing bends, a point (X, Y, Z) of the canister is seen from the azimuth alpha and the
-elevation eps at
+With parallel straight rays, a point (X, Y, Z) of the canister is projected, from the azimuth alpha and the elevation
+eps, to
 
     u = u_axis + (-X sin alpha + Y cos alpha) / s            column
-    v = v_0 - (Z cos eps - (X cos alpha + Y sin alpha) sin eps) / s    row, s mm a pixel.
+    v = v_0 - (Z cos eps - (X cos alpha + Y sin alpha) sin eps) / s    row, s in mm per pixel.
 
-The canister's two outer edges give its axis u_axis and lean in every view, and with the diameter that a person knows
-the scale s. The table's angles come from the roots without finding a single one of them: what a row of a picture cuts,
-added up, is the same in every view (its zeroth moment), its centre of mass (its first moment) goes round with the table
-as one point does, and its mean square (its second) as an ellipse. These are the Helgason-Ludwig conditions of parallel
-projections (Ludwig 1966, Communications on Pure and Applied Mathematics 19:49). The zeroth moments also tell the
-elevation: points that are nearer stand lower in the picture.
+The canister's two outer edges give its axis u_axis and tilt in every view and, with the measured diameter, the scale s.
+The table angles follow from the roots without detecting any of them: the total coverage of a row is the same in every
+view (zeroth moment), its centre of mass rotates with the table like a point (first moment), and its mean square (second
+moment) varies like an ellipse. These are the Helgason-Ludwig conditions of parallel projections (Ludwig 1966,
+Communications on Pure and Applied Mathematics 19:49). The zeroth moments also give the elevation: nearer points appear
+lower in the picture.
 
-Under parallel straight rays a shape and its mirror image, turned the other way, make the same pictures: the sense of
-the table has to be given.
+Under parallel straight rays, a shape and its mirror image rotated in the opposite direction give the same pictures: the
+direction of the table must be given.
 """
 
 from __future__ import annotations
@@ -35,74 +35,75 @@ from rhizotwin.scenes.pictures import Grey
 Array = NDArray[np.float64]
 
 LEAST_VIEWS = 12
-"""Fewer views round the turn leave the centre of mass of a row, three unknowns and an angle a view, with little to
-spare."""
+"""Minimum number of views of a turn: each row has three unknowns for its centre of mass and each view has an angle,
+which leaves little redundancy with fewer views."""
 MOST_AGREEMENT_PX = 3.0
-"""Centres of mass that are farther than this from where one turning point would be: bent rays, another canister, or no
-turn at all."""
+"""Maximum deviation of centres of mass from those of a rotating point; larger values indicate refraction, another
+canister, or no turn."""
 HEIGHTS_AGREE_MM = 1.0
-"""Less is the thickness of a meniscus."""
+"""Tolerance of heights, above the thickness of a meniscus."""
 CALLIPER_MM = 0.1
-"""Standard deviation of a diameter that a person measures: callipers give way to a tube's wall by a tenth of a
-millimetre (their scale reads a fifth of that)."""
+"""Standard deviation of a diameter measured with callipers: a tube's wall yields by a tenth of a millimetre (the
+resolution is a fifth of that)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BareCanister:
-    """What pictures without markers tell of their cameras."""
+    """Cameras estimated from pictures without markers."""
 
     cam_from_canister: tuple[Array, ...]
-    """4x4 a view, mm, OpenCV axes; the distance along the optical axis is not seen and as the scene's plan has it."""
+    """4x4 per view, mm, OpenCV axes; the distance along the optical axis is not observable and is that of the scene's
+    plan."""
     mm_per_px: float
     azimuth_deg: Array
-    """(V,) of the camera in the canister frame; 0 for the first view."""
+    """(V,) azimuth of the camera in the canister frame; 0 for the first view."""
     elevation_deg: float
-    """Of the optical axis below the horizon."""
+    """Elevation of the optical axis below the horizon."""
     floor_z_mm: float | None
-    """Height of the floor, where the pictures show it."""
+    """Height of the floor, if visible in the pictures."""
     inner_radius_mm: float
-    """Half the width through which the panel is seen."""
+    """Half the width over which the panel is visible through the canister."""
     uncertainty: BareUncertainty
 
     def notes(self, scene: Scene) -> tuple[str, ...]:
-        """Return what a person should know of cameras that were found so.
+        """Return notes for the user on the estimated cameras.
 
-        That is also where the pictures contradict the scene.
+        They include contradictions between the pictures and the scene.
         """
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
-        said = [
-            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm a pixel by its diameter of "
+        found = [
+            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel from its diameter of "
             f"{2.0 * can.outer_radius_mm:g} mm, steps of {step.mean():.2f} +- {step.std():.2f} degrees, elevation "
-            f"{self.elevation_deg:.2f} degrees; under parallel rays a table that turns the other way shows the mirror image, so check "
+            f"{self.elevation_deg:.2f} degrees; under parallel rays, the opposite direction of the table gives the mirror image; check "
             "turntable.direction"
         ]
         if self.floor_z_mm is not None and abs(self.floor_z_mm - can.floor_z_mm) > HEIGHTS_AGREE_MM:
-            said.append(f"the pictures show the floor at z = {self.floor_z_mm:.1f} mm, the scene says {can.floor_z_mm:.1f}; correct it")
-        return tuple(said)
+            found.append(f"the floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene")
+        return tuple(found)
 
 
 def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[float]) -> BareCanister:
-    """Find the camera of every picture of one turn.
+    """Estimate the camera of every picture of one turn.
 
     Parameters
     ----------
     pictures : sequence of (H, W) uint8 or uint16 array
-        Each, of one telecentric camera at rest before a turning canister.
+        Pictures of a static telecentric camera in front of a rotating canister.
     scene : Scene
-        Canister with its outer radius, water level, table's sense, plan's distance.
+        Canister with its outer radius, water level, direction of the table, and planned distance.
     table_deg : sequence of float
-        Angles that the table was told.
+        Commanded table angles.
 
     Raises
     ------
     UserError
-        Where the camera is not telecentric, the views are too few, the canister's edges or the water's surface are not
-        seen, or the views do not agree.
+        If the camera is not telecentric, the views are too few, the canister's edges or the water's surface are not
+        visible, or the views are inconsistent.
     """
     if scene.camera.kind != "telecentric":
-        raise UserError('cameras without markers are found for a telecentric camera only; give camera.kind = "telecentric" in the scene')
+        raise UserError('calibration without markers requires a telecentric camera; set camera.kind = "telecentric" in the scene')
     if len(pictures) < LEAST_VIEWS:
-        raise UserError(f"{len(pictures)} pictures are too few to find cameras without markers; at least {LEAST_VIEWS} are needed")
+        raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers; at least {LEAST_VIEWS} are required")
     stack = np.stack(pictures)
     bare = bare_edges.empty_panel(stack)
     edges, width_sigma_px = bare_edges.find_edges(stack, bare)
@@ -112,10 +113,10 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     azimuth, azimuth_sigma, place, agreement = bare_turn.find_turn(moments, mass, start)
     if agreement > MOST_AGREEMENT_PX:
         raise UserError(
-            f"the pictures' rows do not turn as one body does under parallel straight rays (off by {agreement:.1f} px, at most "
-            f"{MOST_AGREEMENT_PX:g}): the liquid about the canister may not match, the steps may be uneven or the plan wrong"
+            f"the rows of the pictures contradict a rigid rotation under parallel straight rays (by {agreement:.1f} px, limit "
+            f"{MOST_AGREEMENT_PX:g} px): the liquid around the canister may not match, the steps may be uneven, or the plan may be wrong"
         )
-    lean = np.cos(azimuth)[:, None] * [0.0, 1.0] - np.sin(azimuth)[:, None] * [1.0, 0.0]  # right hand of each view in (X, Y)
+    lean = np.cos(azimuth)[:, None] * [0.0, 1.0] - np.sin(azimuth)[:, None] * [1.0, 0.0]  # horizontal axis of each view in (X, Y)
     slope = np.column_stack([np.ones(len(azimuth)), -lean])
     _, tilt_x, tilt_y = np.linalg.lstsq(slope, edges.axis_px[:, 1], rcond=None)[0]
     nearer = np.cos(azimuth)[:, None] * place[0] + np.sin(azimuth)[:, None] * place[1]
@@ -146,7 +147,7 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
 def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, axis_px: Array, middle: float, zero_row: float) -> Array:
     """Return a view's camera, which looks at the axis from an azimuth and elevation.
 
-    It is rolled and shifted as the canister's edges show.
+    Roll and shift are those of the canister's edges.
     """
     away, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])

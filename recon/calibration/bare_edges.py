@@ -1,4 +1,4 @@
-"""The canister's own edges, its water and the empty panel, in pictures of a telecentric scan without markers."""
+"""Edges of the canister, surface of the water and the empty panel in telecentric pictures without markers."""
 
 from __future__ import annotations
 
@@ -14,38 +14,39 @@ Array = NDArray[np.float64]
 Stack = NDArray[np.uint8 | np.uint16]
 
 BARE_QUANTILE = 0.85
-"""Of a pixel's values over the turn: the panel, where roots pass in less than a seventh of the views."""
+"""Quantile over the turn of a pixel's values for the empty panel; roots cover it in less than a seventh of the
+views."""
 EDGE_REACH_PX = 12
-"""About the place that the mean picture shows: a canister that stands a few pixels off the table's axis."""
+"""Search range about the edge in the mean picture, for a canister a few pixels off the table's axis."""
 EDGE_WIDTH_PX = 4
-"""Pixels over which an edge that is in focus falls from bright to dark."""
+"""Width over which an edge in focus falls from bright to dark."""
 PANEL_SHARE = 0.85
-"""Less than this share of the panel's brightness is no longer the bare panel."""
+"""Minimum brightness of the empty panel, as a fraction of its typical brightness."""
 WATER_QUANTILE = 0.25
-"""Of a row's brightness across the canister: bright if three quarters of it see the panel."""
+"""Quantile of a row's brightness across the canister; it is bright if three quarters of the row show the panel."""
 BAND = 0.06
-"""Share of the water's height that is left out at its surface and floor, where reflections are no roots."""
+"""Fraction of the water's height excluded at its surface and floor, where there are reflections."""
 
 
 @dataclass(frozen=True)
 class Edges:
-    """Where the canister stands in the pictures."""
+    """Position of the canister in the pictures."""
 
     axis_px: Array
-    """(V, 2) column of the axis at ``middle`` and its change by the row."""
+    """(V, 2) column of the axis at ``middle`` and its change per row."""
     width_px: float
     inner_px: float
     middle: float
-    """Row that ``axis_px`` is about."""
+    """Reference row of ``axis_px``."""
     rows: tuple[int, int]
-    """First row of the water, and the row after its last."""
+    """First row of the water, and the row after the last."""
     columns: tuple[int, int]
-    """The same of the columns through which the panel is seen."""
+    """The same for the columns through which the panel is visible."""
     floor_seen: bool
 
 
 def empty_panel(stack: Stack) -> NDArray[np.float32]:
-    """Return the empty panel (H, W), block by block of rows."""
+    """Return the empty panel (H, W), computed in blocks of rows."""
     bare = np.empty(stack.shape[1:], np.float32)
     for first in range(0, len(bare), 64):
         bare[first : first + 64] = np.quantile(stack[:, first : first + 64], BARE_QUANTILE, axis=0)
@@ -59,7 +60,7 @@ def _runs(bright: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
-    """Find the canister's outer edges in every view, and where the water is; with how well the width is known, px.
+    """Find the canister's outer edges in every view, and the extent of the water.
 
     Parameters
     ----------
@@ -71,22 +72,22 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     Returns
     -------
     Edges, float
-        The edges, and how well the width is known, px.
+        The edges, and the standard deviation of the width, px.
     """
     height, width = bare.shape
-    panel = float(np.quantile(bare, 0.95))  # lights and their reflections cover less than the rest
+    panel = float(np.quantile(bare, 0.95))  # a high quantile, robust against lights and reflections
     profile = np.median(bare[height // 4 : 3 * height // 4], axis=0)
     runs = [run for run in _runs(profile > 0.5 * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
     inside = max(runs, key=lambda run: (run[0] <= width // 2 < run[1], run[1] - run[0]), default=(0, 0))
     bright = [run for run in _runs(profile > PANEL_SHARE * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
     left, right = [run for run in bright if run[1] <= inside[0]], [run for run in bright if run[0] >= inside[1]]
     if not left or not right:
-        raise UserError("the canister's two outer edges are not seen; the bright panel must show on both sides of it and through it")
-    # beside the middle, where through the air above the water no panel is seen
+        raise UserError("the two outer edges of the canister are not visible; the panel must be visible on both sides of it and through it")
+    # A quantile below the median, as no panel is visible in the middle above the water.
     down = np.quantile(bare[:, inside[0] : inside[1]], WATER_QUANTILE, axis=1)
     water = max(_runs(down > 0.5 * panel), key=lambda run: run[1] - run[0], default=(0, 0))
     if water[0] == 0 or water[1] - water[0] < height // 8:
-        raise UserError("the water's surface is not seen, so nobody can tell heights; it must lie within the pictures")
+        raise UserError("the water surface is not visible, so heights cannot be determined; it must lie within the pictures")
     margin = round(BAND * (water[1] - water[0]))
     rows = np.arange(water[0] + margin, water[1] - margin)
     middle = float(rows.mean())
@@ -107,12 +108,12 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
 
 
 def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
-    """Return the column at the middle row, and its change by the row, where the panel ends.
+    """Return the column at the middle row, and its change per row, of the edge of the panel.
 
-    Robustly, about the column ``at``.
+    The fit is robust, and starts at the column ``at``.
 
-    The edge is where the light has fallen half way from the panel to the darkest of the few pixels behind it, which may
-    be less than black.
+    The edge is at half the brightness between the panel and the darkest of the few pixels behind it, which may not be
+    black.
     """
     first = max(at - EDGE_REACH_PX, 0)
     part = picture[rows, first : at + 2 * EDGE_REACH_PX].astype(np.float64)
@@ -126,7 +127,7 @@ def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, 
     place = first + step - 1 + (a - level) / np.where(a > b, a - b, 1.0)
     y, x = rows[crossed] - middle, place[crossed]
     if len(x) < len(rows) // 2:
-        raise UserError("the canister's outer edge is lost in a picture; keep the panel beside the canister free")
+        raise UserError("the outer edge of the canister was not found in a picture; keep the panel beside the canister free")
     weight, line = np.ones(len(x)), np.zeros(2)
     for _ in range(8):
         line = np.polyfit(y, x, 1, w=weight)[::-1]

@@ -1,4 +1,4 @@
-"""The table's angles from the rows of telecentric pictures, without finding a single root (`bare_canister`)."""
+"""Table angles from the rows of telecentric pictures, without detecting roots (`bare_canister`)."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from rhizotwin.scenes.errors import UserError
 Array = NDArray[np.float64]
 
 LEAST_COVERAGE = 0.08
-"""Less coverage than this is noise, compression and dirt of the panel."""
+"""Minimum coverage; lower values are noise, compression artefacts and dirt on the panel."""
 TENSOR_PX = 2.0
-"""Over which gradients are gathered for a thread's direction: both its sides, and not its neighbours."""
+"""Standard deviation over which gradients are averaged for a root's direction: both its sides, but not its
+neighbours."""
 ANGLE_SIGMA_RAD = np.deg2rad(1.5)
-"""How far a cheap table's angle may be from equal steps, to begin with (measured on a real one of 72 steps: 0.8
-degrees)."""
+"""Initial standard deviation of a table's angles about equal steps (0.8 degrees for a real table with 72 steps)."""
 LEAST_ANGLE_SIGMA_RAD = np.deg2rad(0.01)
-"""No table is better than this: a tenth of a sixteenth step of a bare motor of 200 steps."""
+"""Minimum standard deviation of a table: a tenth of a sixteenth step of a plain motor of 200 steps."""
 SHIFT_SIGMA_PX = 1.0
-"""How far the canister may be lifted from view to view, to begin with."""
+"""Initial standard deviation of the vertical displacement of the canister between views."""
 LEAST_SHIFT_PX = 0.02
-"""No edge is placed better in a picture."""
+"""Minimum standard deviation of an edge position in a picture."""
 ROWS_TOGETHER = 8.0
-"""Rows of a picture that share one root's error and count as one."""
+"""Number of rows that share the error of one root and count as one."""
 STEPS_AGREE = 0.15
-"""Share by which all steps together may be longer or shorter than told (a real table: 0.01 to 0.02); a turn with one
-view in six more or less is another plan."""
+"""Maximum relative deviation of the total turn from the commanded one (a real table: 0.01 to 0.02); one view in six
+more or less is another plan."""
 _ROUNDS = 200
-"""Of relaxation; in the first quarter only the scale of the whole turn is sought."""
+"""Number of relaxation steps; the first quarter only estimates the scale of the whole turn."""
 
 
 def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[Array, Array]:
     """Return each row's mass (V, R), px, and its moments about the axis (2, V, R).
 
-    The moments are the centre of mass, px, and the mean square, px.
+    The moments are the centre of mass, px, and the mean square, px^2.
     """
     margin = round(BAND * (edges.rows[1] - edges.rows[0]))
     rows = np.arange(edges.rows[0] + margin, edges.rows[1] - margin)
@@ -51,7 +51,7 @@ def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[
     for k, picture in enumerate(stack):
         covered = 1.0 - picture[np.ix_(rows, columns)] / empty
         covered[covered < LEAST_COVERAGE] = 0.0
-        covered *= _upright(covered.astype(np.float32))
+        covered *= _vertical_cosine(covered.astype(np.float32))
         mass[k] = covered.sum(axis=1, dtype=np.float64)
         across = columns - (edges.axis_px[k, 0] + edges.axis_px[k, 1] * (rows - edges.middle))[:, None]
         for n in range(2):
@@ -59,11 +59,11 @@ def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[
     return mass, moments
 
 
-def _upright(covered: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the cosine (R, C) of what a picture's threads lean from the vertical, by the structure tensor.
+def _vertical_cosine(covered: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the cosine (R, C) of the angle of roots from the vertical in a picture, from the structure tensor.
 
-    A row cuts an opaque thread of diameter d over d / cos(lean), and the lean changes from view to view; times the
-    cosine it is d in all.
+    A row cuts an opaque root of diameter d over d / cos(angle), and the angle changes from view to view; times the
+    cosine, the length is d in every view.
     """
     across, down = (cv2.Sobel(covered, cv2.CV_32F, dx, 1 - dx) for dx in (1, 0))
     horizontal, vertical = (cv2.GaussianBlur(part * part, (0, 0), TENSOR_PX) for part in (across, down))
@@ -72,7 +72,7 @@ def _upright(covered: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass
 class _Moment:
-    """Rows' moments of one order, and how they turn."""
+    """Moments of one order of all rows, and their variation with the turn."""
 
     order: int
     value: Array
@@ -82,9 +82,9 @@ class _Moment:
     scatter: float = 1.0
 
     def basis(self, azimuth: Array) -> tuple[Array, Array]:
-        """Return the shapes (V, order + 1) that a moment goes through with the azimuth, and their derivatives.
+        """Return the basis functions (V, order + 1) of a moment in the azimuth, and their derivatives.
 
-        The shapes are those of (-X sin + Y cos)^order.
+        They are the terms of (-X sin + Y cos)^order.
         """
         s, c = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
         power = np.arange(self.order + 1)[None, :]
@@ -94,9 +94,9 @@ class _Moment:
         return shape, by_s * c - by_c * s
 
     def improve(self, azimuth: Array) -> tuple[Array, Array, Array]:
-        """Fit every row's own numbers (order + 1, R), renew the weights, and return them with what is left.
+        """Fit the coefficients (order + 1, R) of every row, and return them with the residuals; update the weights.
 
-        What is left (V, R) comes with its change by angle.
+        The residuals (V, R) come with their derivatives by the angle.
         """
         shape, by_angle = self.basis(azimuth)
         normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)
@@ -108,15 +108,15 @@ class _Moment:
 
 
 def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, Array, float]:
-    """Find the azimuths (V,), their standard deviations, each row's turning point (2, R), px, and the scatter, px.
+    """Estimate azimuths (V,), their standard deviations, each row's centre of mass (2, R), px, and the scatter, px.
 
-    It uses the rows' first and second moments. Azimuths and what turns are improved by turns, first with equal steps
-    of any size, then with each view's angle free. The second moments help where a view looks along the line from the
-    axis to the centres of mass.
+    The estimate uses the rows' first and second moments. Azimuths and moments are improved alternately, first with
+    equal steps of any size, then with a free angle per view. The second moments contribute where a view looks along the
+    line from the axis to the centres of mass.
     """
     shown = np.median(mass, axis=0) > 1.0
     if shown.sum() < ROWS_TOGETHER * 4:
-        raise UserError("the pictures show hardly anything in the canister, so that the table's angles cannot be found from it")
+        raise UserError("the canister is almost empty in the pictures, so that the table angles cannot be determined")
     known = (mass > 0.5 * np.median(mass, axis=0))[:, shown]
     orders = [_Moment(n + 1, np.where(known, moments[n][:, shown], 0.0), known, known.astype(np.float64)) for n in range(len(moments))]
     azimuth, ideal, table_sigma = start.copy(), start.copy(), ANGLE_SIGMA_RAD
@@ -136,13 +136,13 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
             steps = float(ideal @ start / max(float(start @ start), 1e-9))
             if abs(steps - 1.0) > STEPS_AGREE:
                 raise UserError(
-                    f"the pictures turn by {100.0 * steps:.0f} % of the steps that the table was told; a table that slips or stands still, "
-                    "or a plan with another number of views a turn"
+                    f"the roots rotate by {100.0 * steps:.0f} % of the commanded steps: the table slips or does not move, "
+                    "or the plan has another number of views per turn"
                 )
             off = azimuth - ideal
             azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)
-            # how uneven this table is, by expectation and maximisation:
-            # what a view's angle is off by, and how far it is not known
+            # Estimate how uneven the table is by expectation maximisation: from each angle's deviation and its
+            # variance.
             sigma = 1.0 / np.sqrt(curvature + table_sigma**-2)
             table_sigma = max(float(np.sqrt(np.mean(off**2 + sigma**2))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))
@@ -152,13 +152,13 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
 
 
 def find_lift(mass: Array, nearer: Array) -> tuple[Array, Array, float]:
-    """Find by how many rows each view is lifted (V,), with standard deviations, and the camera's elevation (rad).
+    """Estimate the vertical shift of each view (V,), in rows, with standard deviations, and the elevation (rad).
 
-    They come from the rows' masses.
+    The estimate uses the rows' masses.
 
-    ``nearer`` (V, R) is how many pixels nearer than the axis a row's centre of mass lies. What is nearer by n is seen
-    lower by elevation * n, so that the mass of a row changes by what flows out of it: d(mass * nearer) / d row for a
-    unit of elevation.
+    ``nearer`` (V, R) is the distance in pixels of a row's centre of mass in front of the axis. A point nearer by n
+    appears lower by elevation * n, so that the mass of a row changes by the outflow d(mass * nearer) / d row per unit
+    of elevation.
     """
     views, rows = mass.shape
     typical = np.median(mass, axis=0)

@@ -1,18 +1,18 @@
-"""How the canister stands in the strip of markers: its outer wall's own edges, seen against the backlight, tell.
+"""Pose of the canister in the marker strip, from the edges of its outer wall in front of the backlight.
 
-The cameras come from the strip, which is on a net pot that may be misaligned; the light is refracted by the canister. A
-line of sight that touches the outer wall passes the canister's axis at exactly the outer radius, whatever the wall and
-the water do (Bouguer's invariant at
-|b| = R_o): inside of it the picture is black (grazing light is reflected away), outside it shows the bare panel. All
-edges of all views in one least-squares problem give the axis's offset and tilt; how far the edges lie outside of R_o
-(blur, a canister of another size) is common to all and found with it, and so is how far the wall is from
-round: the support of an oval with radii R + e and R - e is R + e cos 2(azimuth - its own) to first order in e / R.
+The cameras are calibrated with the strip, which is on a net pot that may be misaligned, while the light is refracted by
+the canister. A line of sight tangent to the outer wall passes the canister's axis at exactly the outer radius, whatever
+wall and water are (Bouguer's invariant at |b| = R_o): inside the edge the picture is black (grazing light is reflected
+away), outside it shows the empty panel. All edges of all views in one least-squares problem give the axis's offset and
+tilt. The distance of the edges outside R_o (blur, a canister of another size) is a common unknown, and so is the
+deviation of the wall from round: the support function of an oval with radii R + e and R - e is R + e cos 2(azimuth -
+its own) to first order in e / R.
 
-In a tank the same holds of the lines in its liquid: inside of the edge what enters the wall is bent far aside. But what
-the wall reflects there goes on nearly straight: before a wide panel the edge is as bright as the panel, and not found
-(the twin's fast pictures, without reflections, show it dark). A tank that is turned moves both edges of all views the
-same way, by its front's bending (a quarter of a degree for each degree, in water); how far it is turned is found with
-the rest.
+In a tank, the same holds for the lines in the liquid: inside the edge, light that enters the wall is deflected far.
+However, light reflected by the wall continues nearly straight: in front of a wide panel the edge is as bright as the
+panel, and not detected (the twin's fast pictures, without reflections, show it dark). Rotation of a tank moves both
+edges of all views in the same direction, by refraction at its front (a quarter of a degree per degree, in water); it is
+a further unknown.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View, known_tank, matrix, project_inner
+from rhizotwin.recon.optics.cameras import View, matrix, project_inner, tank_pose
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import MAD, inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
@@ -38,66 +38,68 @@ from rhizotwin.scenes.model import Scene, Tank
 from rhizotwin.scenes.pictures import Grey
 
 LEVELS_MM = 2.5
-"""Distance of the heights at which the edges are looked for."""
+"""Spacing of the heights at which the edges are measured."""
 MARGIN_MM = 8.0
-"""Edges this near to the net pot's skirt or the canister's base are left alone."""
+"""Edges this near to the net pot's skirt or the canister's base are not used."""
 REACH_MM = 4.0
-"""How far from their places in a canister that stands true the edges are looked for."""
+"""Search range about the edges of a canister without misalignment."""
 STEP_PX = 0.25
 """Spacing of the samples across an edge: two for a blur of half a pixel."""
 LEAST_RISE = 0.25
-"""An edge must rise by this share of the brightness outside of it within three pixels."""
+"""Minimum rise of an edge within three pixels, as a fraction of the brightness outside."""
 LEAST_EDGES = 200
-"""Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
+"""Minimum number of edge points. Two views show about as many (52 heights, two sides); a single view does not determine
+the tilt towards it."""
 _SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1, 4e-3])
-"""Steps (rad, mm) that move an edge about as far: a milliradian over half the canister's height is 0.08 mm, and of a
-tank's turn a quarter of that over its depth."""
+"""Steps (rad, mm) with a similar effect on an edge: a milliradian over half the canister's height is 0.08 mm, and for
+the rotation of a tank a quarter of that over its depth."""
 _POSE_SCALE = np.array([1e-3] * 3 + [0.1] * 3)
-"""The same of a camera's twist."""
+"""The same for a camera's twist."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25, np.deg2rad(2.0)])
-"""How misaligned a net pot may stand (rad, mm), how far the edges may lie from the nominal radius (mm), how far from
-round cast tube is sold (half a millimetre between largest and smallest diameter), and how far a tank may be turned
-that was set by eye (rad)."""
+"""Prior standard deviations: misalignment of a net pot (rad, mm), distance of the edges from the nominal radius (mm),
+ovality of cast tube as sold (half a millimetre between largest and smallest diameter), and rotation of a tank placed by
+eye (rad)."""
 _OPEN = 7
-"""So many of these unknowns there are without a tank."""
+"""Number of unknowns without a tank."""
 
 TOGETHER_MM = 20.0
-"""Places along one side of one picture are off alike over this length (correlation 0.7, 0.5, 0.3, 0.1 at 2.5, 5, 10, 20
-mm; 400x300 bench): the edge, hardly leaning, lies between the same two columns of pixels there."""
+"""Length along one side of a picture over which errors are correlated (0.7, 0.5, 0.3, 0.1 at 2.5, 5, 10, 20 mm; 400x300
+bench): the edge, almost vertical, lies between the same two columns of pixels there."""
 LEAST_STIFFNESS = 0.1
-"""Mean derivative of Cauchy's psi: 0.14 where the edges scatter by twice the loss's scale, 0.03 at five times."""
+"""Minimum mean derivative of Cauchy's psi: it is 0.14 where the edges scatter by twice the loss's scale, and 0.03 at
+five times."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanisterPose:
-    """Where the canister's axis is in the strip's frame."""
+    """Pose of the canister's axis in the strip's frame."""
 
     canister_from_strip: Array
-    """(4, 4) without height and turn, which edges do not show."""
+    """(4, 4) without height and rotation about the axis, which edges do not determine."""
     covariance: Array
     """(4, 4) of tilt about x, y (rad) and offset x, y (mm), without the errors that the cameras share."""
     by_cameras: Array
-    """(4, S) how the same follow the errors that the cameras share (`PoseErrors`)."""
+    """(4, S) derivatives of the same by the errors that the cameras share (`PoseErrors`)."""
     sigma: Array
-    """(4,) standard deviations, with those errors: tilt about x, y (deg), offset x, y (mm)."""
+    """(4,) standard deviations, including those errors: tilt about x, y (deg), offset x, y (mm)."""
     radius_excess_mm: float
-    """How far the edges lie outside the nominal radius."""
+    """Distance of the edges outside the nominal radius."""
     oval_mm: float
     """Half the difference between the largest and the smallest outer radius."""
     oval_deg: float
-    """Azimuth of the largest, 0 to 180."""
+    """Azimuth of the largest radius, 0 to 180."""
     edges: int
     tank_turn_deg: float
-    """How far the tank is turned beyond what the scene says; 0 without one ..."""
+    """Rotation of the tank relative to the scene; 0 without a tank."""
     tank_sigma_deg: float
-    """... and its standard deviation."""
+    """Its standard deviation."""
     before_mm: float
-    """Median distance of the edges from where a canister that stands true in the strip would have them."""
+    """Median distance of the edges from those of a canister without misalignment."""
     after_mm: float
 
 
 def _sigmas(covariance: Array, by_cameras: Array, errors: PoseErrors | None) -> Array:
-    """Return the standard deviations (N,) of what was found, those by the cameras' own errors included."""
+    """Return the standard deviations (N,) of the estimates, including the cameras' errors."""
     shared = np.zeros((1, 1)) if errors is None else errors.shared
     return np.asarray(np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T)))
 
@@ -110,28 +112,28 @@ def find_canister(
     errors: PoseErrors | None = None,
     settings: CalibrationSettings = CalibrationSettings(),
 ) -> CanisterPose | None:
-    """Find how the canister stands in the strip.
+    """Estimate the pose of the canister in the strip.
 
     Parameters
     ----------
     views : sequence of View
         Cameras in the strip's frame.
     images : callable
-        Gives the picture of a view by its index.
+        Function that returns the picture of a view by its index.
     scene : Scene
-        The canister's radius and height, the net pot's skirt.
+        Radius and height of the canister, and skirt of the net pot.
     errors : PoseErrors, optional
-        Of the cameras; without, they count as exact.
+        Errors of the cameras; without, they count as exact.
     settings : CalibrationSettings
-        How loosely the edges are fitted.
+        Scale of the robust loss for the edges.
 
     Returns
     -------
     CanisterPose or None
-        None where the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
+        None if the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
         surroundings).
     """
-    edges = _Edges.through([_edge_pixels(view, images(k), scene) for k, view in enumerate(views)], views, Optics.of(scene))
+    edges = _Edges.from_pixels([_edge_pixels(view, images(k), scene) for k, view in enumerate(views)], views, Optics.from_scene(scene))
     prior, scale = (part[: _OPEN if scene.tank is None else None] for part in (PRIOR, _SCALE))
     if len(edges.view) < LEAST_EDGES:
         return None
@@ -145,7 +147,7 @@ def find_canister(
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
     if near.sum() < LEAST_EDGES:
         return None
-    covariance, by_cameras = _uncertainty(edges.only(near), fit.x, errors, settings)
+    covariance, by_cameras = _uncertainty(edges.select(near), fit.x, errors, settings)
     sigma = _sigmas(covariance, by_cameras, errors)
     straight = edges.off(np.zeros(len(prior)))[near]
     return CanisterPose(
@@ -178,28 +180,28 @@ class _Edges:
     ray: Array
     """(N, 3) direction, camera's frame."""
     place: NDArray[np.int64]
-    """(N,) number of the pixel in which the edge lies, with its neighbours along the edge over `TOGETHER_MM`."""
+    """(N,) index of the pixel of the edge, merged with neighbours along the edge over `TOGETHER_MM`."""
 
     @staticmethod
-    def through(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
+    def from_pixels(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
         """Return the lines of sight through each view's pixels (M, 2)."""
         px = np.concatenate([pixels for pixels, _ in found])
-        of = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
+        owner = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
         undone = [
             cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix(view.camera), np.array(view.camera.distortion)).reshape(-1, 2)
             for (pixels, _), view in zip(found, views, strict=True)
             if len(pixels)
         ]
         side = np.concatenate([sides for _, sides in found])
-        one = px[(of == of[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
-        along = int(np.argmax(np.ptp(one, axis=0)))  # rows, where edges stand upright in the pictures
+        one = px[(owner == owner[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
+        along = int(np.argmax(np.ptp(one, axis=0)))  # rows, if edges are vertical in the pictures
         block = np.ones(2)
         block[along] = TOGETHER_MM * views[0].camera.focal_px[0] / views[0].rho_mm
         rays = np.column_stack([np.concatenate([*undone, np.empty((0, 2))]), np.ones(len(px))])
         return _Edges(
             views=views,
             optics=optics,
-            view=of,
+            view=owner,
             side=side,
             ray=rays / np.linalg.norm(rays, axis=1, keepdims=True),
             place=np.asarray(np.unique(np.floor(px / block), axis=0, return_inverse=True)[1].ravel(), np.int64),
@@ -211,7 +213,7 @@ class _Edges:
             turned = np.einsum("ni,nij->nj", self.ray, np.array([view.cam_from_canister[:3, :3] for view in self.views])[self.view])
             return np.array([view.centre_mm for view in self.views])[self.view], turned
         turn = frames.rotation_z(tank_turn_rad)
-        poses = np.array([known_tank(view) @ turn for view in self.views])
+        poses = np.array([tank_pose(view) @ turn for view in self.views])
         centre = np.array([frames.invert(pose)[:3, 3] for pose in poses])[self.view]
         q = np.einsum("ni,nij->nj", self.ray, poses[:, :3, :3][self.view])
         point, p, _ = tank.in_liquid(self.optics.tank, centre, q[:, 1], q[:, 2])
@@ -220,9 +222,9 @@ class _Edges:
         return np.einsum("nij,nj->ni", here[:, :3, :3], point) + here[:, :3, 3], np.einsum("nij,nj->ni", here[:, :3, :3], p)
 
     def off(self, unknown: Array) -> Array:
-        """Return how far (N,) outside a wall the lines pass.
+        """Return the distance (N,) of the lines outside a wall.
 
-        Its tilt (2), offset (2), excess of radius, oval (2), and how far a tank is turned are unknown.
+        The unknowns of the wall are tilt (2), offset (2), excess of radius, oval (2), and rotation of the tank.
         """
         canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
         origin, direction = self.lines(float(unknown[_OPEN]) if len(unknown) > _OPEN else 0.0)
@@ -231,53 +233,53 @@ class _Edges:
         oval_mm = unknown[5] * np.cos(2.0 * azimuth) + unknown[6] * np.sin(2.0 * azimuth)
         return np.asarray(away_mm - self.optics.outer_radius_mm - unknown[4] - oval_mm)
 
-    def only(self, some: NDArray[np.bool_]) -> _Edges:
-        """Return some of the lines."""
+    def select(self, some: NDArray[np.bool_]) -> _Edges:
+        """Return a subset of the lines."""
         rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "ray")}
         return replace(self, **rows)
 
-    def displaced(self, step: Array) -> _Edges:
-        """Return the same pixels' lines when every camera moved by a left-hand twist (6,) of ``cam_from_canister``."""
-        return replace(self, views=[view.moved(twist(step)) for view in self.views])
+    def displace(self, step: Array) -> _Edges:
+        """Return the same pixels' lines after every camera moved by a left-hand twist (6,) of ``cam_from_canister``."""
+        return replace(self, views=[view.move_camera(twist(step)) for view in self.views])
 
 
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
-    """Return the covariance (K, K) of tilt and offset, and how they follow the errors that the cameras share (K, S).
+    """Return the covariance of tilt and offset (K, K), and their derivatives by the cameras' shared errors (K, S).
 
-    K is 4, and 5 with a tank, whose turn comes last.
+    K is 4, and 5 with a tank, whose rotation comes last.
 
-    Edges belong together that are of one side of one view, and those on the same pixels of a camera that stands still,
-    in whatever view: where an edge lies between two pixels decides by how much it is misplaced. The two sides of a view
-    have nothing in common (correlation below 0.1) but the view's own pose, which is carried through with the others.
+    Edges of one side of one view are correlated, and so are those on the same pixels of a static camera in all views:
+    the position of an edge between two pixels determines its error. The two sides of a view are uncorrelated (below
+    0.1) except for the view's own pose, which is propagated with the others.
     """
-    told = [0, 1, 2, 3, *range(_OPEN, len(found))]
+    chosen = [0, 1, 2, 3, *range(_OPEN, len(found))]
     jacobian = _slopes(edges.off, found, _SCALE[: len(found)])
     square = (edges.off(found) / settings.edge_mm) ** 2
-    psi = edges.off(found) / (1.0 + square)  # Cauchy's loss, and its mean derivative
+    psi = edges.off(found) / (1.0 + square)  # psi of Cauchy's loss, and its mean derivative
     stiff = max(float(np.mean((1.0 - square) / (1.0 + square) ** 2)), LEAST_STIFFNESS)
     parts = stiff * jacobian[:, :, None] * jacobian[:, None, :]
     normal = parts.sum(axis=0) + np.diag((settings.edge_mm / PRIOR[: len(found)]) ** 2 / len(edges.view))
     meat = scatter(jacobian * psi[:, None], 2 * edges.view + edges.side, edges.place, curvatures=parts, normal=normal)
     bread = inverse(normal)
-    covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(told, told)]
+    covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(chosen, chosen)]
     if errors is None:
-        return covariance, np.zeros((len(told), 1))
-    by_pose = _slopes(lambda step: edges.displaced(step).off(found), np.zeros(6), _POSE_SCALE)
+        return covariance, np.zeros((len(chosen), 1))
+    by_pose = _slopes(lambda step: edges.displace(step).off(found), np.zeros(6), _POSE_SCALE)
     follow = np.zeros((len(edges.views), len(found), 6))
     np.add.at(follow, edges.view, -stiff * jacobian[:, :, None] * by_pose[:, None, :])
-    follow = (bread @ follow)[:, told]
+    follow = (bread @ follow)[:, chosen]
     own = follow @ errors.own @ follow.transpose(0, 2, 1)
     return covariance + own.sum(axis=0), np.einsum("vij,vjs->is", follow, errors.carry)
 
 
 def _slopes(function: Callable[[Array], Array], at: Array, scale: Array) -> Array:
-    """Return central differences (N, K) of a function over a thousandth of each unknown's scale (K,)."""
+    """Return central differences (N, K) of a function with a thousandth of each unknown's scale (K,) as the step."""
     steps = 1e-3 * np.diag(scale)
     return np.stack([(function(at + step) - function(at - step)) / (2.0 * step.max()) for step in steps], axis=1)
 
 
 def _from_axis(start: Array, along: Array) -> tuple[Array, Array]:
-    """Return the distance (N,) of lines (N, 3), (N, 3) from the z axis, and the azimuth (N,) at which they pass it."""
+    """Return the distance (N,) of lines (N, 3), (N, 3) from the z axis, and the azimuth (N,) of the nearest point."""
     cross = start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]
     azimuth = np.arctan2(-along[:, 0] * cross, along[:, 1] * cross)
     return np.abs(cross) / np.hypot(along[:, 0], along[:, 1]), azimuth
@@ -290,11 +292,11 @@ def _edge_pixels(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
     high = min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm, np.inf if scene.tank is None else scene.tank.level_mm) - MARGIN_MM
     z = np.arange(low, high, LEVELS_MM)
     centre, away_mm = view.centre_mm, view.rho_mm
-    if scene.tank is not None:  # as far as the camera seems to be, seen from the liquid
+    if scene.tank is not None:  # apparent distance of the camera, from within the liquid
         away_mm = scene.tank.front_mm + scene.tank.n_liquid * (away_mm - scene.tank.front_mm)
     azimuth, half = np.arctan2(centre[1], centre[0]), np.arccos(np.clip(canister.outer_radius_mm / away_mm, -1.0, 1.0))
     found = [
-        _measured(view, image, *(_pixels(view, scene, _circle(azimuth + side * half, r, z)) for r in (canister.outer_radius_mm, 0.0)))
+        _measure_edge(view, image, *(_pixels(view, scene, _circle(azimuth + side * half, r, z)) for r in (canister.outer_radius_mm, 0.0)))
         for side in (-1.0, 1.0)
     ]
     return np.concatenate(found), np.repeat([0, 1], [len(px) for px in found])
@@ -314,13 +316,15 @@ def _pixels(view: View, scene: Scene, points_mm: Array) -> Array:
 
 
 def _liquid(scene: Scene, around: Tank) -> Optics:
-    """Return a tank as if there were no canister in it."""
+    """Return the optics of a tank without a canister."""
     radius_mm = around.front_mm - around.wall_mm
-    return replace(Optics.of(scene), outer_radius_mm=radius_mm, inner_radius_mm=radius_mm, n_wall=around.n_liquid, n_water=around.n_liquid)
+    return replace(
+        Optics.from_scene(scene), outer_radius_mm=radius_mm, inner_radius_mm=radius_mm, n_wall=around.n_liquid, n_water=around.n_liquid
+    )
 
 
-def _measured(view: View, image: Grey, at: Array, inner: Array) -> Array:
-    """Return the pixels (M, 2) of the edge near those of the points of tangency, one a height where it is clear."""
+def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
+    """Return the pixels (M, 2) of the edge near the tangent points, one per height where the edge is clear."""
     outward = at - inner
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     reach_px = max(REACH_MM * view.camera.focal_px[0] / view.rho_mm, 6.0)
@@ -337,9 +341,9 @@ def _measured(view: View, image: Grey, at: Array, inner: Array) -> Array:
 
 
 def _steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where profiles (N, S) rise most steeply outward, and whether they do clearly.
+    """Return the offset at which profiles (N, S) rise most steeply outward, and whether the rise is clear.
 
-    The place is the centroid of the rise about its peak.
+    The offset is the centroid of the rise about its peak.
     """
     span = round(3.0 / STEP_PX)
     rise = np.maximum(np.diff(profile, axis=1), 0.0)

@@ -1,8 +1,8 @@
-"""Whether the pictures' numbers are light, as the marker strip's edges tell.
+"""Test whether the pictures are linear in light, from the edges of the markers.
 
-A lens blurs light, and evenly: half-way through an edge between black and white is half-way between black and white. A
-camera's curve does so to numbers: where it was not undone, or undone when there was none, the greys of an edge are too
-bright or too dark. `MarkerFit.bend` measures that on all edges of all markers, whatever the blur is.
+A lens blurs light evenly: the middle of an edge between black and white is halfway between black and white. A camera's
+transfer curve violates this: if it was not inverted, or inverted although there was none, the greys of an edge are too
+bright or too dark. `MarkerFit.bend` measures this on all edges of all markers, independently of the blur.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,39 +19,38 @@ from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.transfer import Curve
 
 MOST_BEND = 0.02
-"""A larger bend is no accident: sRGB taken for light has 0.18, light taken for sRGB -0.25, the twin's right pictures
-0.000 to 0.003.
+"""Maximum bend of linear pictures. sRGB read as linear has 0.18, linear light read as sRGB has -0.25, and the twin's
+correct pictures have 0.000 to 0.003.
 
-A gamma that is off by 0.1 has 0.02, and moves the outlines of roots (at half coverage) by less than 0.03 px."""
+A gamma error of 0.1 gives 0.02, and moves the outlines of roots (at half coverage) by less than 0.03 px."""
 LEAST_MARKERS = 10
-"""The median of ten is uncertain by 0.4 of their scatter."""
+"""Minimum number of markers: the median of ten has a standard error of 0.4 of their scatter."""
 _SOME = 8
-"""Pictures that are asked, evenly over the scan."""
+"""Number of pictures that are tested, evenly spaced over the scan."""
 _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
-"""Gammas that are tried where no known curve will do, upon the stated one."""
+"""Gammas that are tried, in addition to the stated curve, if no known curve fits."""
 
 
-def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
-    """Ask the markers' edges whether the pictures were read by the right curve.
+def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
+    """Test with the marker edges whether the pictures were read with the correct curve.
 
-    Where they clearly were not, they are read anew.
+    If they clearly were not, they are read again with the estimated curve.
 
-    Silhouettes, and pictures with given cameras or of a rig without a strip, are left as they are: they show no
-    markers.
+    Masks, and pictures with given cameras or of a rig without a strip, are not changed, as they show no markers.
     """
     dataset, captured = pictures.dataset, pictures.frames
     if dataset.masks or dataset.scene.strip.rows == 0 or all(frame.cam_from_canister is not None for frame in captured):
         return pictures
     some = sorted({round(k) for k in np.linspace(0, len(captured) - 1, _SOME)})
 
-    def markers_of(image: Grey) -> Markers:
+    def detect(image: Grey) -> Markers:
         return detect_markers(image, dataset.scene.strip)
 
     def again(curve: Curve) -> list[Markers]:
-        return monitor.each(lambda k: markers_of(read_image(dataset, captured[k], curve=curve)), "curve", some)
+        return monitor.each(lambda k: detect(read_image(dataset, captured[k], curve=curve)), "curve", some)
 
     with monitor.stage("curve"):
-        detected = monitor.each(markers_of, "curve", [pictures.images[k] for k in some])
+        detected = monitor.each(detect, "curve", [pictures.images[k] for k in some])
         found = find(detected, stated_curve(dataset, captured), again)
         if found.warning is None:
             return replace(pictures, curve=found, measured=dict(zip(some, detected, strict=True)))
@@ -59,31 +58,31 @@ def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
     return replace(pictures, images=tuple(images), curve=found, warnings=(*pictures.warnings, found.warning))
 
 
-def bend_of(detected: Sequence[Markers]) -> tuple[float | None, int]:
+def median_bend(detected: Sequence[Markers]) -> tuple[float | None, int]:
     """Return the median bend of all measured markers, and their number."""
     bends = np.concatenate([np.zeros(0), *(markers.bend for markers in detected if markers.bend is not None)])
     return (float(np.median(bends)) if len(bends) >= LEAST_MARKERS else None), len(bends)
 
 
 def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Sequence[Markers]]) -> CurveFound:
-    """Find the curve that the markers' edges bear out.
+    """Estimate the transfer curve from the edges of the markers.
 
     Parameters
     ----------
     detected : sequence of Markers
-        Markers of the pictures, read by the stated curve.
+        Markers of the pictures, read with the stated curve.
     stated : Curve
-        The files' own word, or the scene's.
+        Curve stated in the files, or in the scene.
     again : callable
-        Reads some of the pictures by another curve, and returns their markers.
+        Function that reads some of the pictures with another curve and returns their markers.
     """
-    bend, count = bend_of(detected)
+    bend, count = median_bend(detected)
     if bend is None or abs(bend) <= MOST_BEND:
         return CurveFound(curve=stated, stated=stated, bend=bend, stated_bend=bend, markers=count)
     best, least = stated, bend
     for known in (transfer.LINEAR, transfer.SRGB):
         if not known.same(stated):
-            other, _ = bend_of(again(known))
+            other, _ = median_bend(again(known))
             if other is not None and abs(other) < abs(least):
                 best, least = known, other
     if abs(least) > MOST_BEND:
@@ -92,8 +91,8 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
 
 
 def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
-    """Return the gamma upon the stated curve without a bend, or what was best before."""
-    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := bend_of(again(_upon(stated, exponent)))[0]) is not None]
+    """Return the gamma, applied after the stated curve, without a bend; otherwise the best curve so far."""
+    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_upon(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T
     signs = np.flatnonzero(np.diff(np.sign(bends)))
     if not len(signs):
@@ -101,11 +100,11 @@ def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Se
     k = int(signs[0])
     share = bends[k] / (bends[k] - bends[k + 1])
     curve = _upon(stated, float(exponents[k] * (exponents[k + 1] / exponents[k]) ** share))
-    bend, _ = bend_of(again(curve))
+    bend, _ = median_bend(again(curve))
     return (curve, bend) if bend is not None and abs(bend) < abs(least) else (best, least)
 
 
 def _upon(stated: Curve, exponent: float) -> Curve:
-    """Return a gamma after the stated curve."""
+    """Return the stated curve followed by a gamma."""
     light = stated.of(np.linspace(0.0, 1.0, 4097)) ** exponent
-    return Curve(f"a gamma of {exponent:.2f} upon {stated.name}", tuple(light.tolist()))
+    return Curve(f"a gamma of {exponent:.2f} after {stated.name}", tuple(light.tolist()))

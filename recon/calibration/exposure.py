@@ -1,9 +1,9 @@
-"""How each picture was exposed, told by what stands still in it: the bare panel beside the canister.
+"""Exposure of each picture, measured on static content: the empty panel beside the canister.
 
-A line of sight that passes the canister by sees the panel itself, and in every view of a camera that stands still the
-same part of it. What such pixels of one picture have over those of all pictures of the station is the picture's
-exposure. Lamps at mains frequency under a rolling shutter, panels of which one half fades, and people who pass by make
-a picture brighter in one place than in another: so it is asked row by row, left and right of the canister.
+A line of sight beside the canister shows the panel directly, and the same part of it in every view of a static camera.
+The ratio of such pixels in one picture to those in all pictures of the station is the exposure of the picture. Lamps at
+mains frequency under a rolling shutter, panels of which one half fades, and passing people make a picture brighter in
+some places than in others; the ratio is therefore measured row by row, left and right of the canister.
 """
 
 from __future__ import annotations
@@ -27,47 +27,46 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEP = 4
-"""One pixel of so many each way is looked at."""
+"""Pixels are sampled with this step in both directions."""
 _DARKEST = 1.0 / 255.0
-"""Least brightness of a panel over the station's, one level of 8 bits: a picture that is half black has less."""
+"""Minimum brightness of a panel relative to the station, one level of 8 bits: a picture that is half black has less."""
 _MARGIN_MM = 2.0
-"""Beside canister and net pot."""
+"""Margin beside canister and net pot."""
 _LIT, _BRIGHT = 0.5, 0.9
-"""The panel is what is brighter than this share of the bright (this quantile) beside the canister."""
+"""Minimum brightness of the panel, relative to a quantile of the brightness beside the canister, and the quantile."""
 _LEAST_PIXELS = 200
-"""Of bare panel: noise of a few per cent a pixel then leaves a few per mille of the mean."""
+"""Minimum number of pixels of the empty panel: noise of a few per cent per pixel then averages to a few per mille."""
 _LEAST_PATCH = 20
-"""Pixels of a patch of it."""
+"""Minimum number of pixels of a patch of the panel."""
 _ROWS = 2.0
-"""Standard deviation, in rows that are looked at, over which the panel is evened: with 17 pixels beside the canister in
-each it leaves a tenth of the noise of a pixel; three bands of a lamp in a picture of 300 rows keep 99 % of their
-height."""
+"""Standard deviation, in sampled rows, over which the panel is smoothed: with 17 pixels beside the canister in each
+row, a tenth of a pixel's noise remains; three bands of a lamp in a picture of 300 rows keep 99 % of their amplitude."""
 UNEVEN = 0.01
-"""Left as it is where the panel beside the canister differs by less from the station's: a third of the faintest film
-that is told (`CoverageSettings.film_depth`)."""
+"""Minimum relative deviation from the station's panel that is corrected: a third of the faintest film that is detected
+(`CoverageSettings.film_depth`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposures:
-    """How the pictures of a scan were exposed."""
+    """Exposures of the pictures of a scan."""
 
     gain: Array
-    """(V,) exposure over that of the station's middle picture; 1 where nothing tells it."""
-    told: bool
-    """Whether the panel beside the canister told it in all pictures."""
+    """(V,) exposure relative to the station's median picture; 1 if unknown."""
+    measured: bool
+    """Whether it was measured on the panel beside the canister in all pictures."""
     clipped: Array
-    """(V,) share of the panel's pixels that are at full scale."""
+    """(V,) fraction of the panel's pixels that are at full scale."""
     level: Array
-    """(V,) brightness of the panel, of full scale."""
+    """(V,) brightness of the panel, relative to full scale."""
     beside: tuple[Sides | None, ...] = ()
-    """(V,) how the panel on both sides of the canister differs from the station's; None where it does not, or one side
-    is not seen."""
+    """(V,) relative brightness of the panel on both sides of the canister; None if it is uniform, or if one side is not
+    visible."""
     uneven: Array = field(default_factory=lambda: np.zeros(0))
-    """(V,) standard deviation of the panel beside the canister over the station's, its gain and its ``beside`` divided
-    out."""
+    """(V,) standard deviation of the panel beside the canister relative to the station, after division by gain and
+    ``beside``."""
 
-    def chosen(self, places: Sequence[int]) -> Exposures:
-        """Return those of some of the pictures, by their places."""
+    def select(self, places: Sequence[int]) -> Exposures:
+        """Return the exposures of a subset of the pictures, by index."""
         return replace(
             self,
             beside=tuple(self.beside[k] for k in places) if self.beside else (),
@@ -76,21 +75,21 @@ class Exposures:
 
     @property
     def dark(self) -> NDArray[np.bool_]:
-        """Tell the pictures (V,) whose panel is dark, as one that is half black or was taken without light."""
+        """Return the pictures (V,) with a dark panel, such as those that are half black or were taken without light."""
         return np.asarray(self.gain <= _DARKEST)
 
     @property
     def wander(self) -> float:
-        """Return by how much the exposure wandered: standard deviation of its gain."""
+        """Return the standard deviation of the gain."""
         return float(np.std(self.gain))
 
     @property
     def bands(self) -> float:
-        """Return the largest standard deviation within a picture that was evened out; 0: none had to be."""
+        """Return the largest standard deviation within a picture that was corrected; 0 if none was."""
         return max((float(np.std(sides.share)) for sides in self.beside if sides is not None), default=0.0)
 
     def light(self, k: int, image_wh: tuple[int, int]) -> NDArray[np.float32] | np.float32:
-        """Return the k-th picture's exposure: one number, or (H, W) where it differs from place to place."""
+        """Return the exposure of picture k: one number, or (H, W) if it varies over the picture."""
         sides = self.beside[k] if self.beside else None
         gain = np.float32(self.gain[k])
         return gain if sides is None else gain * sides.over(image_wh)
@@ -98,17 +97,17 @@ class Exposures:
 
 @dataclass(frozen=True, kw_only=True)
 class Sides:
-    """How the panel left and right of the canister differs from the station's, row by row."""
+    """Relative brightness of the panel left and right of the canister, row by row."""
 
     rows: Array
     """(R,) rows of the picture."""
     columns: tuple[float, float]
-    """Where left and right are seen, on average."""
+    """Mean columns of the panel left and right of the canister."""
     share: Array
-    """(2, R) brightness left and right over the station's, its gain divided out."""
+    """(2, R) brightness left and right relative to the station, divided by the gain."""
 
     def over(self, image_wh: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the brightness (H, W) between and beyond, straight from left to right in each row."""
+        """Return the brightness (H, W), interpolated linearly from left to right in each row, and extrapolated."""
         width, height = image_wh
         left, right = (np.interp(np.arange(height), self.rows, side)[:, None] for side in self.share)
         across = (np.arange(width)[None] - self.columns[0]) / (self.columns[1] - self.columns[0])
@@ -116,19 +115,19 @@ class Sides:
 
 
 def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tuple[int, int]], optics: Optics, scene: Scene) -> Exposures:
-    """Measure how pictures were exposed.
+    """Measure the exposures of pictures.
 
     Parameters
     ----------
     images : sequence of (H, W) uint8 or uint16 array
-        Linear in light.
+        Pictures, linear in light.
     views : sequence of View
-        Their cameras.
+        Cameras of the pictures.
     stations : sequence of tuple of int
-        Which standing of the camera each belongs to.
+        Station of each picture.
     """
     gain, clipped, level = np.ones(len(images)), np.zeros(len(images)), np.full(len(images), np.nan)
-    told, uneven = True, np.zeros(len(images))
+    measured, uneven = True, np.zeros(len(images))
     sides: list[Sides | None] = [None] * len(images)
     for station in sorted(set(stations)):
         own = [k for k, one in enumerate(stations) if one == station]
@@ -139,14 +138,14 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
             middle = np.median(light, axis=0)
             panel = middle > _LIT * np.quantile(middle, _BRIGHT)
         if panel.sum() < _LEAST_PIXELS:
-            told = False
+            measured = False
             continue
         light = light[:, panel]
         full = light >= FULL
         clipped[own], level[own] = full.mean(axis=1), np.median(light, axis=1)
         usable = ~full.any(axis=0)
         if usable.sum() < _LEAST_PIXELS:
-            told = False
+            measured = False
             continue
         light = light[:, usable]
         ratio = light / np.median(light, axis=0)
@@ -154,13 +153,13 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
             sides[k], uneven[k] = _unevenness(one / gain[k], row, column, images[k].shape[1])
-    return Exposures(gain=gain, told=told, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
+    return Exposures(gain=gain, measured=measured, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
 
 
 def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
-    """Return how a picture's panel (N,) differs from the station's, and how much is left when that is divided out.
+    """Return the relative brightness of a picture's panel (N,), and the unevenness that remains after its correction.
 
-    It is looked at in patches of so many rows as are evened, of the inner and the outer half of each side.
+    It is evaluated in patches as high as the smoothing, over the inner and the outer half of each side.
     """
     left = column < 0.5 * width
     found = _sides(ratio, row, column, left)
@@ -181,24 +180,24 @@ def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Si
 
 
 def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
-    """Return the panel's ratio (N,) row by row on both sides; None where one of them is hardly seen."""
+    """Return the panel's ratio (N,) row by row on both sides; None if one of them is hardly visible."""
     if min(left.sum(), (~left).sum()) < _LEAST_PIXELS:
         return None
     rows = np.unique(row)
     share = []
     for side in (left, ~left):
-        told, inverse = np.unique(row[side], return_inverse=True)
+        side_rows, inverse = np.unique(row[side], return_inverse=True)
         order = np.argsort(inverse, kind="stable")
         medians = [float(np.median(part)) for part in np.split(ratio[side][order], np.flatnonzero(np.diff(inverse[order])) + 1)]
-        share.append(ndimage.gaussian_filter1d(np.interp(rows, told, medians), _ROWS, mode="nearest"))
+        share.append(ndimage.gaussian_filter1d(np.interp(rows, side_rows, medians), _ROWS, mode="nearest"))
     columns = float(np.mean(column[left])), float(np.mean(column[~left]))
     return Sides(rows=rows, columns=columns, share=np.maximum(share, _DARKEST))
 
 
 def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
-    """Tell the pixels, one of `_STEP` each way, whose line of sight passes canister and net pot by.
+    """Return the pixels, sampled with `_STEP`, whose line of sight passes beside canister and net pot.
 
-    It does so at heights between skirt and base.
+    Only heights between skirt and base are included.
     """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0, width, _STEP), np.arange(0, height, _STEP))
@@ -207,7 +206,7 @@ def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
     past_mm = np.abs(line.b_mm)
     outer_mm = max(optics.outer_radius_mm, scene.net_pot.outer_radius_mm) + _MARGIN_MM
     climb = line.p_z / np.sqrt(optics.n_around**2 - line.p_z**2)
-    z_mm = line.foot_z_mm + climb * (view.rho_mm - np.sqrt(view.rho_mm**2 - line.b_mm**2))  # as far off as the axis
+    z_mm = line.foot_z_mm + climb * (view.rho_mm - np.sqrt(view.rho_mm**2 - line.b_mm**2))  # at the distance of the axis
     below = through & (z_mm < scene.net_pot.skirt_bottom_mm) & (z_mm > optics.floor_z_mm)
-    seen = ((past_mm > outer_mm) & below).reshape(u.shape)
-    return cv2.erode(seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    visible = ((past_mm > outer_mm) & below).reshape(u.shape)
+    return cv2.erode(visible.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -1,4 +1,4 @@
-"""The stage that gives every picture its camera: taken as given, or found from the markers and the canister's edges."""
+"""The camera stage: use the given cameras, or estimate them from the markers and the canister's edges."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
-from rhizotwin.recon.calibration.chain import Chain
+from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
@@ -21,12 +21,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 LEAST_VIEWS = 3
-"""Two silhouettes bound no shape."""
+"""Minimum number of views: two silhouettes do not bound a shape."""
 FOCUS_GIVEN = 1e-4
-"""How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
+"""Relative standard deviation of a calibrated focal length (`docs/calibration.md`: 0.009 %)."""
 
 _LEAST_BLURS = 3
-"""Markers of a picture that tell its blur: one alone may have a highlight on it."""
+"""Minimum number of markers for the blur of a picture: a single one may contain a highlight."""
 
 
 def find_cameras(
@@ -37,14 +37,14 @@ def find_cameras(
     measure: bool = True,
     single_view: bool = False,
 ) -> Cameras:
-    """Take the given cameras, or find every camera from the markers.
+    """Use the given cameras, or estimate every camera from the markers.
 
     Parameters
     ----------
     settings : CalibrationSettings
-        Which views are left out, and what is known of the rig beforehand.
+        Thresholds for leaving out views, and priors of the rig.
     measure, single_view : bool
-        As in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also trusts the strip.
+        See `markers.detect_markers` and `poses.find_poses`; ``single_view`` also assumes an aligned strip.
 
     Returns
     -------
@@ -54,22 +54,19 @@ def find_cameras(
     Raises
     ------
     UserError
-        Where too few pictures have a camera.
+        If too few pictures have a camera.
     """
-    scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
+    scene, optics = pictures.dataset.scene, Optics.from_scene(pictures.dataset.scene)
     if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
         raise UserError(
-            f"{pictures.dataset.folder}: how the tank stands is found from the markers of all views together: "
-            "it needs the strip, and neither given cameras nor single views"
+            f"{pictures.dataset.folder}: the pose of the tank is estimated from the markers of all views together: "
+            "this requires the strip, and neither given cameras nor single views"
         )
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
-        return _usable(pictures, _exact(pictures, scene.camera, poses_given))
+        return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
-        with monitor.stage("canister"):
-            bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
-        lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
-        return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), bare=bare.uncertainty, warnings=bare.notes(scene)))
+        return _require_views(pictures, _calibrate_bare(pictures, monitor))
     detected = _markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
@@ -77,30 +74,41 @@ def find_cameras(
     left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
         canister = None if single_view else _canister(pictures, solved, lens, settings)
-    chain = Chain.of(solved, canister)
-    found = tuple(_in_tank(chain.camera(k, view), canister) if scene.tank else chain.camera(k, view) for k, view in enumerate(solved.views))
+    chain = StripToCanister.combine(solved, canister)
+    found = tuple(chain.camera(k, view) for k, view in enumerate(solved.views))
+    if scene.tank:
+        found = tuple(_rotate_tank(camera, canister) for camera in found)
     cameras = Cameras(
         lens=lens,
         optics=optics,
         all=found,
-        order=_used(found),
+        order=_used_frames(found),
         uncertainty=chain.uncertainty(pictures.frames, focus=FOCUS_GIVEN if solved.focal_scale == 1.0 else 0.0),
         markers=_calibration(pictures.frames, detected, solved, canister, chain),
         warnings=(*solved.warnings, *left_out),
     )
-    return _usable(pictures, cameras)
+    return _require_views(pictures, cameras)
 
 
-def _in_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
-    """Turn a view's tank as the canister's edges tell; leave the view out where nobody knows how its tank stands."""
+def _calibrate_bare(pictures: Pictures, monitor: Monitor) -> Cameras:
+    """Calibrate the cameras of a scan without markers."""
+    scene = pictures.dataset.scene
+    with monitor.stage("canister"):
+        bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
+    cameras = _exact_cameras(pictures, replace(scene.camera, mm_per_px=bare.mm_per_px), bare.cam_from_canister)
+    return replace(cameras, bare=bare.uncertainty, warnings=bare.notes(scene))
+
+
+def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
+    """Rotate a view's tank by the estimate from the canister's edges; leave the view out if its tank is unknown."""
     if camera.cam_from_tank is None:
-        return replace(camera, used=False, reason=camera.reason or "its table angle is not known, and so not how the tank stands to it")
+        return replace(camera, used=False, reason=camera.reason or "its table angle is unknown, and therefore the pose of its tank")
     turn = 0.0 if canister is None else float(np.deg2rad(canister.tank_turn_deg))
     return replace(camera, cam_from_tank=camera.cam_from_tank @ frames.rotation_z(turn))
 
 
 def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
-    """Find every picture's markers, but for those that were measured already."""
+    """Detect the markers of every picture, except those already measured."""
     known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
 
     def find(k: int) -> markers.Markers:
@@ -111,22 +119,22 @@ def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[marker
         return monitor.each(find, "markers", range(len(pictures.images)))
 
 
-def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
-    """Return cameras of one lens at poses (F, 4, 4), which count as exact."""
+def _exact_cameras(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
+    """Return cameras of one lens with exact poses (F, 4, 4)."""
     every = tuple(
         Camera(file=frame.file, ring=frame.ring, used=True, cam_from_canister=lens.pinhole_pose(pose), table_deg=frame.table_deg)
         for frame, pose in zip(pictures.frames, poses, strict=True)
     )
-    optics = Optics.of(pictures.dataset.scene)
+    optics = Optics.from_scene(pictures.dataset.scene)
     if pictures.dataset.masks and optics.straight:
-        optics = _nothing_hidden(optics, poses)
-    return Cameras(lens=lens.as_pinhole(), optics=optics, all=every, order=_used(every))
+        optics = _unobstructed_optics(optics, poses)
+    return Cameras(lens=lens.as_pinhole(), optics=optics, all=every, order=_used_frames(every))
 
 
-def _nothing_hidden(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
-    """Return straight optics without rim and floor, which silhouettes made in air do not have.
+def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
+    """Return straight optics without rim and floor, which masks rendered in air do not have.
 
-    A line of sight enters the wall between the camera's height and that of what it sees.
+    A line of sight enters the wall between the height of the camera and that of the point.
     """
     heights = [float(frames.invert(pose)[2, 3]) for pose in poses]
     low, high = min(heights), max(heights)
@@ -139,39 +147,39 @@ def _nothing_hidden(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
 
 
 def _table_deg(pictures: Pictures) -> list[float]:
-    """Return the angles that the table was told, which cameras without markers start from."""
-    told = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
-    if len(told) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
+    """Return the commanded table angles, the initial values for cameras without markers."""
+    angles = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
+    if len(angles) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
-            f"{pictures.dataset.folder}: without markers, pictures of one ring with their table angles are needed; "
-            "give the scene a plan of as many views as there are pictures"
+            f"{pictures.dataset.folder}: without markers, pictures of one ring with table angles are required; "
+            "the plan of the scene must have as many views as there are pictures"
         )
-    return told
+    return angles
 
 
-def _used(found: Sequence[Camera]) -> tuple[int, ...]:
+def _used_frames(found: Sequence[Camera]) -> tuple[int, ...]:
     return tuple(k for k, view in enumerate(found) if view.used)
 
 
-def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
-    """Return cameras that are enough to go on with."""
+def _require_views(pictures: Pictures, cameras: Cameras) -> Cameras:
+    """Return the cameras; raise a UserError if too few views have one."""
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(
             f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures of roots have a camera pose and at least "
-            f"{LEAST_VIEWS} are needed ({reasons or 'take more of the turn'})."
+            f"{LEAST_VIEWS} are required ({reasons or 'take more pictures of the turn'})."
         )
     return cameras
 
 
 def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
-    """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
+    """Estimate the pose of the canister in the strip from the used views; None if its edges are not visible."""
     keys = [k for k, view in enumerate(solved.views) if view.used and (view.cam_from_tank is not None or not pictures.dataset.scene.tank)]
     if not keys:
         return None
-    poses_found = Cameras(lens=lens, optics=Optics.of(pictures.dataset.scene), all=solved.views, order=tuple(keys))
+    poses_found = Cameras(lens=lens, optics=Optics.from_scene(pictures.dataset.scene), all=solved.views, order=tuple(keys))
     views = poses_found.views
-    errors = None if solved.errors is None else solved.errors.of(keys, [None] * len(keys))
+    errors = None if solved.errors is None else solved.errors.reorder(keys, [None] * len(keys))
     return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 
@@ -180,9 +188,9 @@ def _calibration(
     detected: Sequence[markers.Markers],
     solved: poses.Poses,
     canister: CanisterPose | None,
-    chain: Chain,
+    chain: StripToCanister,
 ) -> MarkerCalibration:
-    """Gather what all views together gave."""
+    """Collect the results of all views together."""
     turned = [
         view.table_deg - frame.table_deg
         for frame, view in zip(captured, solved.views, strict=True)
@@ -201,6 +209,6 @@ def _calibration(
 
 
 def _refocus_px(blurs: Sequence[NDArray[np.float64]]) -> float | None:
-    """Return how much more the least sharp picture is blurred than the sharpest, by the blurs of each one's markers."""
+    """Return the additional blur of the least sharp picture, relative to the sharpest, from each one's markers."""
     medians = [float(np.median(one)) for one in blurs if len(one) >= _LEAST_BLURS]
     return float(np.sqrt(max(medians) ** 2 - min(medians) ** 2)) if medians else None

@@ -1,7 +1,7 @@
-"""Measure a marker's corners: lay its known pattern over the picture by least squares, blurred and bent.
+"""Measurement of marker corners: least-squares fit of the known pattern, blurred and bent, to the picture.
 
-OpenCV's refinements look for straight sides (a cylinder's are not) and are off by up to a pixel; blur pulls some of
-them inwards.
+OpenCV's corner refinements assume straight sides (those on a cylinder are curved) and are off by up to a pixel; some
+are biased inwards by blur.
 """
 
 from dataclasses import dataclass
@@ -15,42 +15,41 @@ from scipy.special import erf
 from rhizotwin.scenes.frames import Array
 
 MARGIN: Final = 0.16
-"""How much of the quiet zone takes part, in half sides."""
+"""Width of the part of the quiet zone that is fitted, in half sides."""
 TARGET_PX: Final = 90.0
-"""Larger markers are averaged down to at most this side."""
+"""Larger markers are downsampled to at most this side."""
 GRID: Final = np.linspace(-1.3, 1.3, 209)
-"""Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
+"""Sample positions of the tabulated pattern along s and t; a marker covers [-1, 1]."""
 FLAT: Final = 6.0
-"""Beyond so many standard deviations a blurred step is flat to 1e-8; farther out, the products' factors would be too
-small for float32's fast path."""
+"""Distance from a step, in standard deviations of the blur, beyond which it is flat to 1e-8; smaller factors would
+leave the fast range of float32."""
 BLUR_PX: Final = (0.25, 6.0)
-"""Standard deviations between which the blur is sought: a pixel alone has 0.29, and 6 is over half a module of the
-largest markers."""
+"""Range of the blur's standard deviation: a pixel alone has 0.29, and 6 is over half a module of the largest
+markers."""
 FIRST_BLUR_PX: Final = 1.2
-"""Standard deviation that the fit of a first marker begins with; others begin with that of the one before."""
+"""Initial standard deviation for the first marker; further markers start with that of the preceding one."""
 RETABLE: Final = 0.03
-"""Relative change of the blur after which the pattern is tabulated anew."""
+"""Relative change of the blur after which the pattern is tabulated again."""
 LEAST_PIXELS: Final = 60
-"""Three for each of the 18 parameters, and some more."""
+"""Minimum number of pixels: three for each of the 18 parameters, and some more."""
 MOST_STEPS: Final = 15
-"""Gauss-Newton converges fast or runs away."""
+"""Maximum number of steps: Gauss-Newton converges fast or diverges."""
 MOST_MOVE: Final = 0.15
-"""A step moves no corner by more than this, in half sides."""
+"""Maximum displacement of a corner per step, in half sides."""
 ENOUGH_PX: Final = 0.003
-"""Steps of the corners below this end the fit: a seventh of what the covariance does not know of
-(`view_fit.FLOOR_PX`)."""
+"""Displacement of the corners below which the fit ends: a seventh of the systematic error (`view_fit.FLOOR_PX`)."""
 LEAST_CORRELATION: Final = 0.9
-"""Every wrong module of 64 takes 2/64 off the correlation of balanced black and white: three may be wrong, by dirt or
-glare."""
+"""Minimum correlation. Each wrong module of 64 reduces the correlation of balanced black and white by 2/64: three may
+be wrong, by dirt or glare."""
 MOST_SHIFT, MOST_SHIFT_PX = 0.1, 2.5
-"""A fit whose corners end farther than this from the start, in sides and in pixels, is refused."""
+"""Maximum displacement of the corners from the start, in sides and in pixels."""
 MOST_BULGE: Final = 0.5
-"""A larger sagitta, in half sides, is none of a net pot: over half its chord it is tan(a / 4) of an arc a, so that 0.5
-is 106 degrees; a marker of the thesis's strip (13 mm round 80 mm) has 9 degrees and 0.04."""
+"""Maximum sagitta, in half sides: over half its chord it is tan(a / 4) of an arc a, so that 0.5 is 106 degrees; a
+marker of the thesis's strip (13 mm on a radius of 80 mm) has 9 degrees and 0.04."""
 FULL: Final = 0.985
-"""Above this share of full scale a number says nothing about the light."""
+"""Fraction of full scale above which a pixel is saturated."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-"""Of a marker in (s, t)."""
+"""Corners of a marker in (s, t)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,17 +61,16 @@ class MarkerFit:
     covariance_px2: Array
     """(8, 8), from the residual picture."""
     blur_px: float
-    """Standard deviation of the blur, the pixel's own (0.29) included."""
+    """Standard deviation of the blur, including the pixel's own (0.29)."""
     bend: float = 0.0
-    """By how much greys half-way between the marker's black and white are brighter than half-way, as a share of the
-    contrast.
+    """Excess brightness of greys halfway between the marker's black and white, relative to the contrast.
 
-    Blur makes every grey between the two, as many on either side of an edge, whatever its shape is, as long as it is
-    even: in pictures that are linear in light there is no bend (`recon.calibration.curve`)."""
+    Blur creates every grey between the two, equally on both sides of an edge, for any symmetric blur: in pictures that
+    are linear in light there is no bend (`recon.calibration.curve`)."""
 
 
 class Scratch:
-    """Memory for tabulated patterns, handed from marker to marker: fresh memory costs more than filling it."""
+    """Memory for tabulated patterns, reused from marker to marker: allocation is slower than filling."""
 
     def __init__(self) -> None:
         self.planes = np.empty((4, len(GRID), len(GRID)), np.float32)
@@ -91,8 +89,8 @@ def fit_marker(
 
     The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)`` with T the pattern (1 white, 0 black) blurred by
     a Gaussian in the picture, k and w linear in (s, t). In homogeneous coordinates ``W(s, t) = H (s, t, 1) + b (1 -
-    s^2)``: a homography H through the corners and a bulge b (3,), which is what a cylinder about an axis along t adds
-    to a flat marker. All 18 parameters (8 of H, b, the blur, 3 of k, 3 of w) are fitted together by Gauss-Newton.
+    s^2)``: a homography H through the corners and a bulge b (3,), which a cylinder about an axis along t adds to a flat
+    marker. All 18 parameters (8 of H, b, the blur, 3 of k, 3 of w) are fitted together by Gauss-Newton.
 
     Parameters
     ----------
@@ -101,16 +99,16 @@ def fit_marker(
     white : (n, n) bool array
         True where the pattern is white, border included, row 0 at the top.
     start_px : (4, 2) float64 array
-        Corners, good to about two pixels.
+        Corners, accurate to about two pixels.
     blur_px : float
-        First guess of the blur; take a neighbour's.
+        Initial blur; use that of a neighbour.
     scratch : Scratch or None
-        Memory of a fit before, of the same thread.
+        Memory of a previous fit in the same thread.
 
     Returns
     -------
     MarkerFit or None
-        None where the marker leaves the picture, is saturated, or does not look like its pattern.
+        None if the marker leaves the picture, is saturated, or does not match its pattern.
     """
     side_px = float(np.mean(np.linalg.norm(np.roll(start_px, -1, axis=0) - start_px, axis=1)))
     window = _window(image, start_px, side_px)
@@ -122,7 +120,7 @@ def fit_marker(
     shift_px = float(np.max(np.linalg.norm(corners - window.start, axis=1))) * window.scale_px
     if shift_px > max(MOST_SHIFT_PX, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > MOST_BULGE:
         return None
-    corners_from_h = _corners_by_homography(warp)
+    corners_from_h = _corner_derivatives(warp)
     return MarkerFit(
         corners_px=corners * window.scale_px + window.centre_px,
         covariance_px2=corners_from_h @ covariance[:8, :8] @ corners_from_h.T * window.scale_px**2,
@@ -133,22 +131,22 @@ def fit_marker(
 
 @dataclass(frozen=True)
 class _Window:
-    """Pixels round a marker; positions are (px - centre_px) / scale_px."""
+    """Pixels around a marker; positions are (px - centre_px) / scale_px."""
 
     light: Array
     """(P,) fraction of full scale."""
     xy: Array
     """(2, P)."""
     start: Array
-    """(4, 2) first corners."""
+    """(4, 2) initial corners."""
     centre_px: Array
     scale_px: float
     pixel: float
-    """Width of one (averaged) pixel in units of scale_px."""
+    """Width of one (downsampled) pixel in units of scale_px."""
 
 
 def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: float) -> _Window | None:
-    """Cut out a marker with its margin, averaged down to below `TARGET_PX`; None where it leaves the picture."""
+    """Crop a marker with its margin, downsampled to below `TARGET_PX`; None if it leaves the picture."""
     fold = int(np.ceil(side_px / TARGET_PX))
     centre_px = start_px.mean(axis=0)
     reach_px = (1.0 + MARGIN) * np.abs(start_px - centre_px).max(axis=0) + 2.0
@@ -174,10 +172,9 @@ def _gauss_newton(
 ) -> tuple[Array, float, Array, float, float] | None:
     """Return H and b, the blur, the covariance of all, the correlation and the bend.
 
-    H and b are (11,), the covariance is (18, 18); None where the fit runs away.
+    H and b are (11,), the covariance is (18, 18); None if the fit diverges.
 
-    Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other
-    pictures.
+    Long sums use `_products`: a threaded BLAS would compete for the cores with threads that measure other pictures.
     """
     warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
     table, tabled, rows = scratch.table, np.zeros(2), np.empty((19, 0))
@@ -191,7 +188,7 @@ def _gauss_newton(
         sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), np.zeros(1)), (2, 2)), axis=1)
         if np.any(np.abs(sigma - tabled) > RETABLE * tabled):
             table, tabled = _pattern(white, float(sigma[0]), float(sigma[1]), scratch), sigma
-        with np.errstate(all="ignore"):  # a fit that runs away may fold the marker up
+        with np.errstate(all="ignore"):  # a diverging fit may fold the marker
             s, t, to_h = _invert(warp, xy, s, t)
         if not (np.isfinite(s).all() and np.isfinite(t).all()):
             return None
@@ -207,7 +204,7 @@ def _gauss_newton(
         except np.linalg.LinAlgError:
             return None
         contrast = amounts[3] + amounts[4] * s + amounts[5] * t
-        _by_warp(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
+        _fill_warp_derivatives(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
         rows[11] = contrast * by_log_blur / blur
         products = _products(rows)
         normal = products[:18, :18]
@@ -220,7 +217,7 @@ def _gauss_newton(
         step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
         warp = warp + step[:11]
         blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
-        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # it runs away: corners are at 1
+        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # diverged: corners are at 1
             return None
         if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
             break
@@ -232,38 +229,40 @@ def _gauss_newton(
 
 
 def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
-    """Return how much brighter half-way greys are than the model, as `MarkerFit.bend`.
+    """Return the excess brightness of halfway greys relative to the model (`MarkerFit.bend`).
 
     Parameters
     ----------
     rows : (19, P) float64 array
-        The model's columns and the picture.
+        Columns of the model, and the picture.
     left : (19,) float64 array
-        What gives the residual picture, times the rows.
+        Coefficients of the residual picture with respect to the rows.
     inverse : (18, 18) float64 array
-        Of the normal equations.
+        Inverse of the normal equations.
     between : (P,) float64 array
-        What a bend of one would add to each pixel.
+        Change of each pixel by a bend of one.
     """
-    common = rows @ between  # with the model's own columns, which share some of it, and with the picture
+    common = rows @ between  # projections on the model's columns and on the picture
     alone = float(between @ between - common[:18] @ inverse @ common[:18])
     return float(left @ np.append(common[:18], common[18])) / alone if alone > 0.0 else 0.0
 
 
 def _products(rows: Array) -> Array:
-    """Return ``rows @ rows.T`` on one thread."""
+    """Return ``rows @ rows.T``, computed in one thread."""
     return np.asarray(cv2.mulTransposed(rows, aTa=False), np.float64)
 
 
 def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
-    """Return the pattern coordinates of pixels (2, P) by the homography alone."""
+    """Return the pattern coordinates of pixels (2, P) from the homography without the bulge."""
     back = np.linalg.inv(_matrix(warp))
     s, t, _ = _warp(np.append(back.ravel()[:8] / back[2, 2], np.zeros(3)), xy[0], xy[1])
     return s, t
 
 
-def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]) -> None:
-    """Fill rows 0 to 10 with the change of the model by H and b, at fixed pixels."""
+def _fill_warp_derivatives(
+    rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]
+) -> None:
+    """Fill rows 0 to 10 with the derivatives of the model by H and b, at fixed pixels."""
     s_x, s_y, t_x, t_y = to_h
     bulge = 1.0 - s * s
     depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
@@ -280,10 +279,10 @@ def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Ar
 def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: Scratch) -> NDArray[np.float32]:
     """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (t down, s right).
 
-    They are cells convolved with a Gaussian in closed form.
+    Cells are convolved with a Gaussian in closed form.
 
-    A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second one by s
-    (heat equation).
+    A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second
+    derivative by s (heat equation).
     """
     cells = np.pad(white.astype(np.float32), 1, constant_values=1.0)
     edges = np.linspace(-1.0, 1.0, len(white) + 1)
@@ -298,7 +297,7 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: 
         factors.append([(f[:, :-1] - f[:, 1:]).astype(np.float32) for f in (step, slope, bend)])
     (s0, s1, s2), (t0, t1, t2) = factors
     cells_s0, t0_cells = cells @ s0.T, t0 @ cells
-    planes = scratch.planes  # five small products: a larger one would be shared among BLAS's threads, which wait for each other
+    planes = scratch.planes  # five small products: BLAS would divide a larger one among threads that wait for each other
     for left, right, plane in ((t0, cells_s0, 0), (t0_cells, s1.T, 1), (t1, cells_s0, 2), (t0_cells, s2.T, 3)):
         np.matmul(left, right, out=planes[plane])
     planes[3] += t2 @ cells_s0
@@ -316,7 +315,7 @@ def _project(matrix: Array, points: Array) -> Array:
 
 
 def _homography_through(corners: Array) -> Array:
-    """Return h (8,) of the homography that takes `CORNERS` to ``corners`` (4, 2)."""
+    """Return h (8,) of the homography that maps `CORNERS` to ``corners`` (4, 2)."""
     (s, t), (x, y) = CORNERS.T, corners.T
     one, zero = np.ones(4), np.zeros(4)
     rows_x = np.stack([s, t, one, zero, zero, zero, -s * x, -t * x], axis=1)
@@ -324,8 +323,8 @@ def _homography_through(corners: Array) -> Array:
     return np.linalg.solve(np.concatenate([rows_x, rows_y]), np.concatenate([x, y]))
 
 
-def _corners_by_homography(warp: Array) -> Array:
-    """Return how the corners (8: x, y of each) change with h (8); the bulge does not move them."""
+def _corner_derivatives(warp: Array) -> Array:
+    """Return the derivatives of the corners (8: x, y of each) by h (8); the bulge does not move them."""
     found = np.zeros((4, 2, 8))
     for k, ((s, t), (x, y)) in enumerate(zip(CORNERS, _project(_matrix(warp), CORNERS), strict=True)):
         depth = warp[6] * s + warp[7] * t + 1.0
@@ -351,7 +350,7 @@ def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[
 
 
 def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-    """Solve W(s, t) = xy from a near start by two Newton steps; return s, t and ds/dx, ds/dy, dt/dx, dt/dy."""
+    """Solve W(s, t) = xy by two Newton steps from a near start; return s, t and ds/dx, ds/dy, dt/dx, dt/dy."""
     for _ in range(2):
         x, y, _depth = _warp(warp, s, t)
         (x_s, y_s), (x_t, y_t) = _slope(warp, s, t)

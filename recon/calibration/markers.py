@@ -1,6 +1,6 @@
-"""Find the markers of the strip in a picture.
+"""Detection of the strip's markers in a picture.
 
-OpenCV names them, `recon.calibration.marker_fit` measures their corners.
+OpenCV identifies them, and `recon.calibration.marker_fit` measures their corners.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,15 @@ from rhizotwin.scenes.reduced import Picture, reduced
 
 Bytes = NDArray[np.uint8]
 _ALIKE = 0.7, 1.4
-"""Heights of markers of one strip over their median. The nearest is 1 + R / d times as high as those at the flanks (d:
-the camera's distance from the axis, R: the net pot's radius): 1.2 with the thesis's rig, 1.4 where d is 2.5 R."""
+"""Range of the heights of a strip's markers relative to their median. The nearest is 1 + R / d times as high as those
+at the flanks (d: distance of the camera from the axis, R: radius of the net pot): 1.2 with the thesis's rig, 1.4 if d
+is 2.5 R."""
 _WINDOWS_PX = 7, 37, 10
-"""Least, largest and step of the windows of OpenCV's adaptive threshold, tried on pictures of the strip."""
+"""Smallest and largest window of OpenCV's adaptive threshold, and step between them, tuned on pictures of the strip."""
 _BRIGHTEST = 99.5
-"""Percentile that becomes white for the search: a lamp's reflection takes no contrast from the strip."""
+"""Percentile mapped to white for detection, so that a lamp's reflection does not reduce the contrast of the strip."""
 FEW = 6
-"""With fewer markers than this the search goes on with another tone curve."""
+"""Minimum number of markers; with fewer, detection is repeated with another tone curve."""
 OTHER_DICTIONARIES = (
     "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
 )  # fmt: skip
@@ -33,32 +34,32 @@ OTHER_DICTIONARIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Markers:
-    """Markers of the strip that one picture shows."""
+    """Markers of the strip in one picture."""
 
     ids: NDArray[np.int64]
     """(M,) ascending."""
     corners_px: Array
-    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, seen upright from
+    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, upright and viewed from
     outside."""
     covariance_px2: Array | None = None
     """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
     bend: Array | None = None
-    """(M,) as in `MarkerFit`; None where corners were not measured."""
+    """(M,) as in `MarkerFit`; None if corners were not measured."""
     blur_px: Array | None = None
-    """(M,) blur of the markers, the pixel's own included."""
+    """(M,) blur of the markers, including the pixel's own."""
     foreign: tuple[int, ...] = ()
-    """Ids of the dictionary that the strip does not have, of markers as large as the strip's in this picture."""
+    """Ids of the dictionary that are not in the strip, of markers of similar size in this picture."""
     diagnosis: str | None = None
-    """Why there are no markers, when there are none."""
+    """Reason if no markers were found."""
 
 
-def dictionary_of(strip: MarkerStrip) -> cv2.aruco.Dictionary:
+def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
     """Return OpenCV's dictionary of a strip.
 
     Raises
     ------
     UserError
-        When OpenCV has no such dictionary, or it has too few markers.
+        If OpenCV has no such dictionary, or it has too few markers.
     """
     try:
         dictionary = dictionary_named(strip.dictionary)
@@ -71,28 +72,28 @@ def dictionary_of(strip: MarkerStrip) -> cv2.aruco.Dictionary:
 
 
 def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) -> Markers:
-    """Find a strip's markers in a picture and measure their corners.
+    """Detect a strip's markers in a picture and measure their corners.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
         Grey levels linear in light (blur then leaves edges in place), uint8 or uint16 left-aligned.
     strip : MarkerStrip
-        The strip that is looked for; markers of other ids are ignored.
+        The strip to detect; markers of other ids are ignored.
     measure : bool
-        False keeps OpenCV's corners (refined by its SUBPIX, as the thesis has them), about ten times less exact.
+        False keeps OpenCV's corners (refined with SUBPIX, as in the thesis), about ten times less accurate.
 
     Returns
     -------
     Markers
-        Ids, corners and their covariance; where nothing is found, a diagnosis instead.
+        Ids, corners and their covariance; a diagnosis if no markers are found.
 
     Raises
     ------
     UserError
-        When OpenCV does not know the strip's dictionary.
+        If OpenCV does not know the strip's dictionary.
     """
-    dictionary = dictionary_of(strip)
+    dictionary = marker_dictionary(strip)
     ids, corners_px, foreign = _search(image, dictionary, strip, subpix=not measure)
     if len(ids) and not measure:
         return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
@@ -107,7 +108,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
         return Markers(
             ids=np.zeros(0, np.int64),
             corners_px=np.zeros((0, 4, 2)),
-            diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
+            diagnosis=_diagnose(image, strip, blurred=len(ids), foreign=foreign),
         )
     return Markers(
         ids=np.array(list(found)),
@@ -122,7 +123,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
 def _search(
     image: Picture, dictionary: cv2.aruco.Dictionary, strip: MarkerStrip, *, subpix: bool
 ) -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return ids (M,) of the strip, rough corners (M, 4, 2), and strange ids of like size.
+    """Return ids (M,) of the strip, approximate corners (M, 4, 2), and foreign ids of similar size.
 
     The corners are in the full picture.
     """
@@ -130,7 +131,7 @@ def _search(
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
     foreign: dict[int, Array] = {}
-    for tone in (_linear, _root, _equalised):
+    for tone in (_linear, _square_root, _equalise):
         corners, ids, _ = detector.detectMarkers(tone(small))
         for marker_id, four in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
             group = own if 0 <= marker_id - strip.first_id < strip.rows * strip.columns else foreign
@@ -144,14 +145,14 @@ def _search(
 
 
 def _height_px(four: Array) -> float:
-    """Return the length of a marker's sides from top to bottom, which the strip's curvature leaves alone."""
+    """Return the length of a marker's sides from top to bottom, which the strip's curvature does not affect."""
     return float(np.linalg.norm(four[[0, 1]] - four[[3, 2]], axis=1).mean())
 
 
 def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:
     """Return a detector for markers that are small, blurred and foreshortened.
 
-    Tried on pictures of the strip: 18-20 of 26 found.
+    On pictures of the strip it finds 18-20 of 26.
     """
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax, parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX
@@ -165,8 +166,8 @@ def _linear(image: Picture) -> Bytes:
     return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, _BRIGHTEST), 1.0)), np.uint8)
 
 
-def _root(image: Picture) -> Bytes:
-    """Scale to 8 bits by a square root, which lifts a strip much darker than the backlight."""
+def _square_root(image: Picture) -> Bytes:
+    """Scale to 8 bits by a square root, which brightens a strip much darker than the backlight."""
     low, top = _percentile(image, 0.5), _percentile(image, _BRIGHTEST)
     return (255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))).astype(np.uint8)
 
@@ -176,22 +177,22 @@ def _percentile(image: Picture, percent: float) -> float:
     return float(np.percentile(image[::3, ::3].astype(np.float32), percent))
 
 
-def _equalised(image: Picture) -> Bytes:
+def _equalise(image: Picture) -> Bytes:
     """Equalise the local contrast of the square root."""
-    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_root(image)), np.uint8)
+    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_square_root(image)), np.uint8)
 
 
-def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
-    """Say what kept a picture's markers from being found."""
+def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
+    """Return the reason why no markers were found in a picture."""
     last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
-        return f"{blurred} markers were named, but are too blurred or noisy to be measured"
+        return f"{blurred} markers were identified, but are too blurred or noisy to be measured"
     names = ", ".join(str(k) for k in foreign[:5])
     others = f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
     if len(foreign) >= 3:
         return others
     picture = _linear(image)
-    mirrored = _detector(dictionary_of(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
+    mirrored = _detector(marker_dictionary(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
     if mirrored is not None and len(mirrored) >= 3:
         return "the picture is mirrored: its markers are only found in its mirror image"
     for name in OTHER_DICTIONARIES:
@@ -199,4 +200,4 @@ def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
             ids = _detector(dictionary_named(name)).detectMarkers(picture)[1]
             if ids is not None and len(ids) >= 3:
                 return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
-    return others if foreign else "no markers were found"  # one or two may be a chance of small dictionaries
+    return others if foreign else "no markers were found"  # one or two may be coincidental in small dictionaries

@@ -1,4 +1,4 @@
-"""How far the cameras may be off, and how the errors of all of them belong together."""
+"""Errors of camera poses, with the correlations between views."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class PoseErrors:
     carry: Array
     """(V, 6, S)."""
     own: Array
-    """(V, 6, 6) covariances of e, which no view shares with another."""
+    """(V, 6, 6) covariances of e, independent between views."""
 
     def covariance(self) -> Array:
         """Return the covariance (V, 6, 6) of each pose."""
         return np.asarray(self.carry @ self.shared @ self.carry.transpose(0, 2, 1) + self.own)
 
-    def of(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
+    def reorder(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
         """Return the errors of views in another order.
 
-        None is a view that shares nothing, with a covariance (6, 6) of its own.
+        None denotes a view without shared errors, with its own covariance (6, 6) in ``alone``.
         """
         count = self.shared.shape[0]
         carry, own = np.zeros((len(views), 6, count)), np.zeros((len(views), 6, 6))

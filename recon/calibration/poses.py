@@ -1,4 +1,4 @@
-"""Where the camera stood for every picture, found from the markers of all pictures together."""
+"""Camera poses of all pictures, estimated from their markers together."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,29 +22,28 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
 STILL_PX = 2.0
-"""A camera that moves more than this between the views was not meant to stand still: none of its views is left out for
-moving."""
+"""Maximum movement between views of a camera that counts as static; views are only left out for movement if the camera
+is static otherwise."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
-"""A ring whose views scatter more than this (rad, mm) was no turn before a camera at rest: each view stands for
-itself."""
+"""Maximum scatter (rad, mm) of a ring's views; above it, the ring is no turn in front of a static camera, and each view
+is independent."""
 LEAST_RING = 5
-"""Views of a ring among which a moved one can be told."""
+"""Minimum number of views of a ring to detect a moved one."""
 OUTLIER_WEIGHT = 0.1
 """Cauchy weight of a marker that is nine standard deviations off."""
 AS_CALIBRATED = 1e-7
-"""Prior of the relative change of focus that holds the lens as it is."""
+"""Prior standard deviation of the relative focal change that keeps the calibrated lens."""
 STRANGERS = 3
-"""So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's
-strip is another."""
+"""Minimum number of foreign markers, each in at least two pictures, for which the scene's strip is considered wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Poses(StripCalibration):
-    """Cameras of all views, in the order of the frames, and what they say about the rig."""
+    """Cameras of all views, in the order of the frames, with the calibration of the rig."""
 
     views: tuple[Camera, ...]
     errors: PoseErrors | None = None
-    """Of all views' poses together; None where each view stands for itself."""
+    """Errors of all views' poses; None if the views are independent."""
     turn_sigma_rad: Array | None = None
     """(F,) standard deviations of the table angles; 0 for views that are not of the rig."""
     warnings: tuple[str, ...] = ()
@@ -58,60 +57,60 @@ def find_poses(
     settings: CalibrationSettings = CalibrationSettings(),
     single_view: bool = False,
 ) -> Poses:
-    """Find the camera of every picture from its markers.
+    """Estimate the camera of every picture from its markers.
 
-    Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the
-    camera of each ring, every table angle, the canister's pose on the table and what the camera moved between views
-    (`recon.calibration.rig_fit`). Views that do not fit are left out with the reason.
+    Each picture alone gives an initial pose (PnP). One least-squares problem over all pictures then estimates the
+    camera of each ring, every table angle, the pose of the canister on the table, and the movement of the camera
+    between views (`recon.calibration.rig_fit`). Views with large residuals are left out, with the reason.
 
     Parameters
     ----------
     detected : sequence of Markers
-        Of each picture.
+        Markers of each picture.
     scene : Scene
-        Camera with lens distortion, strip and net pot as given.
+        Camera with lens distortion, strip and net pot.
     captured : sequence of Frame
-        The pictures' rings and commanded table angles (None: free).
+        Rings and commanded table angles of the pictures (None: free).
     settings : CalibrationSettings
-        Which views are left out, and what is known of the rig beforehand.
+        Thresholds for leaving out views, and priors of the rig.
     single_view : bool
-        Stop at each picture's own pose, corners unweighted (the thesis's way).
+        Whether to stop at each picture's own pose, with unweighted corners (method of the thesis).
 
     Raises
     ------
     UserError
-        When no picture gives a camera, or the pictures show another strip.
+        If no picture gives a camera, or the pictures show another strip.
     """
     if len(detected) != len(captured):
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
-    _refuse_strangers(detected, scene, captured)
+    _reject_foreign_markers(detected, scene, captured)
     views: list[Camera] = []
-    seen: dict[int, Sightings] = {}
+    sightings: dict[int, Sightings] = {}
     for k, (markers, frame) in enumerate(zip(detected, captured, strict=True)):
-        view, sight = _alone(markers, scene, frame, polish=not single_view)
+        view, sight = _fit_single_view(markers, scene, frame, polish=not single_view)
         views.append(view)
         if sight is not None:
-            seen[k] = sight
-    if not seen:
+            sightings[k] = sight
+    if not sightings:
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no camera can be found in any of the {len(captured)} pictures: "
+            f"{captured[0].file}: {views[0].reason}; no camera could be calibrated in any of the {len(captured)} pictures: "
             "check focus, light and the strip in the scene file, or give the cameras"
         )
-    median_px = float(np.median([views[k].reprojection_px for k in seen]))
-    for k in list(seen):
+    median_px = float(np.median([views[k].reprojection_px for k in sightings]))
+    for k in list(sightings):
         reason = _misfit(views[k].reprojection_px, median_px, settings)
         if reason:
             views[k] = replace(views[k], used=False, reason=reason)
-            if not single_view and len(seen) > 1:
-                del seen[k]
+            if not single_view and len(sightings) > 1:
+                del sightings[k]
     if single_view:
-        _need_one(views, captured)
+        _require_camera(views, captured)
         return Poses(views=tuple(views), after_px=median_px)
-    return _together(views, seen, scene, captured, settings)
+    return _fit_all_views(views, sightings, scene, captured, settings)
 
 
-def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
-    """Refuse pictures that show the strip's markers among others of their size.
+def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
+    """Reject pictures that show the strip's markers among others of similar size.
 
     Poses from a part of another strip would be wrong.
     """
@@ -121,69 +120,69 @@ def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Seque
         first = next(frame.file for frame, markers in zip(captured, detected, strict=True) if strange[0] in markers.foreign)
         strip = scene.strip
         raise UserError(
-            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} stand beside the scene's "
+            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} appear beside the scene's "
             f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in "
             "the scene file, or cover the other markers"
         )
 
 
-def _alone(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
-    """Find a view's pose from its own markers."""
+def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
+    """Estimate a view's pose from its own markers."""
     count = len(markers.ids)
     nothing = Camera(file=frame.file, ring=frame.ring, used=False, markers=count)
     if count < LEAST_MARKERS:
         reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
         return replace(nothing, reason=reason), None
-    seen = view_fit.sightings(markers, scene)
-    pose = view_fit.single_view(seen, polish=polish)
+    sightings = view_fit.sightings(markers, scene)
+    pose = view_fit.single_view(sightings, polish=polish)
     if pose is None:
         reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
         return replace(nothing, reason=reason), None
-    local = view_fit.linearise(seen, pose)
-    view = _placed(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
-    return replace(view, single_view_px=local.rms_px), seen
+    local = view_fit.linearise(sightings, pose)
+    view = _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
+    return replace(view, single_view_px=local.rms_px), sightings
 
 
-def _refocused(view: Camera, seen: Sightings, focal_scale: float) -> Camera:
-    """Find the pose of a view that is not part of the rig with the lens as the rig's views found it."""
-    pose = view_fit.single_view(replace(seen, camera=seen.camera.focused(focal_scale))) if view.used else None
+def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
+    """Estimate the pose of a view outside the rig with the refined focal length."""
+    pose = view_fit.single_view(replace(sightings, camera=sightings.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
 
-def _placed(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
+def _add_pose(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
     outliers = int(np.count_nonzero(local.weight < OUTLIER_WEIGHT))
-    return replace(view.placed(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
+    return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
 
 
 def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
-    """Return why a view is left out, or None."""
+    """Return the reason for leaving out a view, or None."""
     if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
     return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
 
 
-def _need_one(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
+def _require_camera(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
     if not any(view.used for view in views):
         raise UserError(
             f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
         )
 
 
-def _together(
-    views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
+def _fit_all_views(
+    views: list[Camera], sightings: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
 ) -> Poses:
-    """Fit the rig to the views, leave out those that moved, fit again.
+    """Fit the rig to the views, leave out those that moved, and fit again.
 
-    Views of cameras that went about freely keep their own pose.
+    Views of cameras that were moved freely keep their own pose.
     """
-    keys = _rig_keys(views, sorted(seen), scene, captured)
+    keys = _rig_keys(views, sorted(sightings), scene, captured)
     if not keys:
-        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in seen])))
+        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in sightings])))
     while True:
-        first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
-        sights = [seen[k] for k in keys]
+        first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+        sights = [sightings[k] for k in keys]
         fit = fit_rig(sights, first.rig, first.command_rad, first.known, replace(settings, focus_prior=AS_CALIBRATED))
-        worst = _moved(fit, keys, settings)
+        worst = _find_moved_views(fit, keys, settings)
         if not worst:
             break
         for k, moved in worst.items():
@@ -191,14 +190,14 @@ def _together(
         keys = [k for k in keys if k not in worst]
     refocused = fit_rig(sights, fit.rig, first.command_rad, first.known, settings)
     focal_scale = 1.0
-    # else the calibration knows better: focus looks much like distance
+    # Otherwise the calibration is more accurate: focus is hard to separate from distance.
     if abs(refocused.rig.focal_scale - 1.0) > settings.focus_sure * refocused.focal_sigma:
         fit, focal_scale = refocused, refocused.rig.focal_scale
-        for k in set(seen) - set(keys):
-            views[k] = _refocused(views[k], seen[k], focal_scale)
+        for k in set(sightings) - set(keys):
+            views[k] = _refocus(views[k], sightings[k], focal_scale)
     covariance = fit.errors.covariance()
     for i, k in enumerate(keys):
-        view = _placed(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
+        view = _add_pose(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         cam_from_rig = fit.rig.own[i] @ fit.rig.cam_from_rig[fit.rig.ring[i]]
         reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
@@ -208,15 +207,15 @@ def _together(
             reason=reason,
             single_view_px=views[k].single_view_px,
             table_deg=float(turn) if first.known[i] else None,
-            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # else nobody knows the rig's azimuth
+            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
         )
-    _need_one(views, captured)
+    _require_camera(views, captured)
     place = {k: i for i, k in enumerate(keys)}
     turn_sigma = np.zeros(len(views))
     turn_sigma[keys] = fit.turn_sigma_rad
     return Poses(
         views=tuple(views),
-        errors=fit.errors.of([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
+        errors=fit.errors.reorder([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
         turn_sigma_rad=turn_sigma,
         rings=_rings(fit, first.stations),
         table_from_canister=fit.rig.table_from_canister,
@@ -224,19 +223,19 @@ def _together(
         focal_scale=focal_scale,
         focal_found=refocused.rig.focal_scale,
         focal_sigma=refocused.focal_sigma,
-        before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
+        before_px=float(np.median([view_fit.linearise(sightings[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),
         warnings=first.warnings,
     )
 
 
 def _tank(scene: Scene, cam_from_rig: Array) -> Array | None:
-    """Return how the tank, which stands still in the rig, stands to a camera."""
+    """Return the pose of the tank, which is fixed in the rig, relative to a camera."""
     return None if scene.tank is None else cam_from_rig @ frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
 
 
 def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
-    """Return the camera of each station (ring and placement), and how much its views moved about it."""
+    """Return the camera of each station (ring and placement), and the movement of its views."""
     return tuple(
         Ring(
             ring=ring,
@@ -250,19 +249,19 @@ def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]
     )
 
 
-def _found(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
+def _view_poses(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
     return [pose for k in keys if (pose := views[k].cam_from_canister) is not None]
 
 
 def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
-    """Return the views of those rings whose camera stood still, but for small movements."""
-    first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+    """Return the views of the rings with a static camera, apart from small movements."""
+    first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
     loose = np.any(first.rig.spread > LOOSE, axis=1)
     return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
-def _moved(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
-    """Return the views of each ring whose camera did not stand where the ring's other views say, with the reason."""
+def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
+    """Return, with the reason, the views whose camera pose deviates from that of the other views of the ring."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
         members = np.flatnonzero(fit.rig.ring == ring).tolist()

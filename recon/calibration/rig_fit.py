@@ -1,6 +1,6 @@
-"""One least-squares problem over all pictures.
+"""Bundle adjustment of the rig over all pictures.
 
-Where the camera stood for each ring, how the table turned, how the canister sits on it.
+The unknowns are the camera of each ring, the table angles, and the pose of the canister on the table.
 """
 
 from collections.abc import Sequence
@@ -17,34 +17,33 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 CANISTER = np.array([0, 1, 3, 4])
-"""How a canister stands on a table, as parts of a twist: tilt about x and y, offset in x and y (height and turn belong
-to the camera)."""
+"""Components of a twist that form the pose of a canister on a table: tilt about x and y, offset in x and y (height and
+rotation are part of the camera's pose)."""
 CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
-"""How misaligned a canister may stand: rad, rad, mm, mm."""
+"""Prior standard deviation of a canister's misalignment: rad, rad, mm, mm."""
 FREE_PRIOR_RAD = 0.3
-"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a misaligned canister
-changes."""
+"""Prior standard deviation of an angle that was not commanded, about the camera's azimuth relative to the strip, which
+a misaligned canister changes."""
 TAIL = 4.0
-"""Degrees of freedom of Student's t for the views' own movement: one moved view does not loosen the others."""
+"""Degrees of freedom of Student's t for the views' own movement: one moved view does not affect the others."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
-"""Least spread (rad, mm) of the views' own movement."""
+"""Minimum spread (rad, mm) of the views' own movement."""
 LEAST_SCALE = 0.3
-"""Residuals are taken to be no smaller than this share of what their covariances say: a chance few must not look
-exact."""
+"""Minimum ratio of residuals to their covariances, so that a few small residuals do not appear exact."""
 MOST_STEPS = 15
-"""Gauss-Newton converges fast or runs away."""
+"""Maximum number of steps: Gauss-Newton converges fast or diverges."""
 SPREAD_STEPS = 10
-"""Fixed-point steps of the spreads within one step of the fit; they settle together."""
+"""Fixed-point steps of the spreads within one step of the fit; both converge together."""
 _CHI2_MEDIAN = 7.34
-"""Median of chi square with 8 degrees of freedom (`scipy.stats.chi2.median(8)` is 7.344): of a marker's four
+"""Median of chi square with 8 degrees of freedom (`scipy.stats.chi2.median(8)` is 7.344): that of a marker's four
 corners."""
 ENOUGH = 1e-6
-"""Steps (rad, mm, px) below this end the fit."""
+"""Step size (rad, mm, px) below which the fit ends."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """What the pictures are explained by.
+    """Parameters of the rig.
 
     ``cam_from_canister = own[v] @ cam_from_rig[ring[v]] @ Rz(angle[v]) @ table_from_canister``.
     """
@@ -54,15 +53,15 @@ class Rig:
     cam_from_rig: Array
     """(R, 4, 4)."""
     angle_rad: Array
-    """(V,) of the table about +z."""
+    """(V,) angle of the table about +z."""
     own: Array
-    """(V, 4, 4) small movement of the camera for this view alone."""
+    """(V, 4, 4) small movement of the camera in this view only."""
     table_from_canister: Array
-    """(4, 4), without height and turn."""
+    """(4, 4), without height and rotation."""
     inset_px: float
-    """How much larger on each side the markers look than they are."""
+    """Amount by which the markers appear larger on each side."""
     focal_scale: float
-    """Focal lengths over the given ones."""
+    """Ratio of the focal lengths to the given ones."""
     spread: Array
     """(R, 2) standard deviation of ``own`` on each axis: rad and mm."""
 
@@ -78,18 +77,18 @@ class Rig:
 
 @dataclass(frozen=True, kw_only=True)
 class RigFit:
-    """The rig that explains the pictures best, and how well it is known."""
+    """The best-fitting rig with its uncertainty."""
 
     rig: Rig
     views: tuple[Linearised, ...]
     rig_px: Array
     """(V,) reprojection error of each view without its own movement."""
     errors: PoseErrors
-    """Of the views' poses."""
+    """Errors of the views' poses."""
     turn_sigma_rad: Array
     """(V,) standard deviations of the table angles."""
     scale: float
-    """Factor between the corners' residuals and their covariances."""
+    """Ratio of the corners' residuals to their covariances."""
 
     @property
     def focal_sigma(self) -> float:
@@ -102,49 +101,51 @@ class RigFit:
         return self.errors.shared[own, own]
 
 
-def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings) -> RigFit:
+def fit_rig(
+    sightings: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings
+) -> RigFit:
     """Fit the rig to all pictures by Gauss-Newton.
 
-    Each step reduces a picture to the normal equations of its pose, which loses nothing.
+    Each step reduces a picture to the normal equations of its pose, without loss of information.
 
     Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is
-    found from the pictures (expectation maximisation under Student's t): it goes to zero for a still camera, which
-    pools all views, and grows to the scatter of the single views where the camera moved.
+    estimated from the pictures (expectation maximisation under Student's t): it converges to zero for a static camera,
+    which pools all views, and to the scatter of the single views if the camera moved.
 
     Parameters
     ----------
-    seen : sequence of Sightings
-        The markers of each view.
+    sightings : sequence of Sightings
+        Markers of each view.
     start : Rig
-        Near the solution; ``own`` such that the views' poses are those of the single views.
+        Initial rig, near the solution; ``own`` such that the views' poses are those of the single views.
     command_rad : (V,) float64 array
         Commanded table angles.
     known : (V,) bool array
-        Whether the angle was commanded at all.
+        Whether the angle was commanded.
     settings : CalibrationSettings
-        Priors of table, inset and focus; a tiny one of the focus takes the lens as it is given.
+        Priors of table, inset and focus; a very small one of the focus keeps the given lens.
     """
     rig, scale = start, 1.0
     angle_sigma = np.where(known, np.deg2rad(settings.table_prior_deg), FREE_PRIOR_RAD)
-    weight = np.ones(len(seen))
+    weight = np.ones(len(sightings))
     for _ in range(MOST_STEPS):
-        views = _linearised(seen, rig, scale)
+        views = _linearise_views(sightings, rig, scale)
         scale = max(scale * _misfit(views), LEAST_SCALE)
-        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
+        system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
         spread, weight = system.find_spread(rig.spread, weight)
         shared, local = system.solve(spread, weight)[:2]
-        rig = _stepped(replace(rig, spread=spread), shared, local)
+        rig = _apply_step(replace(rig, spread=spread), shared, local)
         if max(np.abs(local).max(), np.abs(shared).max()) < ENOUGH:
             break
-    views = _linearised(seen, rig, scale)
-    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
-    rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(seen)]
-    return system.report(seen, weight, views, scale, np.array(rig_px))
+    views = _linearise_views(sightings, rig, scale)
+    system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
+    rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(sightings)]
+    return system.report(sightings, weight, views, scale, np.array(rig_px))
 
 
-def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
+def _linearise_views(sightings: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
     shared = {"inset_px": rig.inset_px, "focal_scale": rig.focal_scale, "scale": scale}
-    return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(seen))
+    return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(sightings))
 
 
 def _misfit(views: Sequence[Linearised]) -> float:
@@ -152,8 +153,8 @@ def _misfit(views: Sequence[Linearised]) -> float:
     return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / _CHI2_MEDIAN))
 
 
-def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
-    """Move a rig by a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns."""
+def _apply_step(rig: Rig, shared: Array, local: Array) -> Rig:
+    """Apply a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns to a rig."""
     rings = shared[2:-4].reshape(-1, 6)
     canister = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
     return replace(
@@ -171,7 +172,7 @@ def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
 class _System:
     """Normal equations about a rig.
 
-    Shared unknowns: inset, focus, 6 a ring, 4 of the canister's pose; local ones: table angle, 6 of the own movement.
+    Shared unknowns: inset, focus, 6 per ring, 4 of the canister's pose; local ones: table angle, 6 of the own movement.
     """
 
     rig: Rig
@@ -186,13 +187,13 @@ class _System:
     own: Array
     """(V, 6) the views' own movement."""
     angle_off: Array
-    """(V,) table angle less the commanded one."""
+    """(V,) table angle minus the commanded one."""
     angle_sigma: Array
     """(V,)."""
     settings: CalibrationSettings
 
     @classmethod
-    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, settings: CalibrationSettings) -> "_System":
+    def build(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, settings: CalibrationSettings) -> "_System":
         count, rings = len(views), len(rig.cam_from_rig)
         by_shared, by_local = np.zeros((count, 8, 2 + 6 * rings + 4)), np.zeros((count, 8, 7))
         by_shared[:, 6, 0] = by_shared[:, 7, 1] = 1.0
@@ -209,23 +210,23 @@ class _System:
         return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, settings)
 
     def _prior(self, spread: Array, weight: Array) -> Array:
-        """Return what is known (V, 7) of the local unknowns: one over their variances."""
+        """Return the prior precision (V, 7) of the local unknowns."""
         precision = np.repeat(spread[self.rig.ring] ** -2.0, 3, axis=1) * weight[:, None]
         return np.concatenate([self.angle_sigma[:, None] ** -2.0, precision], axis=1)
 
     def _shared_prior(self) -> Array:
-        """Return the same (S,) of the shared unknowns."""
+        """Return the prior precision (S,) of the shared unknowns."""
         prior = np.full(self.by_shared.shape[2], 1e-9)
         prior[0], prior[1] = self.settings.inset_prior_px**-2.0, self.settings.focus_prior**-2.0
         prior[-4:] = CANISTER_PRIOR**-2.0
         return prior
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the shared (S,) and local (V, 7) step, and how sure they are.
+        """Return the shared (S,) and local (V, 7) step, with covariances.
 
-        These are the covariance (S, S) of the shared ones and that (V, 7, 7) of the local ones if the shared ones were
-        known, both for residuals that have nothing to do with one another, and the gain (V, 7, S): local ones give way
-        to the shared by minus that.
+        The covariances are that of the shared unknowns (S, S) and that of the local ones (V, 7, 7) given the shared
+        ones, both for independent residuals. The gain (V, 7, S) is minus the derivative of the local unknowns by the
+        shared ones.
         """
         prior = self._prior(spread, weight)
         local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)
@@ -256,15 +257,15 @@ class _System:
             movement = (self.own + local[:, 1:]) ** 2 + np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
             square = movement.reshape(-1, 2, 3).sum(axis=2)
             weight = (TAIL + 6.0) / (TAIL + np.sum(square / spread[self.rig.ring] ** 2, axis=1))
-            found = np.array([np.sqrt(np.mean(weight[of, None] * square[of], axis=0) / 3.0) for of in self._members()])
+            found = np.array([np.sqrt(np.mean(weight[members, None] * square[members], axis=0) / 3.0) for members in self._members()])
             spread = np.maximum(found**2 / spread, STILL)
         return spread, weight
 
     def _members(self) -> list[NDArray[np.bool_]]:
         return [self.rig.ring == ring for ring in range(len(self.rig.cam_from_rig))]
 
-    def report(self, seen: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
-        """Put the errors of the poses together."""
+    def report(self, sightings: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
+        """Assemble the errors of the poses."""
         shared, given, gain = self.solve(self.rig.spread, weight)[2:]
         scores, curvatures, view = [], [], []
         for k, local in enumerate(views):
@@ -277,7 +278,7 @@ class _System:
         rows, parts = np.concatenate(scores), np.concatenate(curvatures)
         known = np.diag(self._shared_prior())
         normal = parts.sum(axis=0) + known
-        meat = scatter(rows, np.concatenate(view), _places(seen, self.rig), curvatures=parts, normal=normal)
+        meat = scatter(rows, np.concatenate(view), _places(sightings, self.rig), curvatures=parts, normal=normal)
         carry = self.by_shared[:, :6] - self.by_local[:, :6] @ gain
         own = self.by_local[:, :6] @ given @ self.by_local[:, :6].transpose(0, 2, 1)
         errors = PoseErrors(shared=sandwich(normal, meat + known, shared), carry=carry, own=own)
@@ -285,14 +286,14 @@ class _System:
         return RigFit(rig=self.rig, views=views, rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn), scale=scale)
 
 
-def _places(seen: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
-    """Return the number of the place (M,) where each marker of all views is seen: squares of a marker's size.
+def _places(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
+    """Return the index of the place (M,) of each marker in the pictures: squares of a marker's size.
 
-    A still camera sees markers of all views on the same pixels, under the same angle to the strip's curve, so that what
-    is wrong there is wrong in every view: errors of markers' middles correlate by 0.1 up to 8 px apart and by nothing
-    beyond (400x300, markers of 12 px).
+    A static camera shows markers of all views on the same pixels, at the same angle to the strip's curve, so that an
+    error there is the same in every view: errors of markers' centres correlate by 0.1 up to 8 px apart, and are
+    uncorrelated beyond (400x300, markers of 12 px).
     """
-    side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in seen])))
-    square = [np.floor(one.px.mean(axis=1) / side_px) for one in seen]
+    side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in sightings])))
+    square = [np.floor(one.px.mean(axis=1) / side_px) for one in sightings]
     row = np.concatenate([np.column_stack([np.full(len(at), rig.ring[k]), at]) for k, at in enumerate(square)])
     return np.asarray(np.unique(row.astype(np.int64), axis=0, return_inverse=True)[1].ravel(), np.int64)

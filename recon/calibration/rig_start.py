@@ -1,4 +1,4 @@
-"""A first rig from the poses of single views: cameras of the rings, table angles, and how much the views scatter."""
+"""Initial rig from the poses of single views: cameras of the rings, table angles, and the scatter of the views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,41 +12,41 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 _ARM_MM = 100.0
-"""Turns are compared with shifts by this: the nine entries of a rotation change by sqrt(2) times the angle, so that a
-turn counts as it shifts a point 141 mm away: the middle of the canister's floor (146 mm)."""
+"""Length that converts rotations to shifts: the nine entries of a rotation change by sqrt(2) times the angle, so that a
+rotation counts as the shift of a point at 141 mm: the centre of the canister's floor (146 mm)."""
 _LEAST_SPREAD = np.array([1e-3, 0.1])
-"""Rad and mm by which single views scatter at least: the fit begins above the spread that it shall find."""
+"""Minimum scatter of single views, rad and mm: the fit starts above the final spread."""
 AGREE_RAD = np.deg2rad(5.0)
-"""Commanded table angles are believed when the pictures agree within this."""
+"""Maximum deviation from the pictures at which commanded table angles are used."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FirstRig:
-    """Where the fit of the rig begins."""
+    """Initial values of the rig fit."""
 
     rig: Rig
-    """Its views' poses are the given ones."""
+    """Rig whose views' poses are the given ones."""
     command_rad: Array
-    """(V,) commanded table angle about +z; where none counts, the pictures' own."""
+    """(V,) commanded table angle about +z; that of the pictures if not commanded."""
     known: NDArray[np.bool_]
-    """(V,) whether a commanded angle counts."""
+    """(V,) whether the commanded angle is used."""
     stations: tuple[tuple[int, int], ...]
     """Ring and placement of the frames, in the order of ``rig.cam_from_rig``."""
     warnings: tuple[str, ...]
 
 
 def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, direction: int) -> FirstRig:
-    """Put a first rig together.
+    """Assemble the initial rig.
 
     Parameters
     ----------
     cam_from_canister : sequence of (4, 4) float64 array
-        Of each view, from its own markers.
+        Pose of each view, from its own markers.
     captured : sequence of Frame
-        The views' frames: ring, placement and commanded table angle. Each placement of the camera in a ring has a
-        camera of its own.
+        Frames of the views: ring, placement and commanded table angle. Each placement of the camera in a ring has its
+        own camera.
     direction : int
-        +1 where positive table angles turn counter-clockwise seen from above.
+        +1 if positive table angles are counter-clockwise from above.
     """
     poses = np.array(cam_from_canister)
     stations = sorted({frame.station for frame in captured})
@@ -56,15 +56,15 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
     command, known = angle.copy(), np.zeros(len(poses), bool)
     warnings: list[str] = []
     for r, (number, _) in enumerate(stations):
-        of = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
-        if not of:
+        members = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
+        if not members:
             continue
-        asked = direction * np.deg2rad([captured[i].table_deg or 0.0 for i in of])
-        if _scatter(angle[of] - asked) < AGREE_RAD:
-            command[of], known[of] = asked, True
+        commanded = direction * np.deg2rad([captured[i].table_deg or 0.0 for i in members])
+        if _scatter(angle[members] - commanded) < AGREE_RAD:
+            command[members], known[members] = commanded, True
         else:
-            other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
-            warnings.append(f"ring {number}: the pictures do not show the commanded table angles{other}; their own angles are used")
+            other = " (they match the opposite turntable.direction)" if _scatter(angle[members] + commanded) < AGREE_RAD else ""
+            warnings.append(f"ring {number}: the pictures contradict the commanded table angles{other}; angles from the pictures are used")
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
     cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
@@ -82,13 +82,13 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
 
 
 def _scatter(angles: Array) -> float:
-    """Return the median distance of angles from their middle direction."""
+    """Return the median distance of angles from their median direction."""
     middle = np.angle(np.median(np.cos(angles)) + 1j * np.median(np.sin(angles)))
     return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
 
 
 def _middle(poses: Array) -> Array:
-    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others.
+    """Return the pose (4, 4) among (N, 4, 4) that is nearest to the others.
 
     Rotations count as shifts of a point at sqrt(2) `_ARM_MM`.
     """
@@ -97,6 +97,6 @@ def _middle(poses: Array) -> Array:
 
 
 def _spread(own: Array) -> Array:
-    """Return a first spread (2,) in rad and mm of small movements (N, 4, 4)."""
+    """Return an initial spread (2,) in rad and mm of small movements (N, 4, 4)."""
     turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
     return np.array([turns, np.median(np.linalg.norm(own[:, :3, 3], axis=1))]) + _LEAST_SPREAD

@@ -1,6 +1,6 @@
-"""One picture's markers against a camera.
+"""Reprojection of one picture's markers.
 
-Residuals, their derivatives by the camera's pose, and the single-view pose (PnP).
+The module computes residuals, their derivatives by the camera's pose, and the single-view pose (PnP).
 """
 
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera, Scene
 
 FLOOR_PX = 0.02
-"""Error of a measured corner that its covariance does not know of: lens model, print, the pattern's model."""
+"""Systematic error of a measured corner, not in its covariance: lens model, print, and model of the pattern."""
 UNKNOWN_PX = 0.1
-"""Error of a corner that comes without a covariance."""
+"""Error of a corner without a covariance."""
 _MISREAD_PX = 1.5, 10.0
-"""Median and largest distance of a picture's corners from their places by SQPNP, beyond which some are taken for
-misread: corners that OpenCV finds are off by 0.1 to 0.2 (`docs/calibration.md`), those of another marker by its
-side."""
+"""Median and largest reprojection error of SQPNP, above which some markers may be misread: corners found by OpenCV are
+off by 0.1 to 0.2 (`docs/calibration.md`), those of another marker by its side."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
-"""Corners nearer than this agree; with half of the corners misread, nine of 300 draws of five hold none of those."""
+"""Inlier distance, and number of trials: with half of the corners misread, nine of 300 samples of five contain no
+misread corner."""
 _ENOUGH_MM = 1e-5
-"""Steps of the camera below this end the fit of one picture: a thousandth of what a picture tells."""
+"""Step of the camera below which the fit of one picture ends: a thousandth of the accuracy of a picture."""
 WIDE = 3.0
 """Normalised residual of a marker at which its weight is halved (Cauchy)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sightings:
-    """The markers of one picture with their places on the strip."""
+    """Markers of one picture with their positions on the strip."""
 
     camera: Camera
     points_mm: Array
@@ -42,16 +42,14 @@ class Sightings:
     whitener: Array
     """(M, 8, 8): ``whitener @ residual`` has unit covariance."""
     outward: Array
-    """(M, 8): how the corners move when the marker's image grows by 1 px on each side."""
+    """(M, 8): movement of the corners if the marker's image grows by 1 px on each side."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """Least squares of one picture about a pose, for a left-hand twist, the inset and the focus.
+    """Linearised least squares of one picture about a pose, for a left-hand twist, the inset and the focus.
 
-    Units are rad and mm of the twist, and px of the inset.
-
-    The focus is the relative change of the focal lengths.
+    Units are rad and mm for the twist, and px for the inset. The focus is the relative change of the focal lengths.
     """
 
     normal: Array
@@ -59,7 +57,7 @@ class Linearised:
     gradient: Array
     """(8,)."""
     normals: Array
-    """(M, 8, 8) part of each marker."""
+    """(M, 8, 8) contribution of each marker."""
     gradients: Array
     """(M, 8)."""
     chi2: Array
@@ -71,7 +69,7 @@ class Linearised:
 
 
 def sightings(markers: Markers, scene: Scene) -> Sightings:
-    """Join a picture's markers with their places on the strip."""
+    """Match a picture's markers with their positions on the strip."""
     where = plan.marker_corners(scene.strip, scene.net_pot)
     px = markers.corners_px
     count = len(px)
@@ -92,18 +90,18 @@ def sightings(markers: Markers, scene: Scene) -> Sightings:
 
 
 def linearise(
-    seen: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, focal_scale: float = 1.0, scale: float = 1.0
+    sightings: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, focal_scale: float = 1.0, scale: float = 1.0
 ) -> Linearised:
     """Linearise a picture's reprojection about a pose.
 
     Parameters
     ----------
-    seen : Sightings
-        Corners and their places on the strip.
+    sightings : Sightings
+        Corners and their positions on the strip.
     cam_from_canister : (4, 4) array
         The pose.
     inset_px : float
-        How much larger on each side the markers' images are than they should be (shared by all pictures).
+        Amount by which the markers' images are larger on each side (shared by all pictures).
     focal_scale : float
         Factor on the camera's focal lengths (shared by all pictures).
     scale : float
@@ -114,14 +112,14 @@ def linearise(
     Linearised
         Residuals, Jacobian and weights.
     """
-    count, camera = len(seen.px), seen.camera.focused(focal_scale)
-    cam = frames.apply(cam_from_canister, seen.points_mm.reshape(-1, 3))
+    count, camera = len(sightings.px), sightings.camera.focused(focal_scale)
+    cam = frames.apply(cam_from_canister, sightings.points_mm.reshape(-1, 3))
     at_cam, slopes = cv2.projectPoints(cam, np.zeros(3), np.zeros(3), matrix(camera), np.array(camera.distortion))[:2]
-    off = seen.px.reshape(count, 8) - at_cam.reshape(count, 8) - inset_px * seen.outward
+    off = sightings.px.reshape(count, 8) - at_cam.reshape(count, 8) - inset_px * sightings.outward
     by_focus = (at_cam.reshape(count, 4, 2) - np.array(camera.principal_px)).reshape(count, 8, 1) / focal_scale
-    design = np.concatenate([slopes[:, :6].reshape(count, 8, 6), seen.outward[:, :, None], by_focus], axis=2)
-    white = np.einsum("mij,mj->mi", seen.whitener, off) / scale
-    white_design = seen.whitener @ design / scale
+    design = np.concatenate([slopes[:, :6].reshape(count, 8, 6), sightings.outward[:, :, None], by_focus], axis=2)
+    white = np.einsum("mij,mj->mi", sightings.whitener, off) / scale
+    white_design = sightings.whitener @ design / scale
     chi2 = np.sum(white * white, axis=1)
     weight = 1.0 / (1.0 + chi2 / (8.0 * WIDE**2))
     square = np.sum(off * off, axis=1) / 8.0
@@ -138,10 +136,10 @@ def linearise(
     )
 
 
-def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
-    """Return ``cam_from_canister`` (4, 4) from one picture alone, or None where there is no solution."""
-    points, px = seen.points_mm.reshape(-1, 3), seen.px.reshape(-1, 2)
-    camera, lens = matrix(seen.camera), np.array(seen.camera.distortion)
+def single_view(sightings: Sightings, *, polish: bool = True) -> Array | None:
+    """Return ``cam_from_canister`` (4, 4) from one picture alone, or None if there is no solution."""
+    points, px = sightings.points_mm.reshape(-1, 3), sightings.px.reshape(-1, 2)
+    camera, lens = matrix(sightings.camera), np.array(sightings.camera.distortion)
     ok, rotvec, shift = cv2.solvePnP(points, px, camera, lens, flags=cv2.SOLVEPNP_SQPNP)
     if ok:
         off_px = np.linalg.norm(cv2.projectPoints(points, rotvec, shift, camera, lens)[0].reshape(-1, 2) - px, axis=1)
@@ -159,7 +157,7 @@ def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
     if not np.all(np.isfinite(cam_from_canister)) or frames.apply(cam_from_canister, points)[:, 2].min() <= 0.0:
         return None
     for _ in range(8 if polish else 0):
-        local = linearise(seen, cam_from_canister)
+        local = linearise(sightings, cam_from_canister)
         try:
             step = np.linalg.solve(local.normal[:6, :6], local.gradient[:6])
         except np.linalg.LinAlgError:
@@ -176,7 +174,7 @@ def twist(step: Array) -> Array:
 
 
 def adjoint(a_from_b: Array) -> Array:
-    """Return the 6x6 matrix that takes a small left-hand twist in frame b to the one in frame a."""
+    """Return the 6x6 matrix that maps a small left-hand twist in frame b to that in frame a."""
     rotation, shift = a_from_b[:3, :3], a_from_b[:3, 3]
     cross = np.array([[0.0, -shift[2], shift[1]], [shift[2], 0.0, -shift[0]], [-shift[1], shift[0], 0.0]])
     found = np.zeros((6, 6))

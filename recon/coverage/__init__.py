@@ -1,4 +1,1 @@
-"""How much of each pixel roots cover: the empty backlight, what is no root, silhouettes.
-
-Coverage is sampled at points.
-"""
+"""Coverage of each pixel by roots: estimation of the empty backlight, removal of fouling, and silhouettes."""

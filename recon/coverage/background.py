@@ -1,4 +1,4 @@
-"""The empty backlight of a ring, from the turn itself, and where the pictures say something about the water."""
+"""Estimation of the empty backlight of a ring from the turn, and the pixels that show the water."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -18,84 +18,83 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _MARGIN_MM = 0.1
-"""Beside what is opaque: the cameras' and the canister's errors."""
+"""Margin at opaque parts, for errors of the cameras and of the canister."""
 _STEP = 4
-"""Lines of sight are followed for one pixel in so many each way, and interpolated: they are smooth over the picture."""
+"""Lines of sight are computed for one pixel in this many in each direction, and interpolated."""
 _FLANK = 0.98
-"""Share of the canister's width beyond which the wall reflects nearly everything."""
+"""Fraction of the canister's width beyond which the wall reflects nearly all light."""
 _LEAST_SHARE = 0.5
-"""Of the views, that must look into the water at a pixel for its background to be known."""
+"""Minimum fraction of the views that must show the water at a pixel for its background to be known."""
 _RIM_PX = 11
-"""Width of the square about each pixel of glare that is glare too: five pixels each way for its blurred flank."""
+"""Width of the square about each glare pixel that also counts as glare: five pixels each way for the blurred flank."""
 _GLARE_PX = 1.0
-"""Standard deviation over which glare is looked for: beside roots single pixels of a JPEG are 5 % too bright in every
-fifth view, and the squares about them hid a tenth of a plant."""
+"""Standard deviation of the smoothing before glare detection: beside roots, single pixels of a JPEG are 5 % too bright
+in every fifth view, and the squares about them hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
-"""The panel is what the brightest fifth of the views show, and those within this share of them: roots may pass in four
-views of five. The share is three times the noise of a bench's panel (1.3 % where it has 6000 electrons); the mean is
-then too bright by 0.03 of that noise, and by a third of it where there is a quarter of the light (a normal's
-moments)."""
+"""Fraction of the brightest views, and tolerance for views that also show the panel: roots may cover a pixel in four of
+five views. The tolerance is three times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too
+bright by 0.03 of that noise, or by a third of it at a quarter of the light (from the moments of a normal
+distribution)."""
 _COVERED = 0.96
-"""A background darker than this share of the smooth surface was covered in every view: as far below it as views may
-differ (`_ALIKE`)."""
+"""Ratio of background to smooth surface below which a pixel was covered in every view; the same tolerance as between
+views (`_ALIKE`)."""
 _CORE = 0.85
-"""Share of the canister's width in which the smooth surface is fitted. Measured on pictures without noise: it leaves
-0.02 % inside, 0.08 % as far as 0.92, and 0.4 % as far as 0.98, where a camera a little off leaves some of the wall's
-light."""
+"""Fraction of the canister's width in which the smooth surface is fitted. In pictures without noise the residual is
+0.02 % inside, 0.08 % up to 0.92, and 0.4 % up to 0.98, where a small camera error leaves some of the wall's light."""
 _SAMPLES = 40_000
-"""Pixels that the surface is fitted to: a thousand for each of its 45 coefficients, nearly."""
+"""Number of pixels to which the surface is fitted: almost a thousand for each of its 45 coefficients."""
 _FITS = 8
-"""Times that the surface is fitted. What is brighter is let in by half as much each time: at first roots draw it down,
-later the flanks of a reflection would draw it up."""
+"""Number of fits of the surface. The upper tolerance is halved each time: at first roots lower the surface, later the
+flanks of a reflection would raise it."""
 _CLOSING_PX = 31
-"""Dark things up to this width are closed in a picture that stands alone: 7 mm at a bench's 0.23 mm a pixel, and
-hypocotyls of the library's radishes without a globe have 1.5 to 3 mm. The surface leaves wider ones out as outliers."""
+"""Maximum width of dark objects that are closed in a single picture: 7 mm at 0.23 mm per pixel (profile `bench`);
+hypocotyls of the library's radishes without a globe have 1.5 to 3 mm. Wider objects are rejected as outliers of the
+surface."""
 _BRIGHT = 0.9
-"""Quantile of the background that counts as its brightness: glare and hot pixels are fewer."""
+"""Quantile of the background that defines its brightness, robust against glare and hot pixels."""
 _AGREED = 0.5
-"""Share of the views that show a pixel alike where nothing stands before the panel in most of them."""
+"""Minimum fraction of views with equal brightness at a pixel that is free in most views."""
 _LEAST_SURE = 0.1
-"""Of the pixels that are bright enough: where fewer are sure, all of them begin."""
+"""Minimum fraction of reliable pixels among the bright ones; if there are fewer, the first fit uses all bright
+pixels."""
 _MOST_ADDED = 0.25
-"""Reflections that add up to this share of the panel's light can be taken off: where what they mirror changes by a
-fifth, that is no more than `CoverageSettings.glare`, which is let pass anyway."""
+"""Maximum added light of a reflection that can be subtracted, relative to the panel: if the reflected object changes by
+a fifth, the error is no more than `CoverageSettings.glare`, which is tolerated anyway."""
 _DARK, _LEAST_DARK = 0.5, 30
-"""What is darker than this share of the panel in some view has roots before it; fewer such pixels than this tell no
+"""Brightness relative to the panel below which a view shows a root, and minimum number of such pixels for a
 quantile."""
 _DARKEST = 0.2
-"""Quantile of the darkest views' brightness that is compared: pixels that a root covers wholly, above the noise of
-single ones."""
+"""Quantile of the darkest views' brightness that is compared: pixels fully covered by a root, above the noise of single
+pixels."""
 _BESIDE_PX = 41
-"""Width of the square about reflections in which roots have the brightness that they have behind them: what light from
-the front adds changes over the water's depth, 200 px and more."""
+"""Width of the square about reflections in which roots have the same brightness as behind them: light from the front
+changes over the depth of the water, 200 px and more."""
 _BLOCK_ROWS = 24
-"""Rows that are sorted at once: 24 of 40 views of 800 px are 3 MB, which stay in the cache."""
+"""Number of rows sorted at once: 24 rows of 40 views of 800 px are 3 MB and fit in the cache."""
 _THREADS = 2
-"""Each holds copies of its block."""
+"""Number of threads; each holds copies of its block."""
 
 
 def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
-    """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water.
+    """Return the pixels (H, W) whose line of sight passes through the water to the backlight.
 
-    It also leaves the water again for the backlight.
-
-    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of
-    half a pixel and `_MARGIN_MM` at what is opaque: the skirt before and behind the canister, the grid or water
-    surface, and the base, as far out as the outer wall. How far a line of sight stays clear of these is computed for
-    one pixel in four each way and interpolated.
+    Excluded are the outermost 2 % of the canister's width, where the wall reflects nearly all light, and a margin of
+    half a pixel and `_MARGIN_MM` at opaque parts: the skirt of the net pot before and behind the canister, the grid or
+    water surface, and the base, as far out as the outer wall. The clearance of a line of sight from these is computed
+    for one pixel in four in each direction and interpolated.
     """
-    lines = CoarseLines.of(view, optics, step=_STEP)
-    inside = np.where(lines.through & refraction.inside(optics, lines.line, _FLANK), 1.0, np.nan)
-    clear = (inside * _clearance_mm(view, optics, scene, refraction.within(optics, lines.line, _FLANK))).astype(np.float32)
-    known = lines.enlarged(np.isfinite(clear), nearest=True) > 0
+    lines = CoarseLines.compute(view, optics, step=_STEP)
+    inside = np.where(lines.through & refraction.reaches_water(optics, lines.line, _FLANK), 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, refraction.clip_to_water(optics, lines.line, _FLANK))).astype(np.float32)
+    known = lines.upsample(np.isfinite(clear), nearest=True) > 0
     half_px_mm = 0.5 * (view.rho_mm + optics.outer_radius_mm) / view.camera.focal_px[1]
-    return np.asarray(known & (lines.enlarged(np.nan_to_num(clear, nan=-1.0)) > _MARGIN_MM + half_px_mm))
+    return np.asarray(known & (lines.upsample(np.nan_to_num(clear, nan=-1.0)) > _MARGIN_MM + half_px_mm))
 
 
 def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approach) -> Array:
-    """Return how far (in height) lines of sight stay clear of everything opaque, and in a tank of the liquid's surface.
+    """Return the vertical clearance of lines of sight from opaque parts, and in a tank from the liquid's surface.
 
-    NaN where they miss the water.
+    NaN for lines that miss the water.
     """
     r_skirt, r_o, r_i, p_z = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, near.p_z
     with np.errstate(invalid="ignore"):
@@ -110,7 +109,7 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approa
             outside = p_z / h_around * (np.sqrt(r_skirt**2 - near.b_mm**2) - np.sqrt(r_o**2 - near.b_mm**2))
             before, after, top_z = line.outer_z_mm - outside, far_outer_z + outside, scene.net_pot.skirt_bottom_mm
         else:
-            beyond = cameras.beyond_canister(view, optics, near, line)
+            beyond = cameras.length_behind_canister(view, optics, near, line)
             before, after, top_z = line.outer_z_mm, far_outer_z + p_z / h_around * beyond, optics.tank.level_mm
         clear = np.minimum(top_z - np.maximum(before, after), optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
         lowest = np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm
@@ -118,48 +117,47 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approa
 
 
 def wall_light(view: cameras.View, optics: Optics) -> Image:
-    """Return the share (H, W) of the backlight that comes through the canister's walls; that of the flank beyond it.
+    """Return the transmittance (H, W) of the canister's walls; beyond the flank, that of the flank.
 
-    Where the canister turns about another axis than its own, its flanks wander in the picture: the backlight is
+    Where the canister rotates about an axis other than its own, its flanks move in the picture; the backlight is
     estimated without them.
     """
-    lines = CoarseLines.of(view, optics, step=_STEP)
-    return lines.enlarged(refraction.transmittance(optics, refraction.within(optics, lines.line, _FLANK)))
+    lines = CoarseLines.compute(view, optics, step=_STEP)
+    return lines.upsample(refraction.transmittance(optics, refraction.clip_to_water(optics, lines.line, _FLANK)))
 
 
 class Panel(NamedTuple):
-    """The empty backlight of a ring, and what reflections add before it; in the scale of the pictures."""
+    """Empty backlight of a ring, and added reflections, in the units of the pictures."""
 
     light: Image
     """(H, W)"""
     added: Image
-    """(H, W): light that comes from the wall and not through the water, to be taken off the pictures; 0 where there is
-    none."""
+    """(H, W) light reflected by the wall, which is subtracted from the pictures; 0 where there is none."""
     glare: Mask
-    """(H, W): reflections that cannot be taken off. What they add hides roots, so that nothing can be said there."""
+    """(H, W) reflections that cannot be subtracted. Their light hides roots, so these pixels are not usable."""
 
 
 def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Panel:
-    """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
+    """Estimate the picture of the empty canister from the views of one ring with a static camera.
 
-    Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the
-    panel in nearly every view (the taproot on the axis, a crowd of roots) that is too dark: a smooth surface through
-    the trusted pixels takes its place. It is fitted first to pixels that most views show alike, as a crowd may hide
-    more of the panel than it leaves free.
+    The background of each pixel is the mean of the views within 4 % of the upper quintile. Where an object covers the
+    panel in nearly every view (the taproot on the axis, a dense cluster of roots), this value is too dark and is
+    replaced by a smooth surface fitted to reliable pixels. The first fit uses pixels with equal brightness in most
+    views, as a cluster may hide more of the panel than it leaves free.
 
     Parameters
     ----------
     stack : (V, H, W) float32 array
         Linear grey, any scale.
     inside : (H, W) or (V, H, W) bool array
-        Pixels to be filled, of each view where the canister wobbles; others are 0 in the result.
+        Pixels to be filled, per view if the canister wobbles; others are 0 in the result.
     settings : CoverageSettings
-        What is too dim, and what is glare.
+        Thresholds for dim pixels and glare.
 
     Returns
     -------
     Panel
-        Its light is 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
+        Its light is also 0 where fewer than `_LEAST_SHARE` of the views show the water.
     """
     views = len(stack)
     often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
@@ -181,26 +179,25 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     around = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
     added = np.where(around, np.maximum(background - smooth, 0.0), 0.0).astype(np.float32)
     strong = spots & (added > _MOST_ADDED * smooth)
-    if spots.any() and _lies_before_roots(stack, inside, smooth, spots & ~strong, added):
+    if spots.any() and _is_wall_reflection(stack, inside, smooth, spots & ~strong, added):
         glare = cv2.dilate(strong.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
         added[glare] = 0.0
         background = background - added
     else:
         glare, added = around, np.zeros_like(added)
-    # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
+    # Always covered: darker than its surroundings predict, away from the flanks, where the surface is steep.
     covered = often & (background < _COVERED * smooth)
     return Panel(np.where(covered, smooth, background).astype(np.float32), added, np.asarray(glare))
 
 
 def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
-    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and where that is most of them.
+    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and where these are most views.
 
-    ``inside`` (V, H, W): where views look into the water; None: everywhere.
+    ``inside`` (V, H, W) is the mask of pixels that show the water; None for all pixels.
     """
     views = len(part)
     number = views if inside is None else inside.sum(axis=0)
-    # sorted from the brightest: what lies outside comes last,
-    # and the quintile is that of the views that look into the water
+    # Sorted by brightness with excluded pixels last; the quintile is over the views that show the water.
     part = part if inside is None else np.where(inside, part, 0.0)
     rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
     ranks = np.unique(rank)
@@ -210,15 +207,15 @@ def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
     return np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1), count >= _AGREED * number
 
 
-def _lies_before_roots(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
-    """Tell whether what is too bright is light from the wall, and no brighter part of the panel.
+def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
+    """Return whether excess light is reflected by the wall, and not a brighter part of the panel.
 
-    Roots hide the panel, and not what the wall reflects: there they are brighter than beside it, by what it adds.
+    Roots cover the panel but not reflections: in front of a reflection, roots are brighter by the added light.
     """
     about = cv2.dilate(spots.astype(np.uint8), np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8))
     rows, columns = np.nonzero((about > 0) & (smooth > 0))
-    seen = inside[:, rows, columns] if inside.ndim == 3 else inside[rows, columns][None]
-    darkest = np.where(seen, stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
+    visible = inside[:, rows, columns] if inside.ndim == 3 else inside[rows, columns][None]
+    darkest = np.where(visible, stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
     here, beside = ((darkest < _DARK) & part[rows, columns] for part in (spots, added == 0.0))
     if here.sum() < _LEAST_DARK or beside.sum() < _LEAST_DARK:
         return False
@@ -227,11 +224,10 @@ def _lies_before_roots(stack: Image, inside: Mask, smooth: Image, spots: Mask, a
 
 
 def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: CoverageSettings) -> Image:
-    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row.
+    """Fit a smooth surface to the background: Chebyshev polynomials in the position across the canister and the row.
 
-    Dark outliers and glare are left out.
-
-    It begins with the pixels (H, W) that are ``sure``; where it runs on from them, it decides on the others.
+    Dark outliers and glare are rejected. The first fit uses the pixels (H, W) in ``sure``; others are added or rejected
+    according to their residuals.
     """
     rows, columns = np.nonzero(inside)
     u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0
@@ -248,10 +244,10 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
     trusted = first if first.sum() > _LEAST_SURE * lit.sum() else lit
     coefficients = np.zeros(basis.shape[1])
     surface = np.zeros_like(background)
-    if not trusted.any():  # all black: there is no light to fit
+    if not trusted.any():  # the picture is black
         return surface
     for number in range(_FITS):
-        # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
+        # normal equations: the basis is nearly orthogonal, and an SVD of 40 000 rows takes ten times as long
         some = basis[trusted]
         coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
@@ -262,33 +258,32 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
     return surface
 
 
-def bright_enough(background: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
-    """Return the pixels (H, W) of ``inside`` whose background (H, W) is bright enough to tell root from none."""
+def bright_pixels(background: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
+    """Return the pixels (H, W) of ``inside`` whose background (H, W) is bright enough to measure coverage."""
     if not inside.any():
         return inside
     return inside & (background > settings.dim * np.quantile(background[inside], _BRIGHT))
 
 
 def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Image:
-    """Estimate the empty backlight of one picture from itself.
+    """Estimate the empty backlight from a single picture.
 
-    Dark things up to 31 px wide are closed, wider ones bridged.
-
-    For cameras that moved from view to view.
+    Dark objects up to 31 px wide are closed, and wider ones are bridged by a smooth surface. This is used for cameras
+    that moved from view to view.
 
     Parameters
     ----------
     image : (H, W) float32 array
         One picture, linear in light.
     inside : (H, W) bool array
-        Pixels that look through the water.
+        Pixels that show the water.
     settings : CoverageSettings
-        What is too dim, and what is glare.
+        Thresholds for dim pixels and glare.
 
     Returns
     -------
     (H, W) float32 array
-        The backlight in the scale of the image.
+        Backlight in the units of the image.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_CLOSING_PX, _CLOSING_PX))
     closed = cv2.morphologyEx(

@@ -1,4 +1,4 @@
-"""The signed distance to a picture's zero level, exact to first order beside it."""
+"""Signed distance to the zero level of a picture, exact to first order near it."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 _WIDEST = 256
-"""Insides are searched column by column so far, in samples: float32 holds the square and shares of a sample to 0.01."""
+"""Maximum distance, in samples, of the search by columns: float32 stores the square and fractions of a sample to
+0.01."""
 _SURE = 0.9
-"""... less what a chamfer that tells how far they reach may be too short: one of three by three is by 4.5 %."""
+"""Safety factor for the chamfer distance with which this limit is checked: a 3x3 chamfer is up to 4.5 % too short."""
 _LOOKS = 2.0
-"""... and where no more places than this are to be looked at for each sample of the picture, 20 ns each; else a
-transform of the whole is faster, 70 ns a sample."""
+"""Maximum number of tests per sample of the picture, 20 ns each, for the search by columns; above it, a transform of
+the whole picture is faster, at 70 ns per sample."""
 
 
 def level_distance(value: Image) -> Image:
-    """Return the signed distance (H, W), in samples, to a picture's zero level, exact to first order beside it."""
+    """Return the signed distance (H, W), in samples, to a picture's zero level, exact to first order near it."""
     inside = value > 0
     if inside.all() or not inside.any():
         return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
-    near = _near(value, inside)
+    near = _edge_distance(value, inside)
     within, beside = np.flatnonzero(inside), np.flatnonzero(near)
-    # outside, where it only tells how far an outline is for certain, a chamfer's 2 % do no harm;
-    # they take 1.7 % of a sphere's radius
+    # Outside, the distance is only used as a bound and a chamfer's error of 2 % is acceptable; inside, it would be 1.7
+    # % of a sphere's radius.
     far, labels = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     signed, label = np.asarray(far, np.float32).ravel(), labels.ravel()
     beyond = np.zeros(len(within) + 1, np.float32)
@@ -39,18 +40,18 @@ def level_distance(value: Image) -> Image:
     deep = within[near[within] == 0.0]
     chamfer = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 3).ravel()[deep]
     narrow = chamfer.sum(dtype=np.float64) < _LOOKS * value.size and chamfer.max(initial=0.0) < _SURE * _WIDEST
-    signed[deep] = np.maximum(_by_columns(inside, near, within, deep) if narrow else _by_transform(inside, near, deep), 0.5)
+    signed[deep] = np.maximum(_column_distance(inside, near, within, deep) if narrow else _transform_distance(inside, near, deep), 0.5)
     return signed.reshape(value.shape)
 
 
-def _near(value: Image, inside: Mask) -> Image:
-    """Return the distance (H * W,) to the level of the samples beside it; 0 elsewhere."""
+def _edge_distance(value: Image, inside: Mask) -> Image:
+    """Return the distance (H * W,) to the level of the samples next to it; 0 elsewhere."""
     inverse_2 = np.zeros(value.size, np.float32)
     size, flat = np.abs(value).ravel(), inside.ravel()
     for step in (value.shape[1], 1):
         crossed = flat[step:] != flat[:-step]
         if step == 1:
-            crossed[value.shape[1] - 1 :: value.shape[1]] = False  # from the end of a row to the next
+            crossed[value.shape[1] - 1 :: value.shape[1]] = False  # pairs from the end of one row to the next
         first = np.flatnonzero(crossed)
         second = first + step
         total = np.maximum(size[first] + size[second], 1e-9)
@@ -58,41 +59,41 @@ def _near(value: Image, inside: Mask) -> Image:
         nearest[first] = size[first] / total
         nearest[second] = np.minimum(nearest[second], size[second] / total)
         some = np.concatenate([first, second])
-        # samples that are crossed on both sides come twice, with one and the same value
+        # Samples crossed on both sides occur twice, with the same value.
         inverse_2[some] += 1.0 / np.maximum(nearest[some], 1e-3) ** 2
     beside = np.flatnonzero(inverse_2)
     inverse_2[beside] = 1.0 / np.sqrt(inverse_2[beside])
     return inverse_2
 
 
-def _by_transform(inside: Mask, near: Image, deep: Index) -> Image:
-    """Return the distance (N,) to the nearest sample outside, less how far that sample lies beyond the level."""
+def _transform_distance(inside: Mask, near: Image, deep: Index) -> Image:
+    """Return the distance (N,) to the nearest sample outside, minus that sample's distance beyond the level."""
     far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
     nearest = row.ravel()[deep].astype(np.int64) * inside.shape[1] + column.ravel()[deep]
     return np.asarray(far.ravel()[deep] - near[nearest], np.float32)
 
 
-def _by_columns(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
-    """Return the same where the inside is narrow, as roots are.
+def _column_distance(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
+    """Return the distance (N,) to the nearest sample outside where the inside is narrow, as for roots.
 
-    The columns on both sides are looked through one by one, for as long as they are no farther than what was found. Of
-    several samples as near, the first column's counts, and there the first row's, as it does in SciPy's transform.
+    The columns on both sides are searched one by one while they are nearer than the current minimum. Of several equally
+    near samples, that in the first column and then the first row is used, as in SciPy's transform.
 
     Parameters
     ----------
     inside : (H, W) bool array
         Samples inside.
     near : (H * W,) float32 array
-        As `_near` returns it.
+        As returned by `_edge_distance`.
     within, deep : (M,) int64 array, (N,) int64 array
-        Samples inside, flattened, and those of them that do not lie beside the level.
+        Samples inside, flattened, and those of them that are not next to the level.
     """
-    cost, width, reach = _in_column(inside, near, within), inside.shape[1], 0
+    cost, width, reach = _distance_in_column(inside, near, within), inside.shape[1], 0
     best, column = cost[deep], deep % width
     begin, open_ = deep - column, np.arange(len(deep))
     while len(open_):
         reach += 1
-        left, right = np.maximum(column - reach, 0), np.minimum(column + reach, width - 1)  # no nearer beyond an edge
+        left, right = np.maximum(column - reach, 0), np.minimum(column + reach, width - 1)  # columns beyond an edge are not nearer
         found, far = best[open_], np.float32(reach**2)
         at_left = cost[begin + left] + far
         found = np.where(at_left <= np.ceil(found), at_left, found)
@@ -104,10 +105,10 @@ def _by_columns(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
     return np.asarray(np.sqrt(square) - 2.0 * (square - best), np.float32)
 
 
-def _in_column(inside: Mask, near: Image, within: Index) -> Image:
-    """Return the squared distance (H * W,) to the nearest sample outside in the same column, less half of its ``near``.
+def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
+    """Return the squared distance (H * W,) to the nearest sample outside in the same column, minus half its ``near``.
 
-    Squares are whole numbers, and ``near`` is at most 1, so that both can be read off it: rounded up, it is the square.
+    Squares are integers and ``near`` is at most 1, so that both can be recovered: rounding up gives the square.
     Infinite where there is none within `_WIDEST`.
     """
     width, cost = inside.shape[1], np.float32(-0.5) * near
@@ -122,7 +123,7 @@ def _in_column(inside: Mask, near: Image, within: Index) -> Image:
 
 
 def _below_outside(inside: Mask) -> NDArray[np.int16]:
-    """Return how many samples (H, W) each one stands below the last outside in its column, up to `_WIDEST`."""
+    """Return the number of samples (H, W) below the last outside sample in the same column, up to `_WIDEST`."""
     ways = np.empty(inside.shape, np.int16)
     way = np.full(inside.shape[1], _WIDEST, np.int16)
     for row, is_inside in enumerate(inside):

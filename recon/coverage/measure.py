@@ -1,4 +1,4 @@
-"""The stage from pictures to coverage: the empty backlight of every view, and what roots cover of it."""
+"""The stage from pictures to coverage: empty backlight and coverage of every view."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ import numpy as np
 from rhizotwin.recon.calibration import exposure
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.exposure import Exposures
-from rhizotwin.recon.coverage import background, outside, silhouettes, translucency, wall
+from rhizotwin.recon.coverage import background, outer_dirt, silhouettes, translucency, wall
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.optics import cameras
@@ -21,44 +21,44 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 _RING_VIEWS = 8
-"""With fewer views of a still camera the turn does not show the empty backlight."""
+"""Minimum number of views of a static camera to estimate the empty backlight from the turn."""
 
 
 Outline = Callable[[Image, Image, Mask], Silhouette]
-"""From picture, empty backlight and seen pixels to a silhouette."""
+"""Function from picture, empty backlight and usable pixels to a silhouette."""
 
 
 _LEARN_VIEWS = 16
-"""Views from which the roots' attenuation is learnt."""
+"""Number of views from which the attenuation of the roots is estimated."""
 MOST_WRONG = 0.1
-"""Share of the views that may be wrong: with more, the scan is at fault and not a picture."""
+"""Maximum fraction of bad views: above it, the scan is at fault and not a picture."""
 _SAME = 0.2
-"""Logarithm of the ratio of two attenuations that agree: what the widest roots tell scatters as much."""
+"""Two attenuations count as equal up to this logarithm of their ratio, the scatter of estimates from the widest
+roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """How much of each pixel roots cover, in every view that is used."""
+    """Coverage of each pixel by roots, in every view used."""
 
     silhouettes: Mapping[int, Silhouette]
-    """By number of the frame."""
+    """Silhouettes by frame number."""
     attenuation: Attenuation | None = None
-    """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
+    """Attenuation and brightness of the roots, from those that are wide enough; None if the pictures were masks."""
     exposures: Exposures | None = None
-    """How the pictures were exposed, in the order of the silhouettes; None: not asked."""
+    """Exposures of the pictures, in the order of the silhouettes; None if not estimated."""
     dirt: float | None = None
-    """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no
-    wall."""
+    """Fraction of the visible wall that films, bubbles and glare cover; None with too few views, or without a wall."""
 
-    def exposures_of(self, frames: Collection[int]) -> Exposures | None:
-        """Return how the pictures of some frames were exposed."""
+    def select_exposures(self, frames: Collection[int]) -> Exposures | None:
+        """Return the exposures of the pictures of some frames."""
         places = [place for place, frame in enumerate(self.silhouettes) if frame in frames]
-        return None if self.exposures is None else self.exposures.chosen(places)
+        return None if self.exposures is None else self.exposures.select(places)
 
     def fill(self, frame: int) -> float | None:
-        """Return the share of the seen water that roots cover in a frame; None where it is not used."""
+        """Return the fraction of the visible water that roots cover in a frame; None if the frame is not used."""
         silhouette = self.silhouettes.get(frame)
-        return None if silhouette is None else float((silhouette.coverage[silhouette.seen] > 0.5).mean())
+        return None if silhouette is None else float((silhouette.coverage[silhouette.usable] > 0.5).mean())
 
 
 def measure_coverage(
@@ -69,91 +69,91 @@ def measure_coverage(
     monitor: Monitor,
     outline: Outline | None = None,
 ) -> tuple[Cameras, Coverage]:
-    """Measure in every view how much of each pixel roots cover.
+    """Measure the coverage of each pixel in every view.
 
-    Views that show no water or no root are left out, and the others are measured without them.
+    Views that show no water or no root are removed, and the others are measured without them.
 
     Parameters
     ----------
     pictures : Pictures
-        Of the root.
+        Pictures of the root.
     cameras : Cameras
-        Of the same pictures.
+        Cameras of the same pictures.
     settings : CoverageSettings
-        What is noise, too dim, glare, a film or a bubble.
+        Thresholds for noise, dim pixels, glare, films and bubbles.
     monitor : Monitor
-        Hears how far the work is.
+        Receives the progress.
     outline : callable, optional
-        How a silhouette comes from a picture, if not by measuring coverage.
+        Function that draws a silhouette from a picture instead of measuring coverage.
 
     Returns
     -------
     Cameras
-        Without the views that are left out.
+        Cameras without the views that were removed.
     Coverage
-        Of the others.
+        Coverage of the remaining views.
 
     Raises
     ------
     UserError
-        Where more than a tenth of the pictures show nothing of the water, or no root.
+        If more than a tenth of the pictures show no water, or no root.
     """
-    found = _every_view(pictures, cameras, settings, monitor, outline)
+    found = _measure_all(pictures, cameras, settings, monitor, outline)
     drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
     dark = [False] * len(drawn) if found.exposures is None else found.exposures.dark
-    blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].seen.any()]
+    blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].usable.any()]
     if len(blank) > most:
         name = names[blank[0]].file
-        raise UserError(f"{name} shows nothing of the water below the net pot: check the camera, the backlight and the scene file.")
+        raise UserError(f"{name} does not show the water below the net pot: check the camera, the backlight and the scene file.")
     empty = [k for k in cameras.order if k not in blank and not (drawn[k].coverage > 0.25).any()]
     if len(empty) > most:
         raise UserError(
-            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is seen in it, so nothing "
-            "can be carved; leave it out with --leave-out, or check light and focus."
+            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is visible in it; "
+            "leave it out with --leave-out, or check light and focus."
         )
-    reasons = dict.fromkeys(blank, "it shows nothing of the water below the net pot") | dict.fromkeys(empty, "no root is seen in it")
+    reasons = dict.fromkeys(blank, "it does not show the water below the net pot") | dict.fromkeys(empty, "no root is visible in it")
     if reasons:
-        cameras = cameras.without(reasons)
-        found = _every_view(pictures, cameras, settings, monitor, outline)
+        cameras = cameras.leave_out(reasons)
+        found = _measure_all(pictures, cameras, settings, monitor, outline)
     return cameras, found
 
 
-def _every_view(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
-    """Measure coverage in all views that are used."""
+def _measure_all(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
+    """Measure the coverage in all views that are used."""
     if pictures.dataset.masks:
-        return _given(pictures, cameras, monitor)
+        return _read_masks(pictures, cameras, monitor)
     if outline is None:
-        return _measured(pictures, cameras, settings, monitor)
-    return _outlined(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
+        return _measure_views(pictures, cameras, settings, monitor)
+    return _draw_silhouettes(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
 
 
-def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
-    """Take pictures that are silhouettes already: white is root."""
+def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
+    """Convert masks, in which white is root, to silhouettes."""
     optics = cameras.optics
     drawn = {}
     with monitor.stage("silhouettes"):
         for k, view in cameras.by_frame.items():
             picture = pictures.images[k].astype(np.float32) / np.iinfo(pictures.images[k].dtype).max
-            seen = np.ones(picture.shape, bool) if optics.straight else background.water_mask(view, optics, pictures.dataset.scene)
-            drawn[k] = Silhouette(np.where(seen, picture, 0.0).astype(np.float32), seen)
+            usable = np.ones(picture.shape, bool) if optics.straight else background.water_mask(view, optics, pictures.dataset.scene)
+            drawn[k] = Silhouette(np.where(usable, picture, 0.0).astype(np.float32), usable)
     return Coverage(silhouettes=drawn)
 
 
 @dataclass(frozen=True)
 class _Backlight:
-    """The empty backlight of each view, by number of the frame."""
+    """Empty backlight of each view, by frame number."""
 
     empty: dict[int, Image]
-    seen: dict[int, Mask]
-    """Where it tells root from none."""
+    usable: dict[int, Mask]
+    """Usable pixels: bright enough and without glare."""
     lit: dict[int, Mask]
-    """The same without regard to glare."""
+    """Pixels that are bright enough, including glare."""
     exposures: Exposures
     added: dict[int, Image | np.float32]
-    """Light from the wall, to be taken off the picture."""
+    """Light reflected by the wall, which is subtracted from the picture."""
 
-    def without_added(self, pictures: Pictures, frame: int) -> Image:
-        """Return a picture without what the wall adds to it."""
+    def subtract_reflections(self, pictures: Pictures, frame: int) -> Image:
+        """Return a picture without the light reflected by the wall."""
         return pictures.images[frame].astype(np.float32) - self.added[frame]
 
 
@@ -167,65 +167,68 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
         gain = {k: exposures.light(i, views[k].camera.image_wh) for i, k in enumerate(order)}
         empty, glare, added = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
-        lit = {k: background.bright_enough(empty[k], inside[k], settings) for k in views}
+        lit = {k: background.bright_pixels(empty[k], inside[k], settings) for k in views}
         return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
 
 
-def _outlined(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
-    """Draw silhouettes in another way."""
+def _draw_silhouettes(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
+    """Draw silhouettes with a given function."""
     with monitor.stage("silhouettes"):
-        return Coverage(silhouettes={k: outline(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in light.empty})
+        return Coverage(
+            silhouettes={k: outline(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in light.empty}
+        )
 
 
-def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
-    """Measure coverage against the empty backlight."""
+def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
+    """Measure coverage relative to the empty backlight."""
     keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
-    opacity = {k: silhouettes.opacity(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in keys}
-    lit, exposures, seen = light.lit, light.exposures, light.seen
-    del light  # as large as all pictures
+    opacity = {k: silhouettes.opacity(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in keys}
+    lit, exposures, usable = light.lit, light.exposures, light.usable
+    del light  # it needs as much memory as all pictures
     with monitor.stage("wall"):
-        opacity, seen, film = _without_wall(cameras, opacity, seen, settings, monitor)
+        opacity, usable, film = _remove_fouling(cameras, opacity, usable, settings, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = _px_a_mm(cameras)
-        attenuation = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
+        attenuation = translucency.learn([opacity[k] for k in some], [usable[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:
             dark = opacity.pop(k)
-            # noise and all, so that no faint root loses its flanks
+            # Noise is kept, so that faint roots do not lose their flanks.
             clear = dark / np.float32(1.0 - attenuation.own)
-            return replace(_covered(dark, seen[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
+            return replace(_make_silhouette(dark, usable[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
-    clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
+    clear = sum(int(usable[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
     dirt = None if film is None else 1.0 - (1.0 - film) * clear
     return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=exposures, dirt=dirt)
 
 
-def with_attenuation(
+def remeasure_coverage(
     coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
 ) -> Coverage:
-    """Measure coverage once more, by the attenuation that fitted roots told.
+    """Measure coverage again, with the attenuation estimated from fitted roots.
 
-    Wide, lone roots, which tell it first, may be too few; then thin translucent roots seem to be opaque and narrow.
+    Wide, lone roots, from which it is first estimated, may be too few; thin translucent roots then appear opaque and
+    narrow.
 
     Parameters
     ----------
     coverage : Coverage
-        As measured before.
+        The previous measurement.
     cameras : Cameras
-        Its views.
+        Cameras of its views.
     mu_per_mm : float or None
         Attenuation, 1/mm; None for opaque roots.
     settings : CoverageSettings
-        What is noise.
+        Thresholds for noise.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     Coverage
-        The same where both agree (`_SAME`), or where the pictures were silhouettes already.
+        Unchanged if both attenuations agree (`_SAME`), or if the pictures were masks.
     """
     before = coverage.attenuation
     if before is None or _agree(before.mu_per_mm, mu_per_mm):
@@ -237,7 +240,7 @@ def with_attenuation(
         if clear is None:
             return drawn[k]
         dark = clear.astype(np.float32) * np.float32(1.0 - attenuation.own)
-        return replace(_covered(dark, drawn[k].seen, attenuation, px_a_mm, settings), opacity=clear)
+        return replace(_make_silhouette(dark, drawn[k].usable, attenuation, px_a_mm, settings), opacity=clear)
 
     with monitor.stage("silhouettes again"):
         return replace(
@@ -248,51 +251,53 @@ def with_attenuation(
 
 
 def _agree(one: float | None, other: float | None) -> bool:
-    """Tell whether two attenuations make the same coverage."""
+    """Return whether two attenuations give the same coverage."""
     if one is None or other is None:
         return one is other
     return bool(abs(np.log(one / other)) < _SAME)
 
 
-def _covered(dark: Image, seen: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
+def _make_silhouette(dark: Image, usable: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
     """Return the silhouette of opacity (H, W)."""
     if attenuation.mu_per_mm is None:
-        return silhouettes.measure(dark, seen, settings, own=attenuation.own)
-    covered = translucency.covered(dark, attenuation, px_a_mm)
-    return silhouettes.without_noise(covered, silhouettes.above_noise(dark, seen, settings), seen)
+        return silhouettes.measure(dark, usable, settings, own=attenuation.own)
+    covered = translucency.translucent_coverage(dark, attenuation, px_a_mm)
+    return silhouettes.suppress_noise(covered, silhouettes.above_noise(dark, usable, settings), usable)
 
 
-def _without_wall(
-    cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
+def _remove_fouling(
+    cameras: Cameras, opacity: dict[int, Image], usable: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
-    """Take off the fouling of the wall, and tell the share of it that films cover.
+    """Remove the fouling of the wall, and return the fraction of the wall that films cover.
 
-    In air nothing does, and few views do not tell. The opacities given are used up: all of them twice are much.
+    This is skipped in air and with few views. The given opacities are consumed, to save memory.
     """
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
-        return opacity, seen, None
+        return opacity, usable, None
     where = dict(zip(keys, monitor.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
-    found = wall.study(opacity, seen, where, optics, monitor, settings)
-    cleared = monitor.each(lambda k: wall.cleared(opacity.pop(k), seen[k], where[k], found), "clear", keys)
+    found = wall.detect_fouling(opacity, usable, where, optics, monitor, settings)
+    cleared = monitor.each(lambda k: wall.remove_fouling(opacity.pop(k), usable[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
-    face = outside.face_of(optics, _px_a_mm(cameras))
-    dirty = outside.find(free, clear, views, optics, face, monitor)
+    face = outer_dirt.outer_face(optics, _px_a_mm(cameras))
+    dirty = outer_dirt.detect_dirt(free, clear, views, optics, face, monitor)
     if dirty.any():
-        hidden = monitor.each(lambda k: outside.hidden(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys)
+        hidden = monitor.each(
+            lambda k: outer_dirt.hidden_pixels(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys
+        )
         clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())
 
 
 def _px_a_mm(cameras: Cameras) -> float:
-    """Return px/mm across the canister's axis, the median of some views."""
+    """Return the scale across the canister's axis, px/mm, as the median over some views."""
     some = cameras.order[:: max(1, len(cameras.order) // _RING_VIEWS)]
     return float(np.median([_scale(cameras.by_frame[k], cameras.optics) for k in some]))
 
 
 def _scale(view: View, optics: Optics) -> float:
-    """Return px/mm across the canister's axis at half the water's depth."""
+    """Return the scale across the canister's axis at half the water's depth, px/mm."""
     middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
     x, y, _ = view.centre_mm / view.rho_mm
     px, _ = cameras.project(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
@@ -307,11 +312,10 @@ def _backgrounds(
     settings: CoverageSettings,
     monitor: Monitor,
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
-    """Estimate the empty backlight of each view, where glare lies on it, and what the wall adds to it.
+    """Estimate the empty backlight of each view, its glare, and the light reflected by the wall.
 
-    Only a turn tells the last two.
-
-    Ring by ring where the camera stood still, exposures (``gain``) divided out; else picture by picture.
+    Rings with a static camera are processed together, with exposures (``gain``) divided out; otherwise each picture is
+    processed separately, without glare and reflections.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames
     empty: dict[int, Image] = {}
@@ -320,7 +324,7 @@ def _backgrounds(
     walls = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
-        if len(members) >= _RING_VIEWS and _still([views[k] for k in members]):
+        if len(members) >= _RING_VIEWS and _is_static([views[k] for k in members]):
             stack = np.empty((len(members), *images[members[0]].shape), np.float32)
             for view, k in zip(stack, members, strict=True):
                 view[:] = images[k] / (gain[k] * walls[k])
@@ -339,10 +343,10 @@ def _backgrounds(
     return empty, glare, added
 
 
-def _still(views: list[View]) -> bool:
-    """Tell whether a ring's camera stood still.
+def _is_static(views: list[View]) -> bool:
+    """Return whether a ring's camera was static.
 
-    The canister, a few millimetres off the table's axis, hardly moves in the picture.
+    The canister, a few millimetres off the table's axis, then hardly moves in the picture.
     """
     focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
     axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])

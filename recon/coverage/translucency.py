@@ -1,14 +1,14 @@
-"""How much light roots let through, from the pictures, and what a translucent root covers.
+"""Attenuation of roots, estimated from the pictures, and coverage of translucent roots.
 
-A root of chord c passes ``exp(-mu c)`` of the light, besides a share b of the backlight's brightness that it shows by
-itself (front light), so that a round root of radius w has the opacity
+A root of chord c transmits ``exp(-mu c)`` of the light, in addition to its own brightness b relative to the backlight
+(front light), so that a round root of radius w has the opacity
 
     alpha(x) = (1 - b) (1 - exp(-2 mu sqrt(w^2 - x^2)))        at the distance x from its axis.
 
-Across a resolved root mu and w shape the profile differently: an opaque one is a box, a translucent one is round and
-the thinner the fainter. So mu is fitted to the profiles of straight, lone bands. What a picture tells of a root thinner
-than a few pixels is its opacity summed across, A = integral of alpha, and from A and mu follows w: coverage is opacity
-times ``2 w / A``.
+Across a resolved root, mu and w affect the profile differently: that of an opaque root is a box, that of a translucent
+one is round, and fainter the thinner it is. mu is therefore fitted to the profiles of straight, lone bands. For a root
+thinner than a few pixels, pictures determine only its opacity summed across, A = integral of alpha; w follows from A
+and mu, and coverage is opacity times ``2 w / A``.
 """
 
 from __future__ import annotations
@@ -25,69 +25,69 @@ from rhizotwin.recon.coverage.silhouettes import Image, Mask
 Array = NDArray[np.float64]
 
 CLEARLY = 1.2
-"""Roots are taken to be opaque unless that leaves this many times as much variance as translucent ones do.
+"""Minimum ratio of residual variances, opaque to translucent, for roots to count as translucent.
 
-An opaque plant of the twin gave 1.03, translucent roots (2 a mm) 1.4 to 3.3; hundreds of samples differ by less by
-chance. """
+An opaque plant of the twin has 1.03, translucent roots (2 per mm) have 1.4 to 3.3; random differences are smaller with
+hundreds of samples."""
 _REACH_PX, _STEP_PX = 14.0, 0.5
-"""Profiles reach so far to each side, beyond the widest band and its flanks, in steps of half a pixel."""
+"""Reach of profiles to each side, beyond the widest band and its flanks, and their step."""
 _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
-"""Places across a band."""
+"""Offsets of the samples across a band."""
 _ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""A band is averaged over these places along it, where its profile must be the same (`_SAME`)."""
+"""Positions along a band over which it is averaged, and at which its profile must be constant (`_SAME`)."""
 _SAME = 0.12
-"""Opacity along one root differs by less (standard deviation): chosen above noise, and below the step where another
-root crosses."""
+"""Maximum standard deviation of opacity along one root: above the noise, and below the step at a crossing root."""
 _WIDTH_PX = (4.0, 11.0)
-"""Full widths at half height that are fitted: narrower bands are mostly blur, and too faint ones would be missed."""
+"""Range of full widths at half height that are fitted: narrower bands are mostly blur, and a selection would miss faint
+ones."""
 _FLANK_PX = 1.7
-"""Beyond half the width, where a blur of 0.85 px (two standard deviations) has ended."""
+"""Distance beyond half the width at which a blur of 0.85 px has ended (two standard deviations)."""
 _EMPTY = 0.06
-"""Opacity beside a lone band is less."""
+"""Maximum opacity beside a lone band."""
 _GOOD = (0.02, 0.04)
-"""Profiles that no root explains better than this (root mean square) are none of one lone root; twice as bad ones,
-where those are too few. A crowd of opaque roots has hardly any of either."""
+"""Maximum root mean square residual of profiles of a lone root; the second value is used if too few pass the first. In
+a dense cluster of opaque roots, hardly any profile passes."""
 _MOST = 3000
-"""Places of a view that are looked at."""
+"""Maximum number of places per view that are sampled."""
 _A_BIN, _LEAST = 120, 30
-"""Profiles used of each pixel of width, and fewer than which tell nothing: a median of 30 is uncertain by a quarter of
-their spread."""
+"""Maximum number of profiles per pixel of width, and minimum number for an estimate: a median of 30 is uncertain by a
+quarter of their spread."""
 FAINTEST_LEARNED = 0.5
-"""Least attenuation that is tried, 1/mm: where it explains profiles best, it is a bound and no measurement."""
+"""Minimum attenuation in the search, 1/mm: an estimate at this value is a bound, not a measurement."""
 _MU_PER_MM = np.concatenate([np.geomspace(FAINTEST_LEARNED, 8.0, 25), [16.0, 1e3]])
-"""Attenuations that are tried: 12 % apart from faint to dark, then nearly opaque and opaque."""
+"""Attenuations in the search: 12 % apart from faint to dark, then nearly opaque and opaque."""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
-"""Standard deviations of blurs that are tried, from the square pixel's own to a camera out of focus."""
+"""Standard deviations of blur in the search, from that of the square pixel to a camera out of focus."""
 _DARK, _STRAIGHT = 0.3, 0.8
-"""Places whose blurred opacity is above the first, and whose gradients lie in one direction (coherence of the structure
-tensor) to the second, are looked at: the axis of a band, away from crossings."""
+"""Minimum blurred opacity, and minimum coherence of the structure tensor, of sampled places: the axes of bands, away
+from crossings."""
 _CORE = 0.6
-"""Opacity inside a root wide enough to show its own light, which is less than 0.4."""
+"""Minimum opacity inside a root that is wide enough to show its own brightness, which is less than 0.4."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
-"""The roots' own light is what this share of the cores has less than, and at most this much: a quantile, since noise
-reaches farther."""
+"""Quantile of the brightness in the cores that defines the roots' own brightness, and its maximum; the minimum would be
+affected by noise."""
 _RADII_PX = np.geomspace(1.0, 7.5, 80)
-"""Radii that are compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, and room for what blur and translucency
-change."""
+"""Radii compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, with a margin for the effects of blur and
+translucency."""
 _MOST_GAIN = 20.0
-"""Upper end of the search for the gain: that of a root that absorbs a twentieth of the light."""
+"""Maximum gain: that of a root that absorbs a twentieth of the light."""
 _OWN = (0.0, 0.5, 1.0)
-"""Shares of the light in the darkest cores that may be the roots' own."""
+"""Fractions of the brightness in the darkest cores that may be the roots' own brightness."""
 _LONGEST_PX = 60.0
-"""Things shorter than this are no roots to learn from."""
+"""Minimum length of objects that are used as roots."""
 _FINE = 16
-"""Samples a pixel of the bands that profiles are compared with."""
+"""Samples per pixel of the bands with which profiles are compared."""
 _PEAK_BLUR_PX = 1.0
-"""The peak nearby is looked up in pictures blurred so much, where noise of single pixels is no peak."""
+"""Standard deviation of the blur before the search for the nearby peak, to suppress noise of single pixels."""
 _SIGMA_PX = 0.5
-"""Blur of a picture, square pixel included, that profiles are reckoned with."""
+"""Standard deviation of a picture's blur, including the square pixel, assumed for profiles."""
 _THINNEST_MM = 0.08
-"""Radius below which coverage is no longer raised: what is left is noise."""
+"""Radius below which coverage is not increased any more, as it is noise."""
 
 
 @dataclass(frozen=True)
 class Hairs:
-    """Root hairs, as a grey sleeve about every root."""
+    """Root hairs, modelled as a grey sleeve about every root."""
 
     length_mm: float
     mu_per_mm: float
@@ -96,30 +96,30 @@ class Hairs:
 
 @dataclass(frozen=True)
 class Attenuation:
-    """How roots look before the backlight."""
+    """Appearance of roots in front of the backlight."""
 
     own: float
-    """Brightness of a root by itself, as a share of the backlight."""
+    """Brightness of a root itself, relative to the backlight."""
     mu_per_mm: float | None
     """Attenuation; None for opaque roots."""
     profiles: int
-    """Profiles that told it."""
+    """Number of profiles used in the estimate."""
 
 
-def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Attenuation:
-    """Learn from pictures of opacity how much light roots let through.
+def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenuation:
+    """Estimate the attenuation of roots from pictures of opacity.
 
     Parameters
     ----------
     opacities : list of (H, W) float32 array
-        One less image over backlight, of some views.
-    seen : list of (H, W) bool array
-        Where they say something.
+        1 - image / backlight, of some views.
+    usable : list of (H, W) bool array
+        Masks of usable pixels.
     px_a_mm : float
         Scale across the canister's axis.
     """
     own, found = [np.zeros(0)], []
-    for opacity, here in zip(opacities, seen, strict=True):
+    for opacity, here in zip(opacities, usable, strict=True):
         large = _large(opacity, here)
         core = cv2.erode(((opacity > _CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         own.append(1.0 - opacity[core])
@@ -127,29 +127,29 @@ def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Attenuati
     cores = np.concatenate(own)
     bright = float(np.clip(np.quantile(cores, _DARKEST_CORES), 0.0, _MOST_OWN)) if len(cores) else 0.0
     profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
-    chosen = _balanced(width)
+    chosen = _balance_widths(width)
     return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
 
 
-def _large(opacity: Image, seen: Mask) -> Mask:
-    """Tell the pixels in and beside large connected things."""
-    dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & seen).astype(np.uint8)
+def _large(opacity: Image, usable: Mask) -> Mask:
+    """Return the pixels in and beside large connected objects."""
+    dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & usable).astype(np.uint8)
     _, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
     large = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) > _LONGEST_PX
     large[0] = False
     return np.asarray(cv2.dilate(large[label].astype(np.uint8), np.ones((7, 7), np.uint8)) > 0)
 
 
-def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
+def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     """Sample opacity across straight, lone bands.
 
-    These are profiles (N, `_OFFSETS`) about their middles, and widths (N,) at half height.
+    Return profiles (N, `_OFFSETS`) centred on the bands, and widths (N,) at half height.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
     straight = np.hypot(xx - yy, 2.0 * xy) > _STRAIGHT * (xx + yy)
-    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > _DARK) & seen & straight))
+    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > _DARK) & usable & straight))
     if not len(rows):
         return np.zeros((0, len(_OFFSETS))), np.zeros(0)
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)[rows, columns].astype(np.float64)
@@ -174,9 +174,9 @@ def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
 
 
 def _fall(profile: Array, level: Array) -> Array:
-    """Return how far (N,) from its beginning, in pixels, each profile (N, M) falls below a level (N,).
+    """Return the distance (N,) from its beginning, in pixels, at which each profile (N, M) falls below a level (N,).
 
-    Infinite where it does not.
+    Infinite if it does not.
     """
     below = profile < level[:, None]
     first = np.maximum(np.argmax(below, axis=1), 1)
@@ -186,8 +186,8 @@ def _fall(profile: Array, level: Array) -> Array:
     return np.where(below.any(axis=1) & ~below[:, 0], (first - 1 + share) * _STEP_PX, np.inf)
 
 
-def _balanced(width: Array) -> NDArray[np.int64]:
-    """Choose profiles so that no width outweighs the others."""
+def _balance_widths(width: Array) -> NDArray[np.int64]:
+    """Select profiles so that all widths have similar weight."""
     rng = np.random.default_rng(0)
     order = rng.permutation(len(width))
     bins = np.floor(width[order])
@@ -195,9 +195,9 @@ def _balanced(width: Array) -> NDArray[np.int64]:
 
 
 def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
-    """Return (offsets, opacity (N, len(offsets))) across round roots of some radii, blurred.
+    """Return (offsets, opacity (N, len(offsets))) across round roots of given radii, blurred.
 
-    Their own brightness is left out.
+    Their own brightness is not included.
     """
     x = np.arange(-_REACH_PX * _FINE, _REACH_PX * _FINE + 1) / _FINE
     opacity = 1.0 - np.exp(-2.0 * mu_a_px * np.sqrt(np.maximum(radius_px[:, None] ** 2 - x**2, 0.0)))
@@ -205,7 +205,7 @@ def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Arr
 
 
 def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenuation:
-    """Find the attenuation that explains profiles best; that of opaque roots where they are too few."""
+    """Return the attenuation that best explains the profiles; that of opaque roots if there are too few profiles."""
     opaque = Attenuation(bright, None, len(profiles))
     if len(profiles) < _LEAST:
         return opaque
@@ -227,12 +227,12 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
     typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
     i, k = divmod(int(np.argmin(typical)), len(own))
     mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
-    told = typical[-1].min() > CLEARLY * typical.min()
-    return Attenuation(float(own[k]), mu, int(good.sum())) if told else Attenuation(bright, None, int(good.sum()))
+    is_translucent = typical[-1].min() > CLEARLY * typical.min()
+    return Attenuation(float(own[k]), mu, int(good.sum())) if is_translucent else Attenuation(bright, None, int(good.sum()))
 
 
 def _vertex(at: Array, cost: Array, best: int) -> float:
-    """Return where the parabola through the least of some costs (N,) and its neighbours, in log ``at``, is least."""
+    """Return the minimum of the parabola, in log ``at``, through the smallest of some costs (N,) and its neighbours."""
     if best in (0, len(at) - 1):
         return float(at[best])
     a, b, c = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)
@@ -240,11 +240,11 @@ def _vertex(at: Array, cost: Array, best: int) -> float:
     return float(at[best] * np.exp(-b / (2.0 * a))) if a > 0.0 else float(at[best])
 
 
-def covered(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
+def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
     """Return the coverage of translucent roots from their opacity, both (H, W).
 
-    The gain is that of a straight round root with the peak that blurred opacity has nearby; chosen so that the root's
-    coverage, at most 1, adds up to its diameter.
+    The gain is that of a straight round root with the same peak of blurred opacity nearby, chosen so that the coverage
+    of that root, at most 1, sums to its diameter.
     """
     if attenuation.mu_per_mm is None:
         raise ValueError(f"{attenuation=} is that of opaque roots")
@@ -257,15 +257,15 @@ def covered(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
 def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
     """Tabulate the peaks of blurred opacity of round roots, and the gains, both (N,).
 
-    The gains make their coverage add up to their diameters.
+    With these gains, the coverage of a root sums to its diameter.
     """
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]
-    x, seen = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
+    x, sharp = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
     _, smooth = _bands(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
     low, high = np.ones(len(radii)), np.full(len(radii), _MOST_GAIN)
     for _ in range(40):  # bisection
         gain = 0.5 * (low + high)
-        small = np.minimum(seen * gain[:, None], 1.0).sum(axis=1) * (x[1] - x[0]) < 2.0 * radii
+        small = np.minimum(sharp * gain[:, None], 1.0).sum(axis=1) * (x[1] - x[0]) < 2.0 * radii
         low, high = np.where(small, gain, low), np.where(small, high, gain)
     return smooth.max(axis=1), 0.5 * (low + high)

@@ -1,1 +1,1 @@
-"""The visual hull: carved through the refraction, trimmed to what the pictures need, and its surface."""
+"""The visual hull: carving with refraction, trimming to what the silhouettes require, and the surface."""

@@ -1,7 +1,7 @@
-"""How far each view agrees with a shape, and views that contradict all others.
+"""Agreement of each view with a shape, and detection of views that contradict all others.
 
-A shape is given as cubes. A view misses what it shows before which no cube stands, and excludes a cube that it sees
-before nothing that it shows.
+A shape is given as cubes. A view misses coverage that no cube explains, and excludes a cube that projects onto empty
+pixels.
 """
 
 from __future__ import annotations
@@ -26,39 +26,39 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _NEAR_PX = 1.5
-"""What lies this near to a cube in a picture is its own: interpolation and rounding to whole pixels."""
+"""Margin around a cube in a picture, for interpolation and rounding to whole pixels."""
 _COVERED = 0.1
-"""Coverage above this is root; below it is never one (`silhouettes`)."""
+"""Minimum coverage of root (`silhouettes`)."""
 _COARSE, _FINER = 32, 4
-"""The water is cut into about 32^3 cubes, and those that one view at most excludes into 4^3 each, to compare views.
-In the canister of the thesis the finer ones have 1 mm, 4 px in pictures of 800 pixels."""
+"""The water is divided into about 32^3 cubes; those that at most one view excludes are divided into 4^3 each to compare
+views. In the canister of the thesis the finer cubes have 1 mm, 4 px in pictures of 800 pixels."""
 _WRONG, _WRONG_TIMES = 0.1, 4.0
-"""A view is wrong that misses more than this share of what it shows, or excludes more than this share of what all other
-views agree on, and so many times the median of the views. Views of a right scan have up to 0.013, one that shows a
-printed root mirrored 0.17 (`docs/decisions/one-wrong-picture.md`)."""
+"""A view is wrong if it misses more than this fraction of its coverage, or excludes more than this fraction of the
+cubes that all other views agree on, and this many times the median of the views. Views of a correct scan have up to
+0.013; a mirrored view of a printed root has 0.17 (`docs/decisions/one-wrong-picture.md`)."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far each view agrees with a shape."""
+    """Agreement of each view with a shape."""
 
     shown: Array
-    """(V,) coverage that a view shows, in pixels."""
+    """(V,) total coverage of a view, in pixels."""
     missed: Array
-    """(V,) part of it before which no cube stands."""
+    """(V,) part of it that no cube explains."""
     sees: NDArray[np.bool_]
-    """(V, N) cubes about which a view says something."""
+    """(V, N) cubes that project onto usable pixels of a view."""
     excluded: NDArray[np.bool_]
-    """(V, N) cubes that a view sees before nothing that it shows."""
+    """(V, N) cubes that project onto empty pixels of a view."""
 
     @property
     def missed_share(self) -> Array:
-        """Share (V,) of what each view shows that it misses; 0 for a view that shows nothing."""
+        """Fraction (V,) of each view's coverage that is missed; 0 for a view without coverage."""
         return self.missed / np.maximum(self.shown, 1e-9)
 
     @property
     def share(self) -> float:
-        """Share of what all views show that they miss."""
+        """Fraction of the coverage of all views that is missed."""
         return float(self.missed.sum() / max(float(self.shown.sum()), 1e-9))
 
 
@@ -68,80 +68,81 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
     Parameters
     ----------
     bank : ViewBank
-        The views.
+        Views.
     silhouettes : (V,) sequence of Silhouette
-        Of the same views.
+        Silhouettes of the same views.
     middles_mm : (N, 3) array
         Centres of the cubes, canister frame.
     edge_mm : (N,) array
-        Their edges.
+        Edges of the cubes.
     """
     shown, missed, sees, excluded = [], [], [], []
     for k, silhouette in enumerate(silhouettes):
-        cubes = _Placed.of(bank.chosen([k]), middles_mm, edge_mm, silhouette.coverage.shape)
+        cubes = _ProjectedCubes.project(bank.select([k]), middles_mm, edge_mm, silhouette.coverage.shape)
         row, column, inside, reach_px = cubes.row, cubes.column, cubes.inside, cubes.reach_px
         beyond = cubes.distance()
-        shown.append(float(silhouette.coverage[silhouette.seen].sum(dtype=np.float64)))
-        missed.append(float(silhouette.coverage[silhouette.seen & (beyond > _NEAR_PX)].sum(dtype=np.float64)))
-        nothing = (silhouette.coverage <= _COVERED) & silhouette.seen
+        shown.append(float(silhouette.coverage[silhouette.usable].sum(dtype=np.float64)))
+        missed.append(float(silhouette.coverage[silhouette.usable & (beyond > _NEAR_PX)].sum(dtype=np.float64)))
+        nothing = (silhouette.coverage <= _COVERED) & silhouette.usable
         to_root = cv2.distanceTransform(nothing.astype(np.uint8), cv2.DIST_L2, 5)
-        sees.append(inside & silhouette.seen[row, column])
+        sees.append(inside & silhouette.usable[row, column])
         excluded.append(inside & (to_root[row, column] > reach_px + _NEAR_PX))
     return Agreement(np.array(shown), np.array(missed), np.array(sees), np.array(excluded))
 
 
 def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edge_mm: Array) -> NDArray[np.bool_]:
-    """Return which pixels (H, W) of the only view show something before which no cube stands.
+    """Return the pixels (H, W) of a single view that are covered but not explained by any cube.
 
     Parameters
     ----------
     bank, silhouette : ViewBank, Silhouette
-        Of one view.
+        A single view and its silhouette.
     middles_mm, edge_mm : (N, 3) array, (N,) array
         Centres and edges of the cubes.
     """
-    away = _Placed.of(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
-    return np.asarray(silhouette.seen & (silhouette.coverage > 0.5) & (away > 0.5))
+    away = _ProjectedCubes.project(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
+    return np.asarray(silhouette.usable & (silhouette.coverage > 0.5) & (away > 0.5))
 
 
 def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the number (N,) of the pixel at which the only view sees each point, and which are in the picture.
+    """Return the pixel index (N,) of each point in a single view, and which points are in the picture.
 
     Parameters
     ----------
     bank : ViewBank
-        Of one view.
+        A single view.
     middles_mm : (N, 3) array
-        The points.
+        Points, canister frame.
     shape : tuple of int
         Height and width of the picture.
     """
-    placed = _Placed.of(bank, middles_mm, np.zeros(len(middles_mm)), shape)
+    placed = _ProjectedCubes.project(bank, middles_mm, np.zeros(len(middles_mm)), shape)
     return placed.row * shape[1] + placed.column, placed.inside
 
 
 def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> list[int]:
-    """Return the numbers of views that contradict all others, such as a mirrored picture or a half-written one.
+    """Return the indices of views that contradict all others, such as a mirrored or truncated picture.
 
-    The views are compared with the hull that one of them may contradict; the worst is left out until none is wrong.
+    The views are compared with the hull that ignores at most one view per cube; the worst is removed until none is
+    wrong.
 
     Parameters
     ----------
     bank : ViewBank
-        The views.
+        Views.
     silhouettes : (V,) sequence of Silhouette
-        Of the same views.
+        Silhouettes of the same views.
     water : Water
-        Where roots can be.
+        Space that may contain roots.
 
     Returns
     -------
     list of int
-        Empty where none is wrong, or too many are.
+        Empty if no view is wrong, or if too many are.
     """
     left, wrong = list(range(bank.count)), list[int]()
     while len(left) > 2:
-        found = _worst(bank.chosen(left), [silhouettes[k] for k in left], water)
+        found = _worst(bank.select(left), [silhouettes[k] for k in left], water)
         if found is None:
             return wrong
         wrong.append(left.pop(found))
@@ -151,11 +152,11 @@ def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: W
 
 
 def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
-    """Return the view that contradicts the others most; None where none is wrong."""
+    """Return the view that contradicts the others most; None if no view is wrong."""
     coarse_mm = float(np.cbrt(np.pi * water.radius_mm**2 * (water.top_mm - water.bottom_mm))) / _COARSE
     fine_mm = coarse_mm / _FINER
-    cubes, _ = _kept(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
-    cubes, excluded = _kept(bank, silhouettes, _cut(cubes, coarse_mm), fine_mm)
+    cubes, _ = _candidate_cubes(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
+    cubes, excluded = _candidate_cubes(bank, silhouettes, _cut(cubes, coarse_mm), fine_mm)
     if not len(cubes):
         return None
     missed = compare(bank, silhouettes, cubes, np.full(len(cubes), fine_mm)).missed_share
@@ -164,8 +165,8 @@ def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> i
     return worst if wrong[worst] > max(_WRONG, _WRONG_TIMES * float(np.median(wrong))) else None
 
 
-def _kept(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the cubes (M, 3) that enough views see and one at most excludes, and which view excludes which (V, M)."""
+def _candidate_cubes(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the cubes (M, 3) visible in enough views and excluded by at most one, and the exclusions (V, M)."""
     found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
     kept = (found.excluded.sum(axis=0) <= 1) & (found.sees.sum(axis=0) >= least_votes(bank.count))
     return cubes[kept], found.excluded[:, kept]
@@ -180,39 +181,39 @@ def _cubes(water: Water, edge_mm: float) -> Array:
 
 
 def _cut(cubes: Array, edge_mm: float) -> Array:
-    """Cut cubes (N, 3) into finer ones (M, 3)."""
+    """Divide cubes (N, 3) into finer ones (M, 3)."""
     steps = ((np.arange(_FINER) + 0.5) / _FINER - 0.5) * edge_mm
     offset = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return (cubes[:, None] + offset).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
-class _Placed:
-    """Cubes in the picture of one view."""
+class _ProjectedCubes:
+    """Projection of cubes into one view."""
 
     shape: tuple[int, ...]
     edge_mm: Array
     row: NDArray[np.int64]
     column: NDArray[np.int64]
-    """(N,) nearest pixel; 0 for those outside of the picture."""
+    """(N,) nearest pixel; 0 for cubes outside the picture."""
     reach_px: Array
-    """(N,) from a cube's centre to its corners."""
+    """(N,) distance from a cube's centre to its corners."""
     inside: NDArray[np.bool_]
-    """(N,) whether the view sees them in its picture."""
+    """(N,) whether the cube is visible within the picture."""
 
     @staticmethod
-    def of(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _Placed:
+    def project(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _ProjectedCubes:
         p = projection.project(bank, dr.zeros(mi.UInt32, len(middles_mm)), points(middles_mm), mi.Bool(True))
-        dr.eval(p.px, p.du, p.dv, p.seen)
+        dr.eval(p.px, p.du, p.dv, p.visible)
         px = np.array(p.px, np.float64).T
         scale = np.maximum(np.linalg.norm(np.array(p.du), axis=0), np.linalg.norm(np.array(p.dv), axis=0))
-        inside = np.array(dr.select(p.seen, mi.UInt32(1), mi.UInt32(0))) > 0
+        inside = np.array(dr.select(p.visible, mi.UInt32(1), mi.UInt32(0))) > 0
         inside &= (px > 0.0).all(axis=1) & (px < np.array([shape[1] - 1, shape[0] - 1])).all(axis=1)
         column, row = np.round(np.where(inside[:, None], px, 0.0)).astype(np.int64).T
-        return _Placed(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
+        return _ProjectedCubes(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
 
     def distance(self) -> NDArray[np.float32]:
-        """Return how far each pixel (H, W) lies from the nearest cube's picture; infinite where there is none."""
+        """Return the distance of each pixel (H, W) from the nearest projected cube; infinite if there is none."""
         beyond = np.full(self.shape, np.inf, np.float32)
         for edge in np.unique(self.edge_mm):
             chosen = (self.edge_mm == edge) & self.inside

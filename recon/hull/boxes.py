@@ -1,4 +1,4 @@
-"""One number for each cell of a box, so that cells are compared, joined and looked up as numbers are."""
+"""Cells of a box encoded as single integers, to compare, join and look them up."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class Box:
     """A box of cells."""
 
     low: NDArray[np.int64]
-    """(3,) its first cell."""
+    """(3,) first cell."""
     span: NDArray[np.int64]
-    """(3,) cells along x, y, z."""
+    """(3,) number of cells along x, y, z."""
 
     @staticmethod
     def around(index: Whole) -> Box:
-        """Return the least box that holds cells (N, 3); one cell where there are none."""
+        """Return the smallest box that contains cells (N, 3); one cell if there are none."""
         if not len(index):
             return Box(np.zeros(3, np.int64), np.ones(3, np.int64))
         low, high = (np.array([end(axis) for axis in index.T], np.int64) for end in (np.min, np.max))
@@ -32,12 +32,12 @@ class Box:
 
     @property
     def step(self) -> NDArray[np.int64]:
-        """By how much (3,) a cell's number grows along x, y, z."""
+        """Increments (3,) of a cell's number along x, y, z."""
         return np.array([self.span[1] * self.span[2], self.span[2], 1], np.int64)
 
     def number(self, index: Whole) -> NDArray[np.int64]:
         """Return the numbers (N,) of cells (N, 3)."""
-        x, y, z = index.T  # a product of whole matrices takes five times as long
+        x, y, z = index.T  # an integer matrix product takes five times as long
         return np.asarray(x * self.step[0] + y * self.step[1] + (z - self.low @ self.step))
 
     def cell(self, number: Whole) -> NDArray[np.int64]:
@@ -48,55 +48,55 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Scattered:
-    """Cells that are found by where they lie: memory goes with their count, not with the box about them."""
+class CellSet:
+    """Sparse set of cells with look-up by position; memory is proportional to the number of cells."""
 
     box: Box
-    """About the cells, with a layer of empty ones."""
+    """Bounding box of the cells, with a layer of empty ones."""
     number: NDArray[np.int64]
-    """(N,) of the cells in the box, rising."""
+    """(N,) numbers of the cells in the box, ascending."""
     order: NDArray[np.int64]
-    """(N,) which of the cells each is."""
+    """(N,) index of each in the original order."""
 
     @staticmethod
-    def of(index: Whole) -> Scattered:
-        """Sort cells (N, 3), none of them twice."""
+    def from_cells(index: Whole) -> CellSet:
+        """Sort distinct cells (N, 3)."""
         least = Box.around(index)
         box = Box(least.low - 1, least.span + 2)
         number = box.number(index)
         order = np.argsort(number)
-        return Scattered(box, number[order], order)
+        return CellSet(box, number[order], order)
 
-    def holds(self, index: Whole) -> NDArray[np.bool_]:
-        """Tell which cells (M, 3) are among them."""
+    def contains(self, index: Whole) -> NDArray[np.bool_]:
+        """Return which cells (M, 3) are in the set."""
         inside = np.ones(len(index), bool)
         for axis, low, span in zip(index.T, self.box.low, self.box.span, strict=True):
             inside &= (axis >= low) & (axis < low + span)
-        inside[inside] = self.lists(self.box.number(index[inside]))
+        inside[inside] = self.contains_numbers(self.box.number(index[inside]))
         return inside
 
-    def lists(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which numbers (M,) in the box are those of cells."""
+    def contains_numbers(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which numbers (M,) in the box are those of cells in the set."""
         return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)
 
     def neighbours(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-        """Yield each of 13 steps (3,) to a neighbour, with the cells (M,) that have one there, and these (M,).
+        """Yield 13 steps (3,), each with the cells (M,) that have a neighbour there, and these neighbours (M,).
 
-        The 13 opposite steps lead back.
+        The 13 opposite steps are the inverse.
         """
         place = np.arange(len(self.number))
         for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
             wanted = self.number + int(step @ self.box.step)
-            # one further along z than the last: there, or the next one
+            # One further along z than the last: at the same place, or the next one.
             onward = np.minimum(place + (self.number[place] == wanted - 1), len(self.number) - 1)
             place = self._place(wanted) if step[2] < 0 else onward
             some = np.flatnonzero(self.number[place] == wanted)
             yield step, self.order[some], self.order[place[some]]
 
-    def parts(self) -> NDArray[np.int64]:
-        """Return which connected part (N,) each cell belongs to.
+    def components(self) -> NDArray[np.int64]:
+        """Return the connected component (N,) of each cell.
 
-        Rows along z are joined, whose cells are connected anyway: two of them touch where one of them begins.
+        Cells are merged into rows along z first; two rows touch where one of them begins.
         """
         first = np.append(True, np.diff(self.number) > 1)[: len(self.number)]
         row, begin = np.cumsum(first) - 1, self.number[first]
@@ -114,9 +114,9 @@ class Scattered:
         return found
 
     def faces(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which cells (M,) have a face in common with an empty one, and these empty cells (K, 3)."""
+        """Return the cells (M,) that share a face with an empty one, and these empty cells (K, 3)."""
         beside = [self.number + step for step in (*self.box.step, *-self.box.step)]
-        empty = [~self.lists(number) for number in beside]
+        empty = [~self.contains_numbers(number) for number in beside]
         beyond = np.unique(np.concatenate([number[some] for number, some in zip(beside, empty, strict=True)]))
         return self.order[np.any(empty, axis=0)], self.box.cell(beyond)
 

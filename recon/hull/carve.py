@@ -1,12 +1,13 @@
-"""Octree carving through the refraction: mark and refine over a set of leaves (T3.4.4), in Dr.Jit.
+"""Octree carving with refraction: mark and refine a set of leaves (T3.4.4), in Dr.Jit.
 
-The water is cut into nodes. A node is *empty* when one view that sees all of it finds its whole footprint outside the
-silhouette, *full* when all views that see it find its footprint inside, and is cut into eight otherwise, down to the
-finest size. A view that does not see a node (or sees it twice, or whose picture says nothing there) neither carves it
-nor counts for it; nodes that too few views see are *blind*: reported, and not part of the shape.
+The water is divided into nodes. A node is *empty* if at least one view that shows all of it has its footprint entirely
+outside the silhouette, *full* if its footprint is inside in all views that show it, and is otherwise divided into
+eight, down to the finest size. A view that does not show a node (or shows it twice, or has unusable pixels there)
+neither carves it nor counts as a vote. Nodes with too few votes are *blind*: their volume is reported, and they are not
+part of the shape.
 
-A node is its integer position on the grid of its level, so neighbours, parents and children are arithmetic on keys and
-no tree is kept: the thesis's dictionary of leaves becomes arrays of positions, without a look-up.
+A node is its integer position on the grid of its level, so that neighbours, parents and children follow from arithmetic
+and no tree is stored: the thesis's dictionary of leaves becomes arrays of positions.
 """
 
 from __future__ import annotations
@@ -28,39 +29,39 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.memory import MIB, total_mib
 
 _BLIND_MM = 2.5
-"""Larger nodes that too few views see are cut: some of their parts may be seen."""
+"""Edge above which blind nodes are divided, since parts of them may be visible."""
 BY_PARENT_MM = 1.0
-"""Nodes up to this edge are placed in the pictures by the Jacobian at their parent's centre (`marks.mark_nodes`)."""
+"""Maximum edge of nodes that are projected with the Jacobian at their parent's centre (`marks.mark_nodes`)."""
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
-"""Steps of this share of a turn leave the most even gaps at every number of steps."""
+"""Golden ratio; steps of this fraction of a turn leave the most even gaps for any number of steps."""
 _HALF_DIAGONAL = 0.71
-"""Of a square, sqrt(2) / 2 of its edge."""
+"""Half the diagonal of a square, sqrt(2) / 2 of its edge."""
 _CHUNK = 1 << 21
-"""Nodes that are looked at in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
+"""Number of nodes processed in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
 _BYTES_A_NODE = 150
-"""Memory that a node of the finest level takes until the shape is written, as measured; Dr.Jit does not survive having
-too little."""
+"""Measured memory per node of the finest level, until the shape is written. It is checked, since Dr.Jit aborts if
+memory is insufficient."""
 
 
 @dataclass(frozen=True)
 class Water:
-    """The space in which roots can be."""
+    """Space that may contain roots."""
 
     radius_mm: float
     top_mm: float
     bottom_mm: float
 
     def grid(self, size_mm: float) -> Grid:
-        """Return the lattice of nodes of an edge that covers it."""
+        """Return the lattice of nodes of a given edge that covers the water."""
         return Grid.over(
             np.array([-self.radius_mm, -self.radius_mm, self.bottom_mm]), np.array([self.radius_mm, self.radius_mm, self.top_mm]), size_mm
         )
 
 
 def spread(count: int) -> list[int]:
-    """Order views so that each is far from those before it (golden-ratio steps round the turn).
+    """Order views so that each is far from the preceding ones (golden-ratio steps around the turn).
 
-    Nodes are carved early.
+    With this order, most nodes are carved early.
     """
     return [int(k) for k in np.argsort((np.arange(count) * _GOLDEN) % 1.0, kind="stable")]
 
@@ -76,35 +77,35 @@ def carve(
     ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
 ) -> Hull:
-    """Carve the hull of the silhouettes out of the water.
+    """Carve the visual hull of the silhouettes out of the water.
 
     Parameters
     ----------
     water : Water
-        Nodes outside of it are left out.
+        Nodes outside are removed.
     min_votes : int, optional
-        Views that must see a node for it to count as part of the shape; `distance_maps.least_votes` where not given.
+        Minimum number of views that must show a node of the shape; by default `distance_maps.least_votes`.
     slack_px : float
-        Outline uncertainty; moves the outlines in and out for `Hull.moved_in_mm3` and ``moved_out_mm3``.
+        Outline uncertainty, by which the outlines are moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     ignore_blindness : bool
-        The thesis's way: a view that does not see a node carves it.
+        Method of the thesis: a view that does not show a node carves it.
     progress : callable, optional
-        Called when a level is done.
+        Called after each level.
     """
     passes.add("carvings")
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
     votes = least_votes(bank.count) if min_votes is None else min_votes
     carving, nodes = _Carving(bank, maps, grid, water, votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
-    done = [_Decided(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
+    done = [_Classified(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
     for level in range(grid.levels + 1):
         by_parent = level > 0 and grid.edge_mm(level) <= BY_PARENT_MM
         if level > 0 and not by_parent:
-            nodes = _children(nodes)
+            nodes = _split(nodes)
         chunk, kept = _CHUNK // 8 if by_parent else _CHUNK, list[list[Int32]]()
         for begin in range(0, dr.width(nodes[0]), chunk):
             lane = dr.arange(mi.UInt32, begin, min(begin + chunk, dr.width(nodes[0])))
             part = [dr.gather(mi.Int32, a, lane) for a in nodes]
-            decided = carving.decide(part, level, by_parent=by_parent)
+            decided = carving.classify(part, level, by_parent=by_parent)
             if decided is not None:
                 done.append(decided)
                 kept += [] if decided.split is None else [decided.split]
@@ -120,24 +121,24 @@ def carve(
 
 
 @dataclass(frozen=True)
-class _Decided:
-    """What became of nodes of one size."""
+class _Classified:
+    """Classification of nodes of one size."""
 
     index: Index
-    """(N, 3) lowest corner of those that are part of the shape, in finest nodes."""
+    """(N, 3) lowest corner of nodes of the shape, in finest nodes."""
     size: Index
-    """(N,)"""
+    """(N,) edge in finest nodes."""
     occupancy: NDArray[np.float32]
-    """(3, N) best, least and most: with the outlines where they are, moved in, and moved out."""
+    """(3, N) best, lower and upper estimate: with unchanged outlines, moved in, and moved out."""
     blind_mm3: float
-    """Volume of those that too few views see."""
+    """Volume of nodes visible in too few views."""
     split: list[Int32] | None
-    """Those that are to be cut; None on the finest level."""
+    """Nodes to be divided; None on the finest level."""
 
 
 @dataclass(frozen=True)
 class _Carving:
-    """From what and how is carved."""
+    """Input and parameters of carving."""
 
     bank: ViewBank
     maps: DistanceMaps
@@ -147,13 +148,13 @@ class _Carving:
     slack_px: float
     ignore_blindness: bool
 
-    def decide(self, part: list[Int32], level: int, *, by_parent: bool) -> _Decided | None:
-        """Look at nodes of a level; None where all lie outside of the water.
+    def classify(self, part: list[Int32], level: int, *, by_parent: bool) -> _Classified | None:
+        """Classify nodes of a level; return None if all lie outside the water.
 
         Parameters
         ----------
         part : list of mi.Int32
-            The nodes, or with ``by_parent`` those that are to be cut into them.
+            The nodes, or with ``by_parent`` their parents.
         """
         grid, slack_px, water = self.grid, self.slack_px, self.water
         units, edge_mm = 2 ** (grid.levels - level), grid.edge_mm(level)
@@ -164,21 +165,21 @@ class _Carving:
                 return None
         about = _centres(grid, part, 2.0 * edge_mm if by_parent else edge_mm)
         parts = marks.corners(half_mm) if by_parent else [mi.Vector3f(dr.opaque(mi.Float, 0.0))]
-        seen = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
-        part = _children(part) if by_parent else part
+        marked = marks.mark_nodes(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
+        part = _split(part) if by_parent else part
         point = _centres(grid, part, edge_mm)
-        empty, partial, votes, depth, scale = seen.empty, seen.partial, seen.votes, seen.depth, seen.scale
+        empty, partial, votes, depth, scale = marked.empty, marked.partial, marked.votes, marked.depth, marked.scale
         if by_parent:
             empty |= ~self._inside(point, edge_mm)
-        blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # or the finest, however rounded
+        blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # 1.01: rounding
         if level < grid.levels:
-            blind &= ~marks.partly_seen(self.bank, self.maps, point, half_mm, blind, self.min_votes)
+            blind &= ~marks.find_partly_visible(self.bank, self.maps, point, half_mm, blind, self.min_votes)
         full = ~empty & ~blind & ~partial & (votes >= self.min_votes)
         split = ~empty & ~blind & ~full
         in_radius = dr.square(point.x) + dr.square(point.y) < water.radius_mm**2
         chosen, measured = full, None
         if units == 1:
-            # the finest nodes that no view decides are measured
+            # occupancy of the finest nodes that no view classifies
             moves = (0.0, -slack_px / scale, slack_px / scale)
             measured = [dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0)) for move in moves]
             chosen = full | (split & in_radius & (measured[2] > 0))
@@ -190,7 +191,7 @@ class _Carving:
         occupancy = np.ones((3, len(index)), np.float32)
         if measured is not None:
             occupancy = np.stack([np.array(a) for a in _compress(measured, chosen)]).astype(np.float32)
-        return _Decided(
+        return _Classified(
             index=index * units,
             size=np.full(len(index), units, np.int32),
             occupancy=occupancy,
@@ -199,7 +200,7 @@ class _Carving:
         )
 
     def _inside(self, point: Point3f, edge_mm: float) -> Bool:
-        """Tell which nodes lie in the water, at least in part."""
+        """Return which nodes lie at least partly in the water."""
         water = self.water
         inside = dr.square(point.x) + dr.square(point.y) < dr.opaque(mi.Float, (water.radius_mm + _HALF_DIAGONAL * edge_mm) ** 2)
         return (
@@ -216,20 +217,20 @@ def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:
 
 
 def _compress(arrays: list[Kernel], mask: Bool) -> list[Kernel]:
-    """Keep the entries of a mask."""
+    """Return the entries of a mask."""
     chosen = dr.compress(mask)
     return [dr.gather(type(a), a, chosen) for a in arrays]
 
 
 def _check_memory(count: int) -> None:
-    """Raise a MemoryError where so many nodes do not fit in the computer."""
+    """Raise a MemoryError if this number of nodes does not fit in memory."""
     fitting = int(total_mib() * MIB) // _BYTES_A_NODE
     if count > fitting:
-        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit")
+        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit in memory")
 
 
-def _children(nodes: list[Int32]) -> list[Int32]:
-    """Cut nodes into eight, children of one node side by side."""
+def _split(nodes: list[Int32]) -> list[Int32]:
+    """Divide nodes into eight; children of one node are consecutive."""
     lane = dr.arange(mi.UInt32, 8 * dr.width(nodes[0]))
     parent, child = lane >> 3, lane & 7
     bits = [(child >> 2) & 1, (child >> 1) & 1, child & 1]

@@ -1,4 +1,4 @@
-"""The curves that a hull is thinned to, which run along the middle of its roots."""
+"""Centre lines of a hull by thinning."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from rhizotwin.recon.hull.surface import paint, to_voxels
 Array = NDArray[np.float64]
 
 _SKELETON_MM = 0.5
-"""About this edge have the voxels that are thinned to curves: finer ones grow hairs on rough surfaces."""
+"""Approximate edge of the voxels that are thinned: finer voxels give spurious branches on rough surfaces."""
 _SPACING_MM = 0.16
-"""Of the points along a curve, at most: spheres of 0.5 mm roots overlap by more than half."""
+"""Maximum spacing of points along a curve: spheres of roots of 0.5 mm overlap by more than half."""
 _BESIDE = 1.5
-"""Voxels no farther than this from a curve are on it."""
+"""Maximum distance of a voxel from a curve, in voxels, for it to belong to the curve."""
 
 
 def centre_lines(leaves: Leaves) -> Array:
     """Thin the hull to curves and sample them densely: (N, 3) points in the canister frame, mm.
 
-    Thinning takes away whole straight roots that are an even number of voxels wide, and shortens others: what it finds
-    on a lattice half a voxel aside, where these are odd, is added.
+    Thinning removes straight roots with an even width in voxels, and shortens others. Curves found on a lattice shifted
+    by half a voxel, where these widths are odd, are therefore added.
     """
     units = 2 ** max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25)))
     index, size, occupancy = to_voxels(leaves, units)
@@ -34,19 +34,19 @@ def centre_lines(leaves: Leaves) -> Array:
     paint(volume, index - low, size, occupancy)
     voxel_mm = leaves.grid.size_mm * units
     nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
-    nodes = np.concatenate([nodes, _missed(volume, nodes)])
+    nodes = np.concatenate([nodes, _shifted_curves(volume, nodes)])
     if not len(nodes):
         return np.zeros((0, 3))
-    pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours, up to sqrt(3) away
-    steps = max(1, int(np.ceil(1.4 * voxel_mm / _SPACING_MM)))  # sqrt(2): most go on over an edge
+    pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours, up to a distance of sqrt(3)
+    steps = max(1, int(np.ceil(1.4 * voxel_mm / _SPACING_MM)))  # sqrt(2): most neighbours share an edge
     share = (np.arange(1, steps) / steps)[None, :, None]
     between = nodes[pairs[:, 0]][:, None] * (1 - share) + nodes[pairs[:, 1]][:, None] * share
     points = np.concatenate([nodes, between.reshape(-1, 3)])
     return np.asarray(leaves.grid.origin_mm) + (points + low + 0.5) * voxel_mm
 
 
-def _missed(volume: NDArray[np.float32], curves: Array) -> Array:
-    """Return voxels (M, 3) on curves that thinning finds on a lattice half a voxel aside and not on this one (N, 3)."""
+def _shifted_curves(volume: NDArray[np.float32], curves: Array) -> Array:
+    """Return voxels (M, 3) on curves found on a lattice shifted by half a voxel but not on this one (N, 3)."""
     aside = ndimage.uniform_filter(volume, 2, mode="constant") > 0.5  # element i covers the last half of i - 1, the first of i
     others = np.argwhere(morphology.skeletonize(aside))
     if not len(others) or not len(curves):

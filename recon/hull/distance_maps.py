@@ -1,4 +1,4 @@
-"""How far every pixel of every view lies from the silhouette's outline, and how points of space are looked up there."""
+"""Signed distance of every pixel from the silhouette's outline in all views, and its interpolation at points."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, Window
-from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector2f, Vector2u, bilinear, numbers, room, some_parts
+from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector2f, Vector2u, aligned_empty, bilinear, numbers, select_parts
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.monitor import Monitor
 
 TELLS_PX = 1e-3 * UNSEEN_PX
-"""Interpolated distances above this have a share of `UNSEEN_PX`: the picture says nothing there either."""
+"""Maximum interpolated distance of usable pixels; larger values include `UNSEEN_PX` in the interpolation."""
 _VOTES, _FEWEST = 0.3, 3
-"""Share of the views that must see a point for it to count, and their least number: two views leave open what lies
-along their lines of sight."""
+"""Minimum fraction of the views, and minimum number of views, that must show a point of the shape: two views do not
+constrain the direction along their lines of sight."""
 
 
 @dataclass(frozen=True)
 class DistanceMaps:
-    """Signed distances to the outlines of all views, positive inside, pixels.
+    """Signed distances to the outlines of all views, positive inside, in pixels.
 
-    `UNSEEN_PX` where a picture says nothing.
+    The value is `UNSEEN_PX` for unusable pixels.
     """
 
     values: Kernel
-    """mi.Float16, (V, 2 h, 2 w) flattened: those of a window (w, h), about which nothing is said; infinite for
+    """mi.Float16, (V, 2 h, 2 w) flattened: values in a window (w, h) that contains all usable pixels; infinite for
     `UNSEEN_PX`.
 
-    Halves keep distances to 1/2048: within a pixel of an outline to 0.0003 px, a hundred pixels away to 0.03 px, where
-    the maps themselves are right to 0.4 px."""
+    Half precision has a relative accuracy of 1/2048: 0.0003 px within a pixel of an outline, and 0.03 px at a hundred
+    pixels, where the maps themselves are accurate to 0.4 px."""
     image_wh: tuple[int, int]
     window: Window
     _low: Vector2f = field(init=False, repr=False)
@@ -46,22 +46,22 @@ class DistanceMaps:
     _image: Vector2f = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Keep what kernels need of the sizes as their input.
+        """Store the sizes that kernels need as opaque variables.
 
-        As constants, they would make every kernel new for every scan.
+        As literals, they would cause new kernels for every scan.
         """
         object.__setattr__(self, "_low", mi.Vector2f(*(dr.opaque(mi.Float, low) for low in self.window.low_px)))
         object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
         object.__setattr__(self, "_image", mi.Vector2f(*(dr.opaque(mi.Float, count) for count in self.image_wh)))
 
     @staticmethod
-    def of(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
-        """Put maps (V, 2 h, 2 w) on the device, infinite or `UNSEEN_PX` where a picture says nothing.
+    def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
+        """Transfer maps (V, 2 h, 2 w) to the device, infinite or `UNSEEN_PX` for unusable pixels.
 
         Parameters
         ----------
         image_wh, window : tuple of int or None, Window or None
-            Of the pictures, and the part of them that the maps are of; all of it where not given.
+            Size of the pictures, and their part that the maps show; by default all of it.
         """
         size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
         values = mi.Float16(numbers(maps))
@@ -69,24 +69,24 @@ class DistanceMaps:
         return DistanceMaps(values, image_wh or size_px, window or Window((0, 0), size_px))
 
     @staticmethod
-    def drawn(
+    def compute(
         views: Sequence[Silhouette], name: str, monitor: Monitor, outline: Callable[[Silhouette], Image] = silhouettes.signed_distance
     ) -> DistanceMaps:
-        """Draw the outlines of all views, within the window that holds what any of them tells.
+        """Compute the distance maps of all views, within the window that contains all usable pixels.
 
         Parameters
         ----------
         name : str
-            Of the progress bar.
+            Name of the progress bar.
         outline : callable
-            From a silhouette to its signed distance (2 H, 2 W), pixels.
+            Function from a silhouette to its signed distance (2 H, 2 W), pixels.
         """
         (height, width), window = views[0].coverage.shape, Window.around(views)
         samples = UPSAMPLING**2 * window.size_px[0] * window.size_px[1]
-        values = room(len(views) * samples, np.dtype(np.float16))
+        values = aligned_empty(len(views) * samples, np.dtype(np.float16))
 
         def draw(view: int) -> None:
-            # `UNSEEN_PX` becomes infinite; NumPy takes five times as long, and twenty times where it does
+            # `UNSEEN_PX` becomes infinite. NumPy takes five times as long, and twenty times for infinite values.
             drawn = cv2.multiply(outline(views[view].cut(window)), 1.0, dtype=cv2.CV_16F)
             values[view * samples : (view + 1) * samples] = drawn.ravel()
 
@@ -95,20 +95,20 @@ class DistanceMaps:
 
     @property
     def samples_wh(self) -> tuple[int, int]:
-        """Return the samples of a map."""
+        """Return the number of samples of a map, columns and rows."""
         return self.window.size_px[0] * UPSAMPLING, self.window.size_px[1] * UPSAMPLING
 
-    def of_views(self, which: Sequence[int]) -> DistanceMaps:
-        """Return those of some of the views."""
-        return replace(self, values=some_parts(self.values, which, self.samples_wh[0] * self.samples_wh[1]))
+    def select_views(self, which: Sequence[int]) -> DistanceMaps:
+        """Return the maps of a subset of the views."""
+        return replace(self, values=select_parts(self.values, which, self.samples_wh[0] * self.samples_wh[1]))
 
     def picture(self, view: int) -> Image:
-        """Return a view's map, (2 H, 2 W) of its window, infinite where its picture says nothing."""
+        """Return a view's map, (2 H, 2 W) of its window, infinite for unusable pixels."""
         width, height = self.samples_wh
-        return np.array(mi.Float(self.of_views([view]).values)).reshape(height, width)
+        return np.array(mi.Float(self.select_views([view]).values)).reshape(height, width)
 
     def sample(self, px: Vector2f) -> Vector2f:
-        """Return where pixels (mi.Vector2f) lie on a map, whose samples are at integers: mi.Vector2f."""
+        """Return the coordinates (mi.Vector2f) of pixels on a map, whose samples are at integers: mi.Vector2f."""
         return (px - self._low + 0.5) * UPSAMPLING - 0.5
 
     def at(self, view: UInt32, px: Vector2f, active: Bool) -> Float:
@@ -117,17 +117,19 @@ class DistanceMaps:
         begin = view * (self._samples.y * self._samples.x)
         return bilinear(self.values, begin, self._samples.x, place.x, place.y, active, most=UNSEEN_PX)
 
-    def holds(self, px: Vector2f) -> Bool:
-        """Tell which pixels (mi.Vector2f) lie in the pictures."""
+    def contains(self, px: Vector2f) -> Bool:
+        """Return which pixels (mi.Vector2f) lie in the pictures."""
         return dr.all((px > -0.5) & (px < self._image - 0.5))
 
 
 def least_votes(count: int) -> int:
-    """Return how many of so many views must see a point for it to count."""
+    """Return the minimum number of views, out of ``count``, that must show a point of the shape."""
     return max(_FEWEST, math.ceil(_VOTES * count))
 
 
-def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool) -> tuple[projection.Projected, Float, Bool]:
+def project_and_read(
+    bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool
+) -> tuple[projection.Projected, Float, Bool]:
     """Project points into a view and read its distance map.
 
     Parameters
@@ -135,17 +137,17 @@ def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, activ
     bank : ViewBank
         Views.
     maps : DistanceMaps
-        Of the same views.
+        Distance maps of the same views.
     view, point, active : UInt32, Point3f, Bool
-        Number of the view and point, a lane each, and lanes that count.
+        View index and point per lane, and active lanes.
 
     Returns
     -------
     Projected, mi.Float, mi.Bool
-        The projection, the distance in px, and whether the picture tells.
+        The projection, the distance in px, and whether the pixel is usable.
     """
     p = projection.project(bank, view, point, active)
-    return p, *read(maps, view, p.px, p.seen)
+    return p, *read(maps, view, p.px, p.visible)
 
 
 def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[Float, Bool]:
@@ -154,15 +156,15 @@ def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[
     Parameters
     ----------
     maps : DistanceMaps
-        Of all views.
+        Distance maps of all views.
     view, px, active : UInt32, Vector2f, Bool
-        Number of the view and pixel, a lane each, and lanes that count.
+        View index and pixel per lane, and active lanes.
 
     Returns
     -------
     mi.Float, mi.Bool
-        The distance in px, and whether the picture tells.
+        The distance in px, and whether the pixel is usable.
     """
-    seen = active & maps.holds(px)
-    distance = maps.at(view, px, seen)
-    return distance, seen & (distance < TELLS_PX)
+    usable = active & maps.contains(px)
+    distance = maps.at(view, px, usable)
+    return distance, usable & (distance < TELLS_PX)

@@ -1,4 +1,4 @@
-"""Space cut into cubes: the grid of the finest nodes, occupied leaves of several sizes, and the hull that they make."""
+"""Cubic subdivision of space: the grid of the finest nodes, occupied leaves of several sizes, and the hull."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.hull.boxes import Box, Scattered
+from rhizotwin.recon.hull.boxes import Box, CellSet
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 _COARSEST_MM = 4.6
-"""Edge of the first nodes, at most: 33 across the canister."""
+"""Maximum edge of the coarsest nodes: 33 across the canister."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Grid:
     origin_mm: Array
     size_mm: float
     levels: int
-    """How often the coarsest nodes are halved."""
+    """Number of times the coarsest nodes are halved."""
     coarse_shape: tuple[int, int, int]
 
     @staticmethod
@@ -37,13 +37,13 @@ class Grid:
         return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
 
     def edge_mm(self, level: int) -> float:
-        """Return the edge of the nodes of a level; those of level 0 are the coarsest."""
+        """Return the edge of the nodes of a level; level 0 is the coarsest."""
         return self.size_mm * 2.0 ** (self.levels - level)
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """Occupied leaves of different sizes, all in units of the grid's finest nodes; they do not overlap."""
+    """Occupied, non-overlapping leaves of different sizes, in units of the grid's finest nodes."""
 
     grid: Grid
     index: Index
@@ -55,39 +55,39 @@ class Leaves:
 
     @property
     def middles_mm(self) -> Array:
-        """Their centres (N, 3), canister frame."""
+        """Centres (N, 3) of the leaves, canister frame."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5 * self.size[:, None]) * self.grid.size_mm
 
     @property
-    def filled(self) -> Array:
-        """Their volumes (N,) inside the shape, in finest nodes."""
+    def filled_volume(self) -> Array:
+        """Volumes (N,) of the leaves inside the shape, in finest nodes."""
         return np.asarray(self.occupancy.astype(np.float64) * self.size.astype(np.float64) ** 3)
 
-    def some(self, chosen: NDArray[np.generic] | slice) -> Leaves:
-        """Return those that a mask (N,), numbers (M,) or a slice choose."""
+    def select(self, chosen: NDArray[np.generic] | slice) -> Leaves:
+        """Return the leaves selected by a mask (N,), indices (M,) or a slice."""
         return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
 
     def near(self, points_mm: Array, margin_mm: float) -> Leaves:
-        """Return those within a margin of points (M, 3)."""
+        """Return the leaves within a margin of points (M, 3)."""
         near = np.zeros(len(self.size), bool)
         if len(points_mm):
             reach_mm = margin_mm + 0.5 * self.grid.size_mm * (self.size - 1)
             tree = cKDTree(points_mm)
-            for edge in np.unique(self.size):  # without a bound, what is far takes longest
+            for edge in np.unique(self.size):  # a bound is needed, since distant queries are the slowest
                 some = np.flatnonzero(self.size == edge)
                 most_mm = float(reach_mm[some[0]])
                 near[some] = tree.query(self.middles_mm[some], distance_upper_bound=most_mm, workers=-1)[0] < most_mm
-        return self.some(near)
+        return self.select(near)
 
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
-        """Return the summed volume, also for other occupancies (N,) of the same leaves."""
+        """Return the total volume, optionally with other occupancies (N,) of the same leaves."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
         return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
 
 
-def united(first: Leaves, second: Leaves) -> Leaves:
-    """Unite leaves of one grid: of those within a larger one nothing is left, of two alike the fuller."""
-    parts = (first.some(~_within(first, second)), second.some(~_within(second, first)))
+def unite(first: Leaves, second: Leaves) -> Leaves:
+    """Unite leaves of one grid: leaves within a larger one are removed, and of two equal ones the fuller is kept."""
+    parts = (first.select(~_within(first, second)), second.select(~_within(second, first)))
     index, size, occupancy = (np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy"))
     _, place, which = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True)
     fuller = np.zeros(len(place), np.float32)
@@ -95,32 +95,32 @@ def united(first: Leaves, second: Leaves) -> Leaves:
     return Leaves(first.grid, index[place], size[place], fuller)
 
 
-def common(first: Leaves, second: Leaves) -> Leaves:
-    """Intersect leaves of one grid: those within a larger one are left whole, of two alike the emptier."""
+def intersect(first: Leaves, second: Leaves) -> Leaves:
+    """Intersect leaves of one grid: leaves within a larger one are kept, and of two equal ones the emptier."""
     inside = _within(first, second), _within(second, first)
-    rest = [leaves.some(~within) for leaves, within in zip((first, second), inside, strict=True)]
+    rest = [leaves.select(~within) for leaves, within in zip((first, second), inside, strict=True)]
     index, size, occupancy = (np.concatenate([getattr(part, name) for part in rest]) for name in ("index", "size", "occupancy"))
     _, place, which, count = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True, return_counts=True)
     emptier = np.ones(len(place), np.float32)
     np.minimum.at(emptier, which, occupancy)
-    both = Leaves(first.grid, index[place], size[place], emptier).some(count == 2)
-    parts = (first.some(inside[0]), second.some(inside[1]), both)
+    both = Leaves(first.grid, index[place], size[place], emptier).select(count == 2)
+    parts = (first.select(inside[0]), second.select(inside[1]), both)
     return Leaves(first.grid, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy")))
 
 
 def _within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
-    """Tell which leaves (N,) lie within larger ones of others."""
+    """Return which leaves (N,) lie within larger ones of others."""
     within = np.zeros(len(leaves.size), bool)
     for edge in np.unique(others.size):
         smaller = np.flatnonzero(leaves.size < edge)
-        larger = Scattered.of(others.index[others.size == edge] // edge)
-        within[smaller] |= larger.holds(leaves.index[smaller] // edge)
+        larger = CellSet.from_cells(others.index[others.size == edge] // edge)
+        within[smaller] |= larger.contains(leaves.index[smaller] // edge)
     return within
 
 
 @dataclass(frozen=True)
 class Hull:
-    """What carving leaves."""
+    """Result of carving."""
 
     leaves: Leaves
     outer: NDArray[np.float32]
@@ -128,7 +128,7 @@ class Hull:
     moved_in_mm3: float
     """Volume with every outline moved in by its uncertainty."""
     blind_mm3: float
-    """Volume of the water that too few views see."""
+    """Volume of the water visible in too few views."""
 
     @property
     def widest(self) -> Leaves:
@@ -137,12 +137,12 @@ class Hull:
 
     @property
     def moved_out_mm3(self) -> float:
-        """Return the volume of that."""
+        """Return the volume with every outline moved out by its uncertainty."""
         return self.leaves.volume_mm3(self.outer)
 
 
-def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Cut cubes of several sizes into unit cubes: (M, 3) indices."""
+def to_unit_cubes(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Divide cubes of several sizes into unit cubes: (M, 3) indices."""
     parts = []
     for edge in np.unique(size):
         offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
@@ -150,6 +150,6 @@ def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]
     return np.concatenate(parts) if parts else index
 
 
-def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the values (M,) of the unit cubes that `even` cuts cubes with values (N,) into."""
+def spread_values(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return the values (M,) of the unit cubes that `to_unit_cubes` makes of cubes with values (N,)."""
     return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values

@@ -1,4 +1,4 @@
-"""What all views say of a node: empty, partly outside, or inside, and how many of them see it."""
+"""Classification of nodes by all views: empty, partly outside, or inside, with the number of votes."""
 
 from __future__ import annotations
 
@@ -21,58 +21,58 @@ _EMPTY, _PARTIAL = 1 << 31, 1 << 30
 
 
 def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
-    """Return a bound of the distance in pixels from a cube's centre to any of its points, curvature included."""
+    """Return an upper bound of the distance in pixels from a cube's centre to any of its points."""
     reach = mi.Float(0.0)
     for sy, sz in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         du = p.du.x + sy * p.du.y + sz * p.du.z
         dv = p.dv.x + sy * p.dv.y + sz * p.dv.z
         reach = dr.maximum(reach, du * du + dv * dv)
     linear = dr.sqrt(reach) * half_mm
-    return linear * (1.03 + 0.03 * half_mm) + 0.25  # the distance maps are right within 0.4 px and 2 %
+    return linear * (1.03 + 0.03 * half_mm) + 0.25  # the distance maps are accurate to 0.4 px and 2 %
 
 
 @dataclass
 class Marks:
-    """What the views say of nodes."""
+    """Classification of nodes by the views."""
 
     empty: Bool
-    """mi.Bool, whether a view finds a node empty."""
+    """mi.Bool, whether at least one view classifies a node as empty."""
     partial: Bool
-    """mi.Bool, whether a view finds it partly outside."""
+    """mi.Bool, whether at least one view classifies it as partly outside."""
     votes: UInt32
-    """mi.UInt32, how many views see the centre."""
+    """mi.UInt32, number of views that show the centre."""
     depth: Float
-    """mi.Float, signed distance in mm of the centre to the hull: the least over the views that see it ..."""
+    """mi.Float, signed distance in mm of the centre to the hull: the minimum over the views that show it."""
     scale: Float
-    """mi.Float, ... and px per mm in that view."""
+    """mi.Float, px per mm in the view of the minimum."""
 
-    def add_view(self, distance: Float, seen: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
-        """Add one more view of nodes that none has found empty yet.
+    def add_view(self, distance: Float, visible: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
+        """Add a view to nodes that are not empty yet.
 
         Parameters
         ----------
-        distance, seen : Float, Bool
-            In px, and whether the view tells it.
+        distance, visible : Float, Bool
+            Distance in px, and whether it is usable.
         clear : Bool
-            Whether the whole node lies clear of where the view is blind.
+            Whether the whole node lies outside the view's blind zone.
         reach : Float
-            Half of the node's picture, px.
+            Half the size of the node in the picture, px.
         slack_px : Float
             Uncertainty of outlines.
         px_per_mm : Float
-            At the node.
+            Scale at the node.
         """
         open_ = ~self.empty
-        seen &= open_
-        self.partial |= seen & (distance < reach + slack_px)
-        here = dr.select(seen, distance / px_per_mm, 1e3)
+        visible &= open_
+        self.partial |= visible & (distance < reach + slack_px)
+        here = dr.select(visible, distance / px_per_mm, 1e3)
         self.scale = dr.select(here < self.depth, px_per_mm, self.scale)
         self.depth = dr.minimum(self.depth, here)
-        self.votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
-        self.empty |= seen & clear & (distance < -reach - slack_px)
+        self.votes += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        self.empty |= visible & clear & (distance < -reach - slack_px)
 
     def flags(self) -> UInt32:
-        """Return votes, `_EMPTY` and `_PARTIAL` in one number."""
+        """Return votes, `_EMPTY` and `_PARTIAL` packed into one integer."""
         zero = mi.UInt32(0)
         return self.votes | dr.select(self.empty, mi.UInt32(_EMPTY), zero) | dr.select(self.partial, mi.UInt32(_PARTIAL), zero)
 
@@ -80,24 +80,24 @@ class Marks:
 def mark_nodes(
     bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float, ignore_blindness: bool
 ) -> Marks:
-    """Look at nodes from every view, until one finds them empty.
+    """Classify nodes in every view, until one view finds them empty.
 
-    Only ``point`` is followed through the water; nodes beside it are placed by its Jacobian. What that neglects is half
-    the change of the scale on the way (3 % a mm, as in `_footprint_px`) times the way: at most 0.011 of an edge where
-    edges are below `carve.BY_PARENT_MM`.
+    Only ``point`` is projected through the water; nodes beside it are placed with the Jacobian. The error is half the
+    change of the scale over the offset (3 % per mm, as in `_footprint_px`) times the offset: at most 0.011 of an edge
+    for edges below `carve.BY_PARENT_MM`.
 
     Parameters
     ----------
     parts : list of mi.Vector3f
-        From the point to the centres of the nodes: eight for the children of a node about the point, or nothing but
-        zero for itself.
+        Offsets from the point to the centres of the nodes: eight for the children of a node at the point, or a single
+        zero for the node itself.
     half_mm : mi.Float
-        Half an edge of these nodes.
+        Half the edge of these nodes.
 
     Returns
     -------
     Marks
-        Of all nodes, those about a point side by side.
+        Marks of all nodes; nodes at the same point are consecutive.
     """
     width = dr.width(point)
 
@@ -106,10 +106,10 @@ def mark_nodes(
         reach, px_per_mm = _footprint_px(p, half_mm), dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
         for part, mark in zip(parts, marks, strict=True):
             px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
-            distance, seen = distance_maps.read(maps, view, px, p.seen & ~mark.empty)
-            mark.add_view(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
+            distance, usable = distance_maps.read(maps, view, px, p.visible & ~mark.empty)
+            mark.add_view(distance, usable, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
             if ignore_blindness:
-                mark.empty |= ~seen
+                mark.empty |= ~usable
         return view + 1, marks
 
     def undecided(view: UInt32, marks: list[Marks]) -> Bool:
@@ -122,7 +122,7 @@ def mark_nodes(
         Marks(begin(mi.Bool, False), begin(mi.Bool, False), begin(mi.UInt32, 0), begin(mi.Float, 1e3), begin(mi.Float, 1.0)) for _ in parts
     ]
     marks = dr.while_loop((mi.UInt32(0), marks), undecided, body)[1]
-    # one scatter for each field, and all in one kernel: each further kernel would run the loop again
+    # One scatter per field, all in one kernel: each additional kernel would repeat the loop.
     lane, count = dr.arange(mi.UInt32, width), len(parts) * width
     flags, depth, scale = dr.empty(mi.UInt32, count), dr.empty(mi.Float, count), dr.empty(mi.Float, count)
     dr.scatter(flags, mi.ArrayXu([mark.flags() for mark in marks]), lane)
@@ -132,10 +132,10 @@ def mark_nodes(
     return Marks((flags & _EMPTY) != 0, (flags & _PARTIAL) != 0, flags & (_PARTIAL - 1), depth, scale)
 
 
-def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
-    """Tell which nodes have a corner that enough views see, though too few see the centre.
+def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, tested: Bool, min_votes: int) -> Bool:
+    """Return which nodes have a corner visible in enough views, although too few views show the centre.
 
-    The edge of the blind zone cuts them.
+    These nodes intersect the edge of the blind zone.
 
     Parameters
     ----------
@@ -144,19 +144,19 @@ def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Flo
     point : mi.Point3f
         Centres of the nodes.
     half_mm : Float
-        Half of the nodes' edge.
-    asked : Bool
-        Nodes to look at.
+        Half the nodes' edge.
+    tested : Bool
+        Nodes to test.
     min_votes : int
-        Views that are enough.
+        Required number of views.
 
     Returns
     -------
     mi.Bool
-        False for nodes not asked.
+        False for nodes not tested.
     """
     result = dr.zeros(mi.Bool, dr.width(point))
-    chosen = dr.compress(asked)
+    chosen = dr.compress(tested)
     if dr.width(chosen) == 0:
         return result
     part = dr.gather(mi.Point3f, point, chosen)
@@ -169,8 +169,8 @@ def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Flo
         at = part + offset
 
         def body(view: UInt32, votes: UInt32, at: Point3f = at) -> tuple[UInt32, UInt32]:
-            seen = distance_maps.look(bank, maps, view, at, mi.Bool(True))[2]
-            return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+            usable = distance_maps.project_and_read(bank, maps, view, at, mi.Bool(True))[2]
+            return view + 1, votes + dr.select(usable, mi.UInt32(1), mi.UInt32(0))
 
         state = (mi.UInt32(0), dr.select(some, least, mi.UInt32(0)))
         some |= dr.while_loop(state, undecided, body)[1] >= least
@@ -180,9 +180,9 @@ def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Flo
 
 
 def corners(half_mm: Float) -> list[Vector3f]:
-    """Return from a node's centre to its corners, in the order of `carve`'s children.
+    """Return the offsets from a node's centre to its corners, in the order of `carve`'s children.
 
-    Signs that are no constants leave one kernel for all.
+    The signs are opaque, so that all corners share one kernel.
     """
     signs = [dr.opaque(mi.Float, sign) for sign in (-1.0, 1.0)]
     return [mi.Vector3f(*(half_mm * signs[c] for c in corner)) for corner in np.ndindex(2, 2, 2)]

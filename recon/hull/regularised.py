@@ -1,9 +1,9 @@
-"""Regularised visual hull: mend what carving cut (Zheng et al. 2011, Int. Conference on Computer Vision, page 2026).
+"""Regularised visual hull: repair parts lost in carving (Zheng et al. 2011, ICCV, page 2026).
 
-Where cameras are off by a pixel, an AND over all views removes thin roots. The remedy has two steps: every pixel of one
-picture's silhouette gets a voxel on its line of sight, the one to which the other views object least; and separate
-parts are joined along the cells to which the views object least. Only cells near the hull are looked at, those of the
-hull of silhouettes that are grown by some pixels, as the thesis proposes (T5.3).
+With camera errors of a pixel, the intersection over all views removes thin roots. The repair has two steps. First,
+every pixel of one picture's silhouette gets a voxel on its line of sight, the one that the fewest other views exclude.
+Second, separate parts are joined along the cells that the fewest views exclude. Only cells near the hull are
+considered: those of the hull of silhouettes dilated by some pixels, as the thesis proposes (T5.3).
 """
 
 from __future__ import annotations
@@ -17,51 +17,51 @@ from scipy.sparse.csgraph import dijkstra
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import agreement
-from rhizotwin.recon.hull.boxes import Scattered
-from rhizotwin.recon.hull.leaves import Hull, Leaves, even
+from rhizotwin.recon.hull.boxes import CellSet
+from rhizotwin.recon.hull.leaves import Hull, Leaves, to_unit_cubes
 from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
 
 _STEP = 1e-3
-"""Objection of a view that a step through space counts as: of equally good ways the shortest is taken."""
+"""Cost of a step, as an objection of a view: of equally good paths the shortest is chosen."""
 _INSIDE = 1e-9
-"""Cost of a step within the hull; zero would be no edge of the graph."""
+"""Cost of a step within the hull; zero would not be an edge of the graph."""
 
 
 def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) -> Leaves:
-    """Return the hull with the cells that one silhouette and connectedness need.
+    """Return the hull with the cells required by one silhouette and by connectedness.
 
     Parameters
     ----------
     bank : ViewBank
-        The views.
+        Views.
     silhouettes : (V,) sequence of Silhouette
-        Of the same views.
+        Silhouettes of the same views.
     hull : Hull
-        Carved with a slack: its leaves whose centre lies outside of a silhouette are the cells that may be added.
+        Hull carved with a slack: leaves whose centre lies outside a silhouette are candidates.
 
     Returns
     -------
     Leaves
-        What is added is occupied wholly.
+        Added leaves are fully occupied.
     """
     inside = hull.leaves.occupancy >= 0.5
-    kept, free = hull.leaves.some(inside), hull.leaves.some(~inside)
+    kept, free = hull.leaves.select(inside), hull.leaves.select(~inside)
     if not len(kept.size) or not len(free.size):
         return kept
-    reference = int(np.argmax([float(one.coverage[one.seen].sum(dtype=np.float64)) for one in silhouettes]))
+    reference = int(np.argmax([float(one.coverage[one.usable].sum(dtype=np.float64)) for one in silhouettes]))
     edge_mm = free.grid.size_mm * free.size.astype(np.float64)
     objection = agreement.compare(bank, silhouettes, free.middles_mm, edge_mm).excluded.mean(axis=0)
-    objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # of equally many views, how far the strictest objects
-    added = _cover(bank.chosen([reference]), silhouettes[reference], kept, free, objection)
+    objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # at an equal number of views, the distance of the strictest
+    added = _cover(bank.select([reference]), silhouettes[reference], kept, free, objection)
     added |= _connect(kept, free, objection, added)
     index, size = np.concatenate([kept.index, free.index[added]]), np.concatenate([kept.size, free.size[added]])
     return Leaves(kept.grid, index, size, np.concatenate([kept.occupancy, np.ones(int(added.sum()), np.float32)]))
 
 
 def _cover(bank: ViewBank, silhouette: Silhouette, kept: Leaves, free: Leaves, objection: Array) -> NDArray[np.bool_]:
-    """Return which free cells (N,) are the best before a pixel of the only view's silhouette that nothing covers."""
+    """Return the free cells (N,) that are best for each uncovered pixel of a single view's silhouette."""
     size_mm = kept.grid.size_mm
     missed = agreement.missed_pixels(bank, silhouette, kept.middles_mm, size_mm * kept.size.astype(np.float64))
     pixel, inside = agreement.pixels(bank, free.middles_mm, silhouette.coverage.shape)
@@ -74,23 +74,24 @@ def _cover(bank: ViewBank, silhouette: Silhouette, kept: Leaves, free: Leaves, o
 
 
 def _connect(kept: Leaves, free: Leaves, objection: Array, added: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which free cells (N,) join the parts of the kept and added ones to the largest.
+    """Return the free cells (N,) that join the components of kept and added cells to the largest.
 
-    Every part is one node of a graph, every other free cell another; the ways are shortest ones from the largest part.
+    Every component is one node of a graph, and so is every other free cell; paths are shortest from the largest
+    component.
     """
-    solid = np.concatenate([even(kept.index, kept.size), free.index[added]])
-    part = Scattered.of(solid).parts()
+    solid = np.concatenate([to_unit_cubes(kept.index, kept.size), free.index[added]])
+    part = CellSet.from_cells(solid).components()
     sizes = np.bincount(part)
     rest = np.flatnonzero(~added)
     node = np.concatenate([part, len(sizes) + np.arange(len(rest))]).astype(np.int32)
     cost = np.concatenate([np.full(len(sizes), _INSIDE), _STEP + objection[rest]])
-    ends = [[node[there] for there in pair] for _, *pair in Scattered.of(np.concatenate([solid, free.index[rest]])).neighbours()]
+    ends = [[node[there] for there in pair] for _, *pair in CellSet.from_cells(np.concatenate([solid, free.index[rest]])).neighbours()]
     here, there = (np.concatenate(side) for side in zip(*ends, strict=True))
     some = here != there
     here, there = np.concatenate([here[some], there[some]]), np.concatenate([there[some], here[some]])
     there = there[np.argsort(here, kind="stable")]
     begin = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=len(cost)))])
-    # by hand: a matrix made from pairs would add up the edges between two nodes, of which there may be many
+    # Built explicitly: a matrix made from pairs would sum multiple edges between two nodes.
     graph = csr_matrix((cost[there], there, begin.astype(np.int32)), shape=(len(cost),) * 2)
     before = dijkstra(graph, indices=int(sizes.argmax()), return_predecessors=True)[1]
     way = np.zeros(len(cost), bool)

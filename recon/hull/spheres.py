@@ -1,4 +1,4 @@
-"""Spheres inside roots, and what lies in their union."""
+"""Spheres inside roots, and their union."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rhizotwin.recon.hull.leaves import Grid, Leaves
 Array = NDArray[np.float64]
 
 _HALF_DIAGONAL = 0.87
-"""Of a cube, sqrt(3) / 2 of its edge: what lies as deep lies wholly inside."""
+"""Half the diagonal of a cube, sqrt(3) / 2 of its edge: a cube with this depth lies entirely inside."""
 _BIN_MM = 4.0
-"""Edge of the bins in which spheres are looked up: a sphere no larger lies in eight at most."""
+"""Edge of the bins in which spheres are looked up: a sphere no larger overlaps eight at most."""
 _NEIGHBOURS = 4
-"""Of spheres alike in size (by a factor of two), the one that is nearest to a point is among so many."""
+"""Number of nearest centres tested among spheres of similar size (within a factor of two)."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,10 @@ class Spheres:
     """(N,)"""
 
 
-def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Cut leaves until each lies wholly inside the spheres or is a finest node.
+def subdivide_leaves(
+    spheres: Spheres, leaves: Leaves
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Divide leaves until each lies entirely inside the spheres or is a finest node.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArra
     """
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
-    listed = _Listed.of(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
+    listed = _Bins.build(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
     done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
@@ -61,12 +63,12 @@ def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArra
 
 
 def fill(spheres: Spheres, grid: Grid) -> Leaves:
-    """Fill spheres with leaves: as large as lie wholly inside, and finest ones at the surface."""
+    """Fill spheres with leaves: as large as fit inside, and finest ones at the surface."""
     low, shape = np.asarray(grid.origin_mm), np.array(grid.coarse_shape)
     edge = 2**grid.levels
     if not len(spheres.radius_mm):
         return Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    listed = _Listed.of(spheres, low, low + shape * edge * grid.size_mm, _HALF_DIAGONAL * edge * grid.size_mm)
+    listed = _Bins.build(spheres, low, low + shape * edge * grid.size_mm, _HALF_DIAGONAL * edge * grid.size_mm)
     index, done = np.argwhere(np.ones(shape, bool)).astype(np.int32) * edge, list[tuple[NDArray[np.generic], ...]]()
     offset = np.array(list(np.ndindex(2, 2, 2)), np.int32)
     while edge >= 1:
@@ -81,33 +83,33 @@ def fill(spheres: Spheres, grid: Grid) -> Leaves:
     return Leaves(grid, *(np.concatenate(column) for column in zip(*done, strict=True)))
 
 
-def in_common_mm3(spheres: Spheres, leaves: Leaves) -> float:
-    """Return the volume that lies in spheres and in leaves."""
-    _, size, occupancy, inside = against(spheres, leaves)
+def shared_volume_mm3(spheres: Spheres, leaves: Leaves) -> float:
+    """Return the volume of the intersection of spheres and leaves."""
+    _, size, occupancy, inside = subdivide_leaves(spheres, leaves)
     return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
 
 
 def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
-    """Return how deep (N,) points (N, 3) lie inside the union of spheres; negative outside."""
+    """Return the depth (N,) of points (N, 3) inside the union of spheres; negative outside."""
     if not len(points_mm) or not len(spheres.radius_mm):
         return np.full(len(points_mm), -np.inf, np.float32)
-    return _Listed.of(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
+    return _Bins.build(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
 
 
 @dataclass(frozen=True)
-class _Listed:
-    """Spheres listed by the cubic bins they reach into."""
+class _Bins:
+    """Spheres listed by the cubic bins that they overlap."""
 
     low_mm: Array
     shape: NDArray[np.int64]
     entries: UInt32
-    """mi.Float, x y z r of the spheres of one bin after the other."""
+    """x, y, z and radius of the spheres, bin after bin."""
     begins: UInt32
     """mi.UInt32, first entry of each bin, and the end."""
 
     @staticmethod
-    def of(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Listed:
-        """List spheres, and what lies so far beside them, in bins that cover a box."""
+    def build(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Bins:
+        """List spheres, dilated by ``beside_mm``, in bins that cover a box."""
         shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
         reach = spheres.radius_mm[:, None] + beside_mm
         first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
@@ -120,10 +122,10 @@ class _Listed:
         order = np.argsort(bins, kind="stable")
         begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
         packed = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)[sphere[order]].astype(np.float32)
-        return _Listed(low, shape, numbers(packed), wholes(begins))
+        return _Bins(low, shape, numbers(packed), wholes(begins))
 
     def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
-        """Return how deep (N,) points (N, 3) lie inside the union of the spheres; negative outside."""
+        """Return the depth (N,) of points (N, 3) inside the union of the spheres; negative outside."""
         if not len(points_mm):
             return np.zeros(0, np.float32)
         shape = self.shape
@@ -140,7 +142,7 @@ class _Listed:
 
 
 def beyond_mm(spheres: Spheres, points: Array) -> Array:
-    """Return how far points (N, 3) lie outside of the union of the spheres; near enough, inside."""
+    """Return the distance (N,) of points (N, 3) outside the union of the spheres; approximate inside."""
     beyond, octave = np.full(len(points), np.inf), np.floor(np.log2(spheres.radius_mm))
     for one in np.unique(octave):
         some = np.flatnonzero(octave == one)

@@ -1,4 +1,4 @@
-"""From leaves of many sizes to even voxels, and to a surface."""
+"""Conversion of leaves of several sizes to uniform voxels, and to a surface."""
 
 from collections.abc import Iterator
 
@@ -11,12 +11,11 @@ from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.hull.leaves import Leaves
 
 _BRICK = 96
-"""Edge of the blocks, in voxels, in which the surface is drawn: one takes 3.5 MB, and its overlap with the next is 3 %
-of it."""
+"""Edge of the blocks, in voxels, in which the surface is computed: a block takes 3.5 MB and has 3 % overlap."""
 
 
 def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-    """Gather leaves into voxels of ``units`` finest nodes.
+    """Merge leaves into voxels of ``units`` finest nodes.
 
     Parameters
     ----------
@@ -45,16 +44,16 @@ def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np
 
 
 def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
-    """Write leaves into a dense block, clipped to it; one vectorised write a leaf size.
+    """Write leaves into a dense block, clipped to it, with one vectorised write per leaf size.
 
     Parameters
     ----------
     volume : (X, Y, Z) float32 array
-        The block, written into.
+        Block that is modified.
     index, size : (N, 3), (N,) int32 array
         Lowest cell and edge of each leaf, in cells of the block.
     occupancy : (N,) float32 array
-        What is written.
+        Values to write.
     """
     for edge in np.unique(size):
         chosen = size == edge
@@ -68,12 +67,12 @@ def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[n
 def _bricks(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """Yield (lowest corner, dense block) of the parts of space that hold leaves.
+    """Yield (lowest corner, dense block) for the parts of space that contain leaves.
 
     Blocks overlap by one layer and are padded.
     """
     low = index.min(axis=0) - 1
-    # a leaf, smaller than a brick, touches one or two bricks a way
+    # A leaf, smaller than a brick, overlaps one or two bricks per axis.
     first, last = -((low - index) // _BRICK) - 1, (index + size[:, None] - 1 - low) // _BRICK
     box = Box(np.full(3, -1, np.int64), last.max(axis=0).astype(np.int64) + 2)
     touched = []
@@ -96,23 +95,23 @@ def surface(
 ) -> trimesh.Trimesh:
     """Return the surface at half occupancy as a closed mesh in the canister frame, mm.
 
-    Marching cubes, brick by brick.
+    The method is marching cubes, brick by brick.
 
     Parameters
     ----------
     index, size : (N, 3), (N,) int32 array
         Lowest voxel and edge of each leaf, in voxels.
     occupancy : (N,) float32 array
-        0 to 1.
+        Values from 0 to 1.
     origin_mm : (3,) array
-        Of voxel 0, canister frame.
+        Position of voxel 0, canister frame.
     voxel_mm : float
         Edge of a voxel.
 
     Returns
     -------
     trimesh.Trimesh
-        Without vertices where nothing is at least half full.
+        Without vertices if no voxel is at least half full.
     """
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     for corner, block in _bricks(index, size, occupancy):

@@ -1,1 +1,1 @@
-"""Light through the canister: cameras, refraction in closed form, and the fast projection of water points."""
+"""Light through the canister: cameras, refraction in closed form, and fast projection of points in the water."""

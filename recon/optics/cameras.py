@@ -1,6 +1,6 @@
-"""Views of the canister: a camera with its pose, pixels to rays and points to pixels through the water.
+"""Views of the canister: a camera with its pose, back-projection of pixels, and projection of points through the water.
 
-Float64 reference.
+This is the float64 reference.
 """
 
 from dataclasses import dataclass, replace
@@ -16,25 +16,25 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
 Sway = tuple[float, float, float]
-"""How far what hangs in the water is aside, for each mm of depth below the net pot: x and y, mm, and turned about z,
-rad, all in the canister's frame."""
+"""Displacement of the roots per mm of depth below the net pot: shift in x and y, mm, and rotation about z, rad, all in
+the canister's frame."""
 STILL: Sway = (0.0, 0.0, 0.0)
-"""Of what does not sway."""
+"""No sway."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A camera where it stood when it took a picture."""
+    """A camera with its pose at the time of a picture."""
 
     camera: Camera
     cam_from_canister: Array
     cam_from_tank: Array | None = None
-    """(4, 4), the tank's frame being the rig's, turned as the tank is; None: there is no tank."""
+    """(4, 4) pose of the tank, whose frame is the rig's, rotated with the tank; None: there is no tank."""
     sway: Sway = STILL
-    """How far what hangs in the water is aside in this picture."""
+    """Displacement of the roots in this picture."""
 
-    def moved(self, motion: Array) -> "View":
-        """Return the view of a camera that moved by a rigid motion (4, 4) in its own frame, alone."""
+    def move_camera(self, motion: Array) -> "View":
+        """Return the view of a camera moved by a rigid motion (4, 4) in its own frame; the canister is fixed."""
         tank = None if self.cam_from_tank is None else motion @ self.cam_from_tank
         return replace(self, cam_from_canister=motion @ self.cam_from_canister, cam_from_tank=tank)
 
@@ -50,20 +50,20 @@ class View:
 
     @property
     def azimuth_from_canister(self) -> Array:
-        """4x4 rotation about z that brings the camera's centre to (rho, 0, z)."""
+        """4x4 rotation about z that moves the camera's centre to (rho, 0, z)."""
         x, y, _ = self.centre_mm
         return frames.rotation_z(-float(np.arctan2(y, x)))
 
 
-def swayed(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return where points (N, 3) that hang in the water, canister frame, mm, are in a view's picture."""
+def apply_sway(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Return the positions of points (N, 3) of the roots, canister frame, mm, in a view, with its sway."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
 
 
-def by_rest(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return the derivative (N, 3, 3) of `swayed` by the points (N, 3)."""
+def sway_jacobian(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Return the derivative (N, 3, 3) of `apply_sway` by the points (N, 3)."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     found = np.tile(np.eye(3), (len(points_mm), 1, 1))
@@ -79,7 +79,7 @@ def matrix(camera: Camera) -> Array:
 
 
 def camera_directions(camera: Camera, px: Array) -> Array:
-    """Return unit directions (N, 3) in the camera's frame of pixels (N, 2), lens distortion undone to 1e-10."""
+    """Return unit directions (N, 3) in the camera's frame of pixels (N, 2), lens distortion inverted to 1e-10."""
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
     flat = np.ascontiguousarray(px, np.float64).reshape(-1, 1, 2)
     undone = cv2.undistortPoints(flat, matrix(camera), np.array(camera.distortion), criteria=criteria).reshape(-1, 2)
@@ -87,20 +87,20 @@ def camera_directions(camera: Camera, px: Array) -> Array:
     return np.asarray(cam / np.linalg.norm(cam, axis=1, keepdims=True))
 
 
-def in_azimuth(view: View, directions: Array) -> Array:
-    """Turn directions (N, 3) from the camera's frame into the azimuth frame."""
+def to_azimuth(view: View, directions: Array) -> Array:
+    """Rotate directions (N, 3) from the camera's frame into the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)
     return np.asarray(directions @ azimuth_from_cam[:3, :3].T)
 
 
 def direction_pixels(view: View, directions: Array) -> Array:
-    """Return the pixels (..., 2) of directions (..., 3) in the azimuth frame; NaN for what is behind the camera."""
+    """Return the pixels (..., 2) of directions (..., 3) in the azimuth frame; NaN behind the camera."""
     cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
     return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
 
 
 def cam_pixels(camera: Camera, cam: Array) -> Array:
-    """Return the pixels (..., 2) of directions (..., 3) in the camera's frame; NaN for what is behind the camera."""
+    """Return the pixels (..., 2) of directions (..., 3) in the camera's frame; NaN behind the camera."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.where(cam[..., 2] > 0, cam[..., 0] / cam[..., 2], np.nan), cam[..., 1] / cam[..., 2]
     k1, k2, p1, p2, k3 = camera.distortion
@@ -112,24 +112,24 @@ def cam_pixels(camera: Camera, cam: Array) -> Array:
     return np.stack([fx * u + cx, fy * v + cy], axis=-1)
 
 
-def known_tank(view: View) -> Array:
-    """Return how the tank stands to a view's camera (4, 4).
+def tank_pose(view: View) -> Array:
+    """Return the pose of the tank relative to a view's camera (4, 4).
 
     Raises
     ------
     ValueError
-        For a view of which nobody said it.
+        If it is unknown.
     """
     if view.cam_from_tank is None:
         raise ValueError(f"{view.cam_from_tank=} but expected a pose: the scene has a tank")
     return view.cam_from_tank
 
 
-def through_tank(view: View, optics: Optics) -> TankView:
-    """Return how a view looks through the tank that its optics have."""
+def tank_view(view: View, optics: Optics) -> TankView:
+    """Return the geometry of a view through the tank of the given optics."""
     if optics.tank is None:
         raise ValueError(f"{optics.tank=} but expected a tank")
-    cam_from_tank = known_tank(view)
+    cam_from_tank = tank_pose(view)
     return TankView(
         tank=optics.tank,
         centre_mm=frames.invert(cam_from_tank)[:3, 3],
@@ -139,32 +139,32 @@ def through_tank(view: View, optics: Optics) -> TankView:
 
 
 def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, NDArray[np.bool_]]:
-    """Follow rays (N, 3), camera's frame, to the canister.
+    """Compute rays (N, 3), camera's frame, up to the canister.
 
     Returns
     -------
     line : Approach
-        In the azimuth frame.
+        Lines in the azimuth frame.
     through : (N,) bool array
-        Whether they come through a tank's front below the liquid's surface; in the open all do.
+        Whether they pass through a tank's front below the liquid's surface; without a tank, always true.
     """
     if optics.tank is not None:
-        at = through_tank(view, optics)
-        along = directions @ known_tank(view)[:3, :3]
+        at = tank_view(view, optics)
+        along = directions @ tank_pose(view)[:3, :3]
         return tank.approach(at, along[:, 1], along[:, 2])
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, to_azimuth(view, directions))
     with np.errstate(invalid="ignore"):
         line = refraction.from_point(view.rho_mm, float(view.centre_mm[2]), w * optics.outer_radius_mm, p_z)
     return line, np.ones(len(directions), bool)
 
 
-def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
-    """Return how far (...) lines run, horizontally, from the canister's outer wall to the inside of a tank's back.
+def length_behind_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
+    """Return the horizontal length (...) of lines from the canister's outer wall to the inside of a tank's back.
 
     Parameters
     ----------
     view, optics : View, Optics
-        Camera, and the tank that is looked through.
+        Camera, and the tank.
     near, line : Approach, refraction.WaterLine
         Lines of sight before the canister and in the water.
 
@@ -173,9 +173,9 @@ def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction
     (...) array
         mm.
     """
-    at = through_tank(view, optics)
+    at = tank_view(view, optics)
     tank_from_azimuth = frames.invert(at.azimuth_from_tank)
-    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out is the way in, mirrored
+    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out mirrors the way in
     t = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     nu = np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
     leave = near.b_mm[..., None] * nu + np.sqrt(optics.outer_radius_mm**2 - near.b_mm**2)[..., None] * t
@@ -184,28 +184,28 @@ def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction
 
 
 def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.WaterLine, NDArray[np.bool_]]:
-    """Follow pixels (N, 2) into the water.
+    """Compute the lines of sight of pixels (N, 2) in the water.
 
     Returns
     -------
     line : WaterLine
-        Lines of sight in the azimuth frame, NaN where the ray misses.
+        Lines of sight in the azimuth frame, NaN for rays that miss.
     enters : (N,) bool array
         Whether the ray enters the water through the wall.
     """
     near, through = approach(view, optics, camera_directions(view.camera, px))
-    inside = through & refraction.inside(optics, near)
+    inside = through & refraction.reaches_water(optics, near)
     line = refraction.follow(optics, replace(near, b_mm=np.where(inside, near.b_mm, np.nan)))
     return line, inside & refraction.enters(optics, line)
 
 
 def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Project water points into a view, every image of each; through a tank the one of `project_through_tank`.
+    """Project points in the water into a view, with all images; through a tank, that of `project_through_tank`.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        In the canister frame, inside the water's radius.
+        Points in the canister frame, inside the water's radius.
 
     Returns
     -------
@@ -215,45 +215,45 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
         Number of images; 0 where the view is blind.
     """
     if optics.tank is not None:
-        px, seen, _ = project_through_tank(view, optics, points_mm)
-        return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), seen.astype(np.int64)
-    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
+        px, visible, _ = project_through_tank(view, optics, points_mm)
+        return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), visible.astype(np.int64)
+    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Project water points (N, 3) that a view sees once, fast.
+    """Project points (N, 3) in the water that a view shows once, fast.
 
-    Their pixels (N, 2), NaN for those far out and those it cannot see.
+    Return pixels (N, 2), NaN for points far from the axis and for invisible ones.
     """
     if optics.tank is not None:
         return project_through_tank(view, optics, points_mm)[0]
-    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
+    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
     w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
 
 
 def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Project water points through a tank's front and the canister's wall, with the Jacobian.
+    """Project points in the water through a tank's front and the canister's wall, with the Jacobian.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        In the canister's frame, inside the water's radius.
+        Points in the canister's frame, inside the water's radius.
 
     Returns
     -------
     px : (N, 2) float64 array
-        Pixels; NaN where the view does not see the point.
-    seen : (N,) bool array
-        Whether it does.
+        Pixels; NaN for invisible points.
+    visible : (N,) bool array
+        Whether the point is visible.
     jacobian : (N, 2, 3) float64 array
-        Of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
+        Derivatives of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
     """
-    at = through_tank(view, optics)
-    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
-    q, seen = tank.find_rays(at, points)
+    at = tank_view(view, optics)
+    points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
+    q, visible = tank.find_rays(at, points)
     by_ray = np.stack(
         [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
     )
@@ -263,12 +263,12 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     by_point = np.zeros((len(q), 2, 3))
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)
-    jacobian[seen] = -by_ray[seen] @ np.linalg.solve(slopes[seen], by_point[seen])
-    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3] @ by_rest(view, optics, points_mm)
+    jacobian[visible] = -by_ray[visible] @ np.linalg.solve(slopes[visible], by_point[visible])
+    return _pixels(view, q), visible, jacobian @ view.azimuth_from_canister[:3, :3] @ sway_jacobian(view, optics, points_mm)
 
 
 def _pixels(view: View, q: Array) -> Array:
-    """Return the pixels (N, 2) of rays by their components along the tank's front."""
+    """Return the pixels (N, 2) of rays given by their components along the tank's front."""
     with np.errstate(invalid="ignore"):
         direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
-    return cam_pixels(view.camera, direction @ known_tank(view)[:3, :3].T)
+    return cam_pixels(view.camera, direction @ tank_pose(view)[:3, :3].T)

@@ -1,14 +1,14 @@
-"""Projection of water points through the canister into many views: the fast kernel (Dr.Jit, float32).
+"""Projection of points in the water through the canister into many views: the fast kernel (Dr.Jit, float32).
 
-The mathematics and its symbols are those of `recon.optics.refraction`; here the two equations of a projection,
+The mathematics and symbols are those of `recon.optics.refraction`; the two equations of a projection,
 
     f1 = P . nu - b_w = 0                                               the point lies beside the line
     f2 = z_entry + p_z / h_w (P . t + sqrt(R_i^2 - b_w^2)) - P_z = 0    and at its height
 
 are solved for (b_a, p_z) by Newton's method with the analytic Jacobian, started from a small table per view. Points
-that a view sees not at all, or twice (the water is a lens), are treated alike: such a view says nothing about them.
-Through a tank's front the unknowns are the components (q_y, q_z) of the ray along it (`recon.optics.tank`), of which
-`optics.window` makes the line in the liquid; from the canister's wall on the way is the same.
+that a view does not show, or shows twice (the water is a lens), are treated alike: the view gives no information about
+them. Through a tank's front the unknowns are the components (q_y, q_z) of the ray along it (`recon.optics.tank`), from
+which `optics.window` computes the line in the liquid; from the canister's wall on, the equations are the same.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ import numpy as np
 
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers
 from rhizotwin.recon.optics import ray_kernel, window
-from rhizotwin.recon.optics.cameras import View, known_tank, through_tank
+from rhizotwin.recon.optics.cameras import View, tank_pose, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.recon.optics.start_tables import CELL_MM, view_table
 from rhizotwin.recon.optics.window import Place
 from rhizotwin.scenes import frames
 
 _PARAMETERS = 40
-"""Numbers a view, a multiple of four."""
+"""Number of parameters per view, a multiple of four."""
 _PRINCIPAL = slice(15, 17)
-"""Where the principal point is among them, px."""
+"""Index of the principal point among them, px."""
 _IN_OPEN, _SWAY = 24, 36
-"""So many of them are needed without a tank, and where those of what sways begin."""
+"""Number of parameters used without a tank, and index of the first sway parameter."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
-"""In the open, and through a tank, whose rays have no symmetry to start from. What these steps do not bring this near
-to its point counts as unseen: a thousandth of a bench's pixel (0.23 mm), and ten times the spacing of single precision
-at the camera's distance (3e-5 mm from 256 to 512 mm)."""
+"""Newton steps without a tank, and through a tank, whose rays have no symmetry to start from. A point is invisible if
+these steps do not reach it to within `NEAR_MM`: a thousandth of a bench's pixel (0.23 mm), and ten times the spacing of
+single precision at the camera's distance (3e-5 mm from 256 to 512 mm)."""
 _FLANK, _STEEPEST = 0.9995, 0.98
-"""Steps stay within these shares of the largest impact parameter and climb: at one, slopes are infinite."""
+"""Upper bounds of the impact parameter and the climb, relative to their limits, where slopes are infinite."""
 _TABLE_MM = 0.2, 2.0
-"""Cameras whose distances from the axis and heights differ by less share a start table, and so do tanks that stand to
-them alike (turned by less than moves what is at the wall so far): Newton's steps make up for it."""
+"""Cameras whose distances from the axis and heights differ by less share a start table, and so do tanks with a similar
+pose (relative to the movement at the wall); Newton's steps compensate."""
 
 
 @dataclass(frozen=True)
@@ -52,22 +52,23 @@ class ViewBank:
     optics: Optics
     count: int
     parameters: Float
-    """mi.Float, `_PARAMETERS` numbers a view."""
+    """mi.Float, `_PARAMETERS` numbers per view."""
     tables: Float
-    """mi.Float, the start tables one after the other, (V, ny, nx, 2)."""
+    """mi.Float, the start tables concatenated, (V, ny, nx, 2)."""
     table_shape: tuple[int, int]
     end: UInt32 = field(init=False, repr=False)
-    """mi.UInt32, the count as an input of kernels: as a constant, it would make them new for every number of views."""
+    """mi.UInt32, the count as an input of kernels: as a literal, it would cause new kernels for every number of
+    views."""
 
     def __post_init__(self) -> None:
         """Put the count on the device."""
         object.__setattr__(self, "end", dr.opaque(mi.UInt32, self.count))
 
     @staticmethod
-    def of(views: Sequence[View], optics: Optics) -> ViewBank:
+    def pack(views: Sequence[View], optics: Optics) -> ViewBank:
         """Pack views.
 
-        Cameras at the same distance and height, within `_TABLE_MM`, share a start table's contents.
+        Cameras at the same distance and height, within `_TABLE_MM`, share the contents of a start table.
         """
         packed = np.zeros((len(views), _PARAMETERS))
         made: dict[tuple[int, ...], Array] = {}
@@ -79,7 +80,7 @@ class ViewBank:
             packed[k, 9:13] = view.rho_mm, view.centre_mm[2], turn[0, 0], turn[1, 0]
             packed[k, 13:15], packed[k, _PRINCIPAL] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
-            packed[k, 22] = optics.n_water  # no constant of the kernel: it may change
+            packed[k, 22] = optics.n_water  # not a literal of the kernel, as it may change
             packed[k, _SWAY:] = *view.sway, optics.water_z_mm
             key: tuple[int, ...] = (round(view.rho_mm / _TABLE_MM[0]), round(float(view.centre_mm[2]) / _TABLE_MM[1]))
             if optics.tank is not None:
@@ -90,24 +91,24 @@ class ViewBank:
         shape = tables[0].shape[:2]
         return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))
 
-    def in_window(self, low_px: tuple[int, int]) -> ViewBank:
-        """Return the views with pixels counted from the first column and row of a window."""
+    def crop(self, low_px: tuple[int, int]) -> ViewBank:
+        """Return the views with pixel coordinates relative to the first column and row of a window."""
         packed = np.array(self.parameters).reshape(self.count, -1)
         packed[:, _PRINCIPAL] -= low_px
         return replace(self, parameters=numbers(packed))
 
-    def chosen(self, which: Sequence[int]) -> ViewBank:
-        """Return some of the views."""
+    def select(self, which: Sequence[int]) -> ViewBank:
+        """Return a subset of the views."""
         parts = (np.array(part).reshape(self.count, -1)[list(which)] for part in (self.parameters, self.tables))
         parameters, tables = (numbers(part) for part in parts)
         return ViewBank(self.optics, len(which), parameters, tables, self.table_shape)
 
 
 def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
-    """Write how the tank stands into a view's numbers, and return what tells its start table from others."""
-    at = through_tank(view, optics)
+    """Write the pose of the tank into a view's parameters, and return the key of its start table."""
+    at = tank_view(view, optics)
     turn, shift = at.azimuth_from_tank[:3, :3], at.azimuth_from_tank[:3, 3]
-    packed[:9] = known_tank(view)[:3, :3].ravel()
+    packed[:9] = tank_pose(view)[:3, :3].ravel()
     packed[9], packed[10], packed[23], packed[24:33], packed[33:36] = *at.centre_mm, turn.ravel(), shift
     levers = optics.outer_radius_mm * turn[1:, 0], [at.tank.front_mm + float(turn[:, 0] @ shift)]
     return tuple(round(float(part) / _TABLE_MM[0]) for part in np.concatenate(levers))
@@ -115,14 +116,14 @@ def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
 
 @dataclass
 class Projected:
-    """Where points lie in a view."""
+    """Projections of points into a view."""
 
     px: Vector2f
     """mi.Vector2f, pixels."""
-    seen: Bool
-    """mi.Bool, whether the view sees the point exactly once."""
+    visible: Bool
+    """mi.Bool, whether the view shows the point exactly once."""
     clear_mm: Float
-    """mi.Float, horizontal distance within which everything else is seen exactly once as well."""
+    """mi.Float, horizontal distance within which all points are shown exactly once as well."""
     du: Vector3f
     """mi.Vector3f, gradient of the column by the point, px/mm, canister frame."""
     dv: Vector3f
@@ -142,7 +143,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
         Points to be projected.
     """
     quads = (_IN_OPEN if bank.optics.tank is None else _SWAY) // 4
-    some = [dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + k, active) for k in range(quads)]  # four at once
+    some = [dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + k, active) for k in range(quads)]  # four at a time
     parameter = [value for four in some for value in four]
     c, s = parameter[11:13]
     sway = dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + _SWAY // 4, active)
@@ -150,8 +151,8 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     aside, along, turned = sway.x - sway.z * point.y, sway.y + sway.z * point.x, sway.z * deep
     x, y = point.x + aside * deep, point.y + along * deep
     at = c * x - s * y, s * x + c * y, point.z
-    end = _in_open(bank, view, parameter, at, active) if bank.optics.tank is None else _through_tank(bank, view, parameter, at, active)
-    ray, seen, clear_mm = end.ray, end.seen, end.clear_mm
+    end = _solve_direct(bank, view, parameter, at, active) if bank.optics.tank is None else _solve_tank(bank, view, parameter, at, active)
+    ray, visible, clear_mm = end.ray, end.visible, end.clear_mm
     u, v, in_front, (u_b, u_p, v_b, v_p) = end.pixel
 
     # implicit function theorem: d(b, p) = -J^-1 df, or d(q_y, q_z), with df1 = nu . dP and df2 = m_w t . dP - dP_z
@@ -166,7 +167,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     for by_point in (du, dv):
         by_point.z -= by_point.x * aside + by_point.y * along
         by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
-    return Projected(mi.Vector2f(u, v), seen & in_front, clear_mm, du, dv)
+    return Projected(mi.Vector2f(u, v), visible & in_front, clear_mm, du, dv)
 
 
 @dataclass
@@ -174,28 +175,28 @@ class _End:
     """The ray to a point, and its pixel; derivatives by (b, p), or by (q_y, q_z) through a tank."""
 
     ray: ray_kernel.Ray
-    seen: Bool
+    visible: Bool
     clear_mm: Float
     pixel: ray_kernel.Pixel
 
 
-def _in_open(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
-    """Find the rays of cameras in the open to points in the azimuth frame."""
+def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+    """Find the rays of cameras without a tank to points in the azimuth frame."""
     o = bank.optics
     rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
-    seen, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
+    visible, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
     limit, per_radii = _FLANK * o.w_limit * o.outer_radius_mm, 1 / (rho * (o.outer_radius_mm * o.inner_radius_mm) ** 2)
     for step in range(NEWTON_STEPS + 1):
         ray = ray_kernel.follow(o, n_w, ray_kernel.from_camera(o, (rho, z_cam, per_radii), b, p), at, b, p)
         if step < NEWTON_STEPS:
             b = dr.clip(b - ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2), -limit, limit)
             p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
-    seen &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
-    seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
-    return _End(ray, seen, clear_mm, ray_kernel.pixel_in_open(parameter, b, p, ray))
+    visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
+    visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
+    return _End(ray, visible, clear_mm, ray_kernel.direct_pixel(parameter, b, p, ray))
 
 
-def _through_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
+def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
     """Find the rays through a tank's front to points in the azimuth frame."""
     o, tank = bank.optics, bank.optics.tank
     if tank is None:
@@ -210,32 +211,32 @@ def _through_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
         least = dr.minimum(n_w * n_w, o.n_wall**2) - p2
         limit = _FLANK * dr.minimum(o.inner_radius_mm * dr.sqrt(least) * dr.rsqrt(o.n_around**2 - p2), o.outer_radius_mm)
         b = dr.clip(line.b, -limit, limit)
-        ray = ray_kernel.by_tank_rays(ray_kernel.follow(o, n_w, ray_kernel.from_line(o, line, b), at, b, line.p), line, at)
+        ray = ray_kernel.to_tank_derivatives(ray_kernel.follow(o, n_w, ray_kernel.from_line(o, line, b), at, b, line.p), line, at)
         if step < TANK_STEPS:
-            # b follows q_y nearly in proportion: back to where it was drawn in, and on by Newton's step
+            # b is almost proportional to q_y: undo the clipping, and add Newton's step.
             q_y -= (line.b - b) / line.b_q[0] + ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2)
             q_z = dr.clip(q_z - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
             q_y = dr.clip(q_y, -_STEEPEST, _STEEPEST) * dr.minimum(1.0, _STEEPEST * dr.rsqrt(q_y * q_y + q_z * q_z))
-    seen = active & (clear_mm > 0.5 * CELL_MM) & line.through & (dr.abs(line.b) < limit)
-    seen &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM) & (ray.outer_z < tank.level_mm)
-    seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
+    visible = active & (clear_mm > 0.5 * CELL_MM) & line.through & (dr.abs(line.b) < limit)
+    visible &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM) & (ray.outer_z < tank.level_mm)
+    visible &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
     ahead = dr.sqrt(1 - q_y * q_y - q_z * q_z)
     zero, one = mi.Float(0.0), mi.Float(1.0)
     pixel = ray_kernel.through_lens(parameter, (-ahead, q_y, q_z), (q_y / ahead, one, zero), (q_z / ahead, zero, one))
-    return _End(ray, seen, clear_mm, pixel)
+    return _End(ray, visible, clear_mm, pixel)
 
 
 def _first_ray(
     bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool
 ) -> tuple[Bool, Float, Float, Float]:
-    """Guess the ray to points in the azimuth frame from the view's table.
+    """Return the initial ray to points in the azimuth frame from the view's table.
 
     Returns
     -------
-    seen : mi.Bool
-        Whether the view sees the point exactly once.
+    visible : mi.Bool
+        Whether the view shows the point exactly once.
     clear_mm : mi.Float
-        Horizontal distance within which everything else is seen exactly once as well.
+        Horizontal distance within which all points are shown exactly once as well.
     b, p : mi.Float
         Impact parameter in air, mm, and climb p_z of the ray.
     """
@@ -246,7 +247,7 @@ def _first_ray(
     b = dr.select(y < 0, -start.x, start.x)
     limit = _FLANK * o.w_limit * r_o
     b = dr.clip(b, -limit, limit)
-    # p_z from the straight line of equal optical lengths
+    # Compute p_z from the straight line of equal optical length.
     b_w0 = b / n_w
     c_w0 = dr.sqrt(r_i * r_i - b_w0 * b_w0)
     length = dr.sqrt(rho * rho - b * b) - dr.sqrt(r_o * r_o - b * b) + (r_o - r_i) / o.n_wall
@@ -256,9 +257,9 @@ def _first_ray(
 
 
 def _start(bank: ViewBank, view: UInt32, at: tuple[Float, Float, Float], row_mm: Float, active: Bool) -> Vector2f:
-    """Read the views' tables over (x, ``row_mm``), as they count from the wall on."""
+    """Interpolate the views' tables at (x, ``row_mm``), relative to the wall."""
     ny, nx = bank.table_shape
     most = np.ceil(bank.optics.inner_radius_mm) + 1.0
-    col = dr.clip(at[0] + most, 0.0, nx - 1.001)  # so that there is a column beyond
-    row = dr.clip(row_mm + most, 0.0, ny - 1.001)  # as the column
+    col = dr.clip(at[0] + most, 0.0, nx - 1.001)  # below the last column
+    row = dr.clip(row_mm + most, 0.0, ny - 1.001)  # below the last row
     return bilinear(bank.tables, view * (ny * nx), nx, col, row, active, kind=mi.Vector2f)

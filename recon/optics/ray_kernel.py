@@ -1,8 +1,8 @@
-"""Rays as kernels follow them: through wall and water past a point, and back through the lens (Dr.Jit, float32).
+"""Ray tracing in kernels: through wall and water past a point, and back through the lens (Dr.Jit, float32).
 
-The mathematics and its symbols are those of `recon.optics.refraction` and, for lines in a tank's liquid, of
-`recon.optics.tank`. A ray is told by its impact parameter b and its climb p before the outer wall; each function gives
-the derivatives by both with what it finds, for `optics.projection` to solve for the ray that meets a point.
+The mathematics and symbols are those of `recon.optics.refraction` and, for lines in a tank's liquid, of
+`recon.optics.tank`. A ray is defined by its impact parameter b and its climb p before the outer wall. Each function
+also returns the derivatives by both, with which `optics.projection` solves for the ray that meets a point.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from rhizotwin.recon.optics.refraction import Optics
 
 @dataclass
 class Near:
-    """A ray up to the outer wall, and how that follows b and p (heading and foot of a line in a tank being given)."""
+    """A ray up to the outer wall, and its derivatives by b and p (heading and foot of a line in a tank are given)."""
 
     turn: tuple[Float, Float]
-    """Heading less pi inside the outer wall's normal, as a product of unit complex numbers times radii ..."""
+    """Heading minus pi inside the outer wall's normal, as a product of unit complex numbers times radii."""
     per_radii: Float
-    """... and one over these, with those of the wall and the water."""
+    """Inverse of these radii, including those of the wall and the water."""
     turn_b: Float
     outer_z: Float
     z_b: Float
@@ -33,28 +33,28 @@ class Near:
 
 @dataclass
 class Ray:
-    """A ray and how far it misses a point, all mi.Float, in the symbols of `optics.refraction`."""
+    """A ray and the distances by which it misses a point, all mi.Float, in the symbols of `optics.refraction`."""
 
     f1: Float
     """Horizontal distance from the point, mm."""
     f2: Float
     """Vertical distance, mm."""
     f1_b: Float
-    """Derivatives of both by impact parameter b and climb p ..."""
+    """Derivatives of both by impact parameter b and climb p."""
     f1_p: Float
     f2_b: Float
     f2_p: Float
     inv: Float
-    """... and one over their determinant."""
+    """Inverse of their determinant."""
     cos_d: Float
-    """Of the heading in the water less pi."""
+    """Cosine of the heading in the water minus pi."""
     sin_d: Float
     m_w: Float
-    """Climb in the water, mm a horizontal mm."""
+    """Climb in the water, mm per horizontal mm."""
     h_a: Float
-    """Horizontal part of the optical direction in air ..."""
+    """Horizontal part of the optical direction in air."""
     h_a2: Float
-    """... and its square."""
+    """Its square."""
     outer_z: Float
     """Height at which the ray enters the wall, mm."""
     entry_z: Float
@@ -62,12 +62,12 @@ class Ray:
 
 
 def from_camera(o: Optics, view: tuple[Float, Float, Float], b: Float, p: Float) -> Near:
-    """Follow rays through the air from a camera to the outer wall.
+    """Compute rays through the air from a camera to the outer wall.
 
     Parameters
     ----------
     view : tuple of mi.Float
-        Distance and height of the camera, and one over the product of the radii.
+        Distance and height of the camera, and the inverse of the product of the radii.
     """
     rho, z_cam, per_radii = view
     p2 = p * p
@@ -82,7 +82,7 @@ def from_camera(o: Optics, view: tuple[Float, Float, Float], b: Float, p: Float)
 
 
 def from_line(o: Optics, line: window.Line, b: Float) -> Near:
-    """Follow lines in a tank's liquid to the outer wall, which they meet with the impact parameter b."""
+    """Compute lines in a tank's liquid up to the outer wall, which they meet with the impact parameter b."""
     ih = dr.rsqrt(o.n_around**2 - line.p * line.p)
     c_o2 = o.outer_radius_mm**2 - b * b
     ic_o = dr.rsqrt(c_o2)
@@ -92,8 +92,8 @@ def from_line(o: Optics, line: window.Line, b: Float) -> Near:
     return Near(turn, mi.Float(1 / (o.outer_radius_mm * o.inner_radius_mm) ** 2), ic_o, line.foot_z - climb * c_o, z_b, z_p)
 
 
-def by_tank_rays(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) -> Ray:
-    """Return a ray with the derivatives of its misses by (q_y, q_z) in place of those by b and p."""
+def to_tank_derivatives(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) -> Ray:
+    """Return a ray with derivatives by (q_y, q_z) instead of b and p."""
     along, beside = -at[0] * ray.cos_d - at[1] * ray.sin_d, -at[0] * ray.sin_d + at[1] * ray.cos_d
     f1 = [ray.f1_b * line.b_q[j] + ray.f1_p * line.p_q[j] + along * line.h_q[j] for j in (0, 1)]
     f2 = [ray.f2_b * line.b_q[j] + ray.f2_p * line.p_q[j] - ray.m_w * beside * line.h_q[j] + line.z_q[j] for j in (0, 1)]
@@ -101,12 +101,12 @@ def by_tank_rays(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) ->
 
 
 def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b: Float, p: Float) -> Ray:
-    """Follow rays through wall and water to points in the azimuth frame.
+    """Compute rays through wall and water to points in the azimuth frame.
 
     Parameters
     ----------
     o, n_w : Optics, Float
-        Walls, and the water's index, which may differ from lane to lane.
+        Walls, and the index of the water, which may differ between lanes.
     near : Near
         Rays at the outer wall.
     at : (3,) mi.Float
@@ -117,7 +117,7 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
     Returns
     -------
     Ray
-        Misses of the points with derivatives by b and p.
+        Distances from the points, with derivatives by b and p.
     """
     x, y, z = at
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
@@ -129,7 +129,7 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
     k_g, k_w = h_a * ih_g, h_a * ih_w  # db_g/db_a, db_w/db_a
     b_g, b_w = b * k_g, b * k_w
     b_g_p, b_w_p = b_g * p * (ih_g2 - ih_a2), b_w * p * (ih_w2 - ih_a2)
-    # along the line to its nearest point to the axis, from where it crosses each radius: c, and 1 / c
+    # Distance c along the line from its nearest point to the axis to the crossing with each radius, and 1 / c.
     c_og2, c_ig2, c_w2 = r_o**2 - b_g * b_g, r_i**2 - b_g * b_g, r_i**2 - b_w * b_w
     ic_og, ic_ig, ic_w = (dr.rsqrt(square) for square in (c_og2, c_ig2, c_w2))
     c_og, c_ig, c_w = c_og2 * ic_og, c_ig2 * ic_ig, c_w2 * ic_w
@@ -154,16 +154,17 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
 
 
 Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
-"""Column and row of rays, whether they come from in front, and the derivatives of column and row by two unknowns."""
+"""Column and row of rays, whether they are in front of the camera, and derivatives of column and row by two
+unknowns."""
 
 
-def pixel_in_open(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
-    """Return the pixels of rays of cameras in the open, with derivatives by (b, p).
+def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
+    """Return the pixels of rays of cameras without a tank, with derivatives by (b, p).
 
     Parameters
     ----------
     parameter : list of mi.Float
-        A view's numbers, as `projection.ViewBank` packs them.
+        Parameters of a view, as packed by `projection.ViewBank`.
     """
     rho, h_a = parameter[9], ray.h_a
     # direction in air, and its derivatives by (b, p)
@@ -175,21 +176,21 @@ def pixel_in_open(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel
 
 
 def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tuple[Float, ...], by_2: tuple[Float, ...]) -> Pixel:
-    """Return the pixels of directions before the camera's turn, whose derivatives by two unknowns are given.
+    """Return the pixels of directions before the camera's rotation, with derivatives by two unknowns.
 
     Parameters
     ----------
     parameter : list of mi.Float
-        Of the camera, as `ViewBank` packs it.
+        Parameters of the camera, as packed by `ViewBank`.
     direction : (3,) mi.Float
-        Any length.
+        Direction of any length.
     by_1, by_2 : (3,) mi.Float
-        Its derivatives.
+        Its derivatives by the two unknowns.
 
     Returns
     -------
     Pixel
-        px, with derivatives by both.
+        Pixels, with derivatives by both.
     """
     r = parameter[:9]
     (cx, cy, cz), (cx_b, cy_b, cz_b), (cx_p, cy_p, cz_p) = (

@@ -1,16 +1,16 @@
-"""Refraction at a round canister in closed form: the readable reference, in float64 numpy.
+"""Refraction at a round canister in closed form: the readable reference, in float64 NumPy.
 
 Concentric cylinders about z conserve two optical invariants along a ray with optical direction ``p = n d`` (``|p| =
-n``): ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i = sqrt(n_i^2 - p_z^2)`` the
-ray's horizontal impact parameter in medium i is ``b_i = L / h_i``; between the radii r1 > r2 it covers the horizontal
-length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius r its
-horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``. Everything here is in the camera's azimuth frame: the
-canister frame turned about z so that the camera's centre is at (rho, 0, z_cam). A camera in the open is then just (rho,
-z_cam), and the unknowns of a projection are ``p_z`` and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that
-meets the canister. Through the flat wall of a tank lines of sight do not come from one point: `recon.optics.tank` says
-how they run in its liquid (`Approach`), and from there on all is the same.
+n``): ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i = sqrt(n_i^2 - p_z^2)``,
+the ray's horizontal impact parameter in medium i is ``b_i = L / h_i``. Between the radii r1 > r2 it covers the
+horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius
+r its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``. All functions use the camera's azimuth frame: the
+canister frame rotated about z so that the camera's centre is at (rho, 0, z_cam). A camera without a tank is then
+defined by (rho, z_cam), and the unknowns of a projection are ``p_z`` and ``w = b_air / R_o``, which lies in (-1, 1) for
+every ray that meets the canister. Through the flat wall of a tank, lines of sight do not originate from one point:
+`recon.optics.tank` computes them in the liquid (`Approach`), and from there on the equations are the same.
 
-`recon.optics.projection` is the same mathematics as a Dr.Jit kernel; a test holds the two together.
+`recon.optics.projection` implements the same mathematics as a Dr.Jit kernel; a test compares the two.
 """
 
 from dataclasses import dataclass, replace
@@ -23,19 +23,19 @@ from rhizotwin.scenes.model import Scene, Tank
 Array = NDArray[np.float64]
 
 _SINGLE = 0.97
-"""Points within this share of R_o / n_water of the axis have one image (`images` finds all of the others)."""
+"""Points within this fraction of R_o / n_water of the axis have one image (`images` finds all images of others)."""
 _NEWTON_STEPS = 12
-"""At most; rays that are not within a thousand times `_CLOSE_MM` after them are none."""
+"""Maximum number of steps; rays not within a thousand times `_CLOSE_MM` after them are rejected."""
 _START = 0.9
-"""Share of the largest impact parameter that Newton's steps begin within: farther out the first one may leave the
+"""Initial impact parameters are limited to this fraction of the largest one: beyond, the first step may leave the
 range."""
 _SCANNED = 96
-"""Steps of `images`' scan; pairs of images that lie within one are found by `_near_fold`."""
+"""Number of steps in the scan of `images`; pairs of images within one step are found by `_near_fold`."""
 _MOST_IMAGES = 3
-"""A point has two images in the marginal zone beyond 0.75 of the radius, elsewhere one; one more would be seen."""
+"""Maximum number of images: two in the marginal zone beyond 0.75 of the radius, otherwise one; the extra one would
+reveal an error."""
 _CLOSE_MM = 1e-7
-"""Newton's steps end where every ray passes its point this near: far below the 3e-4 mm that the fast kernel asks
-for."""
+"""Distance from the point at which Newton's method ends: far below the 3e-4 mm of the fast kernel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,21 +53,21 @@ class Optics:
     bottom_z_mm: float
     """Underside of the canister: lowest height at which a ray may enter the wall."""
     tank: Tank | None = None
-    """None: the canister stands in the open."""
+    """None if there is no tank."""
 
     @property
     def straight(self) -> bool:
-        """Whether no ray is bent: wall and water are as what is about them."""
+        """Whether rays are straight: wall and water have the index of the surroundings."""
         return self.tank is None and self.n_wall == self.n_water == 1.0
 
     @property
     def n_around(self) -> float:
-        """Index of what the canister stands in."""
+        """Refractive index of the surroundings of the canister."""
         return 1.0 if self.tank is None else self.tank.n_liquid
 
     @property
     def w_limit(self) -> float:
-        """Largest impact parameter about the canister, over the outer radius, of rays that reach the water.
+        """Largest impact parameter in the surroundings, relative to the outer radius, of rays that reach the water.
 
         In air it is 1 unless an index is near 1.
         """
@@ -75,8 +75,8 @@ class Optics:
         return min(1.0, to_water) * (1.0 - 1e-9)
 
     @staticmethod
-    def of(scene: Scene) -> "Optics":
-        """Return the optics of a scene as it is described."""
+    def from_scene(scene: Scene) -> "Optics":
+        """Return the optics of a scene."""
         can, around = scene.canister, scene.surroundings.n
         return Optics(
             outer_radius_mm=can.outer_radius_mm,
@@ -90,7 +90,7 @@ class Optics:
         )
 
 
-class _Headed:
+class _HeadedLines:
     """Lines with a horizontal heading."""
 
     heading_rad: Array
@@ -107,51 +107,51 @@ class _Headed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Approach(_Headed):
-    """Straight lines of sight before they meet the canister, in the camera's azimuth frame; fields as the rays."""
+class Approach(_HeadedLines):
+    """Straight lines of sight before they meet the canister, in the camera's azimuth frame."""
 
     b_mm: Array
     """Impact parameter: signed distance from the axis."""
     p_z: Array
-    """Vertical part of the optical direction, whose length is the index of what is about the canister."""
+    """Vertical component of the optical direction, whose length is the index of the surroundings."""
     heading_rad: Array
     """Azimuth of the horizontal direction."""
     foot_z_mm: Array
-    """Height at which the line, made longer, passes nearest to the axis."""
+    """Height at which the line, extended, passes nearest to the axis."""
 
 
 def reach_mm(optics: Optics, p_z: Array) -> Array:
-    """Return the largest impact parameter (...) about the canister of lines that reach the water."""
+    """Return the largest impact parameter (...) in the surroundings of lines that reach the water."""
     around2 = optics.n_around**2 - p_z**2
     total = [optics.inner_radius_mm * np.sqrt((n**2 - p_z**2) / around2) for n in (optics.n_wall, optics.n_water)]
     return np.asarray(np.minimum(optics.outer_radius_mm, np.minimum(*total)) * (1.0 - 1e-9))
 
 
-def within(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
-    """Draw lines that pass a share of the water's width into it: what is found for them means nothing."""
+def clip_to_water(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
+    """Clip lines to a fraction of the water's width; results for clipped lines are not meaningful."""
     limit_mm = share * reach_mm(optics, approach.p_z)
     return replace(approach, b_mm=np.clip(approach.b_mm, -limit_mm, limit_mm))
 
 
-def inside(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
-    """Tell which lines (...) pass within a share of the water's width."""
+def reaches_water(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
+    """Return which lines (...) pass within a fraction of the water's width."""
     return np.asarray(np.abs(approach.b_mm) < share * reach_mm(optics, approach.p_z))
 
 
 def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z: Array) -> Approach:
-    """Return rays (...) that come through the air from a camera at (rho, 0, z_cam).
+    """Return rays (...) through the air from a camera at (rho, 0, z_cam).
 
     Parameters
     ----------
     rho_mm, z_cam_mm : (...) array or float
-        Place of the camera.
+        Position of the camera.
     b_mm, p_z : (...) array
-        Impact parameter and rise of the rays.
+        Impact parameter and climb of the rays.
 
     Returns
     -------
     Approach
-        Where they meet the canister's outside.
+        Lines up to the outside of the canister.
     """
     climb = p_z / np.sqrt(1.0 - p_z**2)
     foot_z = z_cam_mm + climb * np.sqrt(rho_mm**2 - b_mm**2)
@@ -159,8 +159,8 @@ def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WaterLine(_Headed):
-    """Straight lines of sight in the water, in the camera's azimuth frame; every field has the shape of the rays."""
+class WaterLine(_HeadedLines):
+    """Straight lines of sight in the water, in the camera's azimuth frame; fields have the shape of the rays."""
 
     b_mm: Array
     """Signed distance from the axis: P . nu = b on the line."""
@@ -169,20 +169,20 @@ class WaterLine(_Headed):
     slope: Array
     """Climb per horizontal mm, p_z / h_water."""
     entry_z_mm: Array
-    """Height where the line enters the water at the inner wall."""
+    """Height at which the line enters the water at the inner wall."""
     outer_z_mm: Array
-    """Height where the ray meets the outer wall."""
+    """Height at which the ray meets the outer wall."""
 
 
 def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Array, p_z: Array) -> WaterLine:
-    """Follow rays of a camera in the open into the water.
+    """Compute the lines in the water of rays from a camera without a tank.
 
     Parameters
     ----------
     rho_mm, z_cam_mm : float64 array or float
         Horizontal distance of the camera from the axis, and its height, canister frame.
     w : (...) float64 array
-        Impact parameter in air over the outer radius, in (-1, 1).
+        Impact parameter in air relative to the outer radius, in (-1, 1).
     p_z : (...) float64 array
         Vertical component of the unit direction in air.
     """
@@ -190,7 +190,7 @@ def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Arr
 
 
 def follow(optics: Optics, approach: Approach) -> WaterLine:
-    """Follow lines of sight through the canister's wall into the water; NaN for those that do not reach it."""
+    """Compute lines of sight through the canister's wall into the water; NaN for those that do not reach it."""
     r_o, r_i, p_z, b_a = optics.outer_radius_mm, optics.inner_radius_mm, approach.p_z, approach.b_mm
     h_a = np.sqrt(optics.n_around**2 - p_z**2)
     h_g = np.sqrt(optics.n_wall**2 - p_z**2)
@@ -205,7 +205,7 @@ def follow(optics: Optics, approach: Approach) -> WaterLine:
 
 
 def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
-    """Tell which lines (...) enter the water through the wall."""
+    """Return which lines (...) enter the water through the wall."""
     with np.errstate(invalid="ignore"):
         inside = (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
         inside &= np.isfinite(line.heading_rad)
@@ -213,7 +213,7 @@ def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
 
 
 def transmittance(optics: Optics, approach: Approach) -> Array:
-    """Return the share (...) of unpolarised light that rays keep on their way into the water and out again.
+    """Return the transmittance (...) of unpolarised light along rays into the water and out again.
 
     Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius
     r: ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
@@ -230,15 +230,15 @@ def transmittance(optics: Optics, approach: Approach) -> Array:
 
 
 def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
-    """Return the height (...) of each line where it passes the horizontal position (..., 2), azimuth frame."""
+    """Return the height (...) of each line at the horizontal position (..., 2), azimuth frame."""
     along = np.sum(points_xy_mm * line.t, axis=-1)
     return line.entry_z_mm + line.slope * (along + np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2))
 
 
 def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
-    """Solve f2 for p_z at given w: the ray of impact w whose water line has the point's height beside it.
+    """Solve f2 for p_z at given w: the ray of impact w whose line in the water has the point's height beside it.
 
-    Monotone in p_z.
+    The function is monotonic in p_z.
     """
     p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
     step = 1e-6
@@ -259,7 +259,7 @@ def _side(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> 
 
 
 def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Find every image of water points in one camera: all rays that reach them (brute scan of w, then bisection).
+    """Find all images of points in the water in one camera, by a scan of w and bisection.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> 
 
 
 def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array]:
-    """Find one image of water points in one camera, fast, by Newton's method from the axis outwards.
+    """Find one image of points in the water in one camera, fast, by Newton's method from the axis outwards.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
     Returns
     -------
     w, p_z : (N,) float64 array
-        NaN for points that lie so far out that they may have two images or none, and where no ray from the camera ends.
+        NaN for points far from the axis, which may have two images or none, and for points that no ray reaches.
     """
     single_mm = _SINGLE * optics.outer_radius_mm / optics.n_water
     w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -_START * optics.w_limit, _START * optics.w_limit)
@@ -363,9 +363,9 @@ def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array
     rho_mm : float
         Distance of the camera from the axis.
     outer_radius_mm : float
-        Of the canister.
+        Outer radius of the canister.
     w, p_z : (...) array
-        Impact parameter over the radius, and rise.
+        Impact parameter relative to the radius, and climb.
 
     Returns
     -------
@@ -378,9 +378,9 @@ def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array
 
 
 def invariants(rho_mm: float, outer_radius_mm: float, directions: Array) -> tuple[Array, Array]:
-    """Return (w, p_z) of unit directions (..., 3) in air that leave the camera, azimuth frame.
+    """Return (w, p_z) of unit directions (..., 3) in air from the camera, azimuth frame.
 
-    |w| >= 1 misses the canister.
+    Rays with |w| >= 1 miss the canister.
     """
     p_z = directions[..., 2]
     return rho_mm * directions[..., 1] / np.sqrt(1.0 - p_z**2) / outer_radius_mm, p_z

@@ -1,7 +1,7 @@
-"""Where Newton's method starts that projects points into a view, and how far from there a view sees nothing twice.
+"""Tables of initial values for Newton's method, and of the distance to points shown twice or not at all.
 
-A fan of lines of sight of one climb sweeps over the canister's cross-section: each point is seen as often as lines pass
-it, and the lines before and after tell the ray to begin with.
+A fan of lines of sight of one climb sweeps over the canister's cross-section. The number of lines through a point is
+the number of its images, and the adjacent lines give the initial ray.
 """
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ import numpy as np
 from scipy import ndimage
 
 from rhizotwin.recon.optics import refraction, tank
-from rhizotwin.recon.optics.cameras import View, through_tank
+from rhizotwin.recon.optics.cameras import View, tank_view
 from rhizotwin.recon.optics.refraction import Array, Optics, WaterLine
 from rhizotwin.recon.optics.tank import TankView
 
 CELL_MM = 1.0
-"""Cells of the tables; Newton's steps do the rest."""
+"""Cell size of the tables; Newton's steps refine."""
 _SINES = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193))
-"""Impact parameters of a fan, of the largest: half a cell apart and less, and closest where lines turn most."""
+"""Impact parameters of a fan, relative to the largest: at most half a cell apart, and densest where refraction is
+strongest."""
 _NAMES = np.linspace(-0.9, 0.9, 4001)
-"""Values of q_y, beyond what comes through a tank's front (64 degrees to either side), from which a fan is chosen."""
+"""Values of q_y from which a fan is selected, beyond the range of a tank's front (64 degrees to either side)."""
 
 
 def view_table(view: View, optics: Optics) -> Array:
@@ -28,13 +29,14 @@ def view_table(view: View, optics: Optics) -> Array:
     Returns
     -------
     (ny, nx, 2) float64 array
-        The start: impact parameter in air in mm, or q_y through a tank. And how far it is, horizontally, to where the
-        view is blind or sees double, in mm. In the open the rows are |y| from -1 mm on, since y < 0 mirrors y > 0.
+        The initial value (impact parameter in air in mm, or q_y through a tank), and the horizontal distance to the
+        nearest point where the view is blind or shows two images, mm. Without a tank, rows are |y| from -1 mm, since y
+        < 0 mirrors y > 0.
     """
-    return _in_open(view, optics) if optics.tank is None else _through_tank(view, optics)
+    return _direct_table(view, optics) if optics.tank is None else _tank_table(view, optics)
 
 
-def _in_open(view: View, optics: Optics) -> Array:
+def _direct_table(view: View, optics: Optics) -> Array:
     z_cam, reach = float(view.centre_mm[2]), view.rho_mm - optics.outer_radius_mm
     steepest = max(abs(optics.water_z_mm - z_cam), abs(optics.floor_z_mm - z_cam))
     p_max = float(np.sin(np.arctan2(steepest, reach)))
@@ -50,21 +52,21 @@ def _in_open(view: View, optics: Optics) -> Array:
     return np.stack([b_a, clear_mm], axis=-1)
 
 
-def _through_tank(view: View, optics: Optics) -> Array:
-    at = through_tank(view, optics)
+def _tank_table(view: View, optics: Optics) -> Array:
+    at = tank_view(view, optics)
     reach = float(at.centre_mm[0]) - at.tank.front_mm
     climbs = [float(np.sin(np.arctan2(z - view.centre_mm[2], reach + at.tank.front_mm))) for z in (optics.water_z_mm, optics.floor_z_mm)]
     q_y, count = _tank_fan(at, 0.5 * sum(climbs))
     single = count == 1
     for q_z in climbs:
         single &= _tank_fan(at, q_z)[1] == 1
-    single |= np.hypot(*np.moveaxis(_positions(optics), -1, 0)) >= optics.inner_radius_mm  # where no root is
+    single |= np.hypot(*np.moveaxis(_positions(optics), -1, 0)) >= optics.inner_radius_mm  # there are no roots
     clear_mm = np.full(single.shape, 1e3) if single.all() else ndimage.distance_transform_edt(single) * CELL_MM
     return np.stack([q_y, clear_mm], axis=-1)
 
 
 def _positions(optics: Optics, *, low_mm: float | None = None) -> Array:
-    """Return positions (ny, nx, 2) over the cross-section, from y = ``low_mm`` on."""
+    """Return positions (ny, nx, 2) over the cross-section, from y = ``low_mm``."""
     most = np.ceil(optics.inner_radius_mm) + 1.0
     y = np.arange(-most if low_mm is None else low_mm, most + 1.0, CELL_MM)
     return np.stack(np.meshgrid(np.arange(-most, most + 1.0, CELL_MM), y), axis=-1)
@@ -74,24 +76,24 @@ def _round_fan(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]
     """Tabulate b_a and the number of images over (x, y >= 0) for rays of one climb."""
     w = _SINES * optics.w_limit
     line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
-    return _swept(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
+    return _sweep(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
 
 
 def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:
     """Tabulate q_y and the number of images over (x, y) for rays of one q_z."""
     wide = tank.approach(at, _NAMES, np.full_like(_NAMES, q_z))[0]
     q_y = np.interp(_SINES, wide.b_mm / refraction.reach_mm(at.optics, wide.p_z), _NAMES)
-    line = refraction.within(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])
-    return _swept(_positions(at.optics), refraction.follow(at.optics, line), q_y)
+    line = refraction.clip_to_water(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])
+    return _sweep(_positions(at.optics), refraction.follow(at.optics, line), q_y)
 
 
-def _swept(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
+def _sweep(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
     """Sweep lines (K,) over positions (ny, nx, 2).
 
     Returns
     -------
     found : (ny, nx) float64 array
-        What names the line that passes there, interpolated; the last one where there are more.
+        Parameter of the line through the position, interpolated; the last one if there are several.
     count : (ny, nx) float64 array
         Number of lines.
     """

@@ -1,16 +1,16 @@
-"""Lines of sight through the flat front of a tank about the canister, up to its round wall (float64 reference).
+"""Lines of sight through the flat front of a tank around the canister, up to its round wall (float64 reference).
 
 A flat wall conserves the components of the optical direction ``p = n d`` along it, here ``(q_y, q_z)`` in the tank's
-frame (that of the rig, turned by ``turn_deg``; the front's normal is +x): with ``a_i = sqrt(n_i^2 - q_y^2 - q_z^2)`` a
-ray that crosses the thickness t of medium i goes aside by ``t q / a_i``. So a camera ray, named by (q_y, q_z), is a
-known straight line in the liquid. In the canister's frame, which may be turned, lean and stand aside, its ``p_z`` and
-its angular momentum ``L = x p_y - y p_x`` are those that the round walls conserve (`recon.optics.refraction`): an
-`Approach` as of a camera in the open, and from there on the way is the same. Nothing depends on where the camera stands
-or looks.
+frame (that of the rig, rotated by ``turn_deg``; the front's normal is +x): with ``a_i = sqrt(n_i^2 - q_y^2 - q_z^2)``,
+a ray that crosses the thickness t of medium i is displaced by ``t q / a_i``. A camera ray given by (q_y, q_z) is
+therefore a known straight line in the liquid. In the canister's frame, which may be rotated, tilted and offset, its
+``p_z`` and its angular momentum ``L = x p_y - y p_x`` are those that the round walls conserve
+(`recon.optics.refraction`). The result is an `Approach`, as for a camera without a tank, independent of the camera's
+pose.
 
 The point P lies on the line when ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``: two equations for (q_y, q_z),
-solved by Newton's method. Where a liquid unlike the water gives a point more images than one, it gets the one nearest
-to its straight line.
+solved by Newton's method. If a liquid unlike the water gives a point several images, the one nearest to its straight
+line is used.
 """
 
 from collections.abc import Callable
@@ -26,43 +26,43 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Tank
 
 _STEPS = 30
-"""Newton's steps at most; a damped one may need some near the wall."""
+"""Maximum number of Newton steps; damped ones may need some near the wall."""
 _CLOSE_MM = 1e-8
-"""A ray that passes a point this near has found it."""
+"""Distance from the point at which a ray has converged."""
 DIFFERENCE = 1e-7
 """Step of the central differences in (q_y, q_z): half of double precision's digits."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TankView:
-    """How a camera, a tank and a canister stand to each other in a view."""
+    """Relative poses of a camera, a tank and a canister in a view."""
 
     tank: Tank
     centre_mm: Array
-    """(3,) of the camera, tank's frame."""
+    """(3,) centre of the camera, tank's frame."""
     azimuth_from_tank: Array
-    """(4, 4) from the tank's frame to that of the lines of sight: the canister's, turned about its axis."""
+    """(4, 4) from the tank's frame to that of the lines of sight: the canister's, rotated about its axis."""
     optics: Optics
 
 
 def in_liquid(tank: Tank, centre_mm: Array, q_y: Array, q_z: Array) -> tuple[Array, Array, Array]:
-    """Follow rays from the camera through the front wall.
+    """Compute rays from the camera through the front wall.
 
     Parameters
     ----------
     tank : Tank
-        Its front and its indices.
+        Front wall and indices.
     centre_mm : (..., 3) float64
-        Of the camera, tank's frame.
+        Centre of the camera, tank's frame.
     q_y, q_z : (...) float64
         Components of the unit direction in air along the front.
 
     Returns
     -------
     point : (..., 3) float64
-        Where rays leave the wall for the liquid, tank's frame.
+        Points at which rays enter the liquid, tank's frame.
     p : (..., 3) float64
-        Their optical direction in the liquid.
+        Optical directions in the liquid.
     front_z : (...) float64
         Height at which they meet the front's outside, mm.
     """
@@ -77,7 +77,7 @@ def in_liquid(tank: Tank, centre_mm: Array, q_y: Array, q_z: Array) -> tuple[Arr
 
 
 def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np.bool_]]:
-    """Follow camera rays through the tank's front.
+    """Compute camera rays through the tank's front.
 
     Parameters
     ----------
@@ -89,9 +89,9 @@ def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np
     Returns
     -------
     line : Approach
-        In the liquid.
+        Lines in the liquid.
     through : (...) bool
-        Whether the ray comes through the front: below the liquid's surface, above the bottom, between the side walls.
+        Whether the ray passes through the front: below the liquid's surface, above the bottom, between the side walls.
     """
     tank = at.tank
     inside, p, front_z = in_liquid(tank, at.centre_mm, q_y, q_z)
@@ -108,7 +108,7 @@ def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np
 
 
 def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.bool_]]:
-    """Follow camera rays (...) through the tank into the water: lines there, and which enter it by front and wall."""
+    """Compute the lines in the water of camera rays (...) through the tank, and which enter by front and wall."""
     line, through = approach(at, q_y, q_z)
     with np.errstate(invalid="ignore"):
         water = refraction.follow(at.optics, line)
@@ -116,7 +116,7 @@ def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.b
 
 
 def miss(at: TankView, points_mm: Array, q: Array) -> Array:
-    """Return (f1, f2) in mm (N, 2) of the rays q (N, 2) against points (N, 3); NaN for rays that miss the water."""
+    """Return the distances (f1, f2), mm, (N, 2) of rays q (N, 2) from points (N, 3); NaN if they miss the water."""
     line, _ = trace(at, q[:, 0], q[:, 1])
     beside = np.sum(points_mm[:, :2] * line.nu, axis=-1) - line.b_mm
     with np.errstate(invalid="ignore"):
@@ -124,7 +124,7 @@ def miss(at: TankView, points_mm: Array, q: Array) -> Array:
 
 
 def slopes(missed: Callable[[Array], Array], q: Array) -> Array:
-    """Return the derivatives (N, 2, 2) of the misses (rows) by q (columns)."""
+    """Return the derivatives (N, 2, 2) of the distances (rows) by q (columns)."""
     columns = []
     for k in (0, 1):
         step = np.zeros(2)
@@ -134,24 +134,24 @@ def slopes(missed: Callable[[Array], Array], q: Array) -> Array:
 
 
 def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the camera rays that end at water points.
+    """Find the camera rays that end at points in the water.
 
     Parameters
     ----------
     points_mm : (N, 3) float64
-        In the azimuth frame, inside the water's radius.
+        Points in the azimuth frame, inside the water's radius.
 
     Returns
     -------
     q : (N, 2) float64
-        Components of the rays' unit directions in air along the tank's front; NaN where none ends there.
-    seen : (N,) bool
-        Whether one was found that enters by the front and the wall.
+        Components of the rays' unit directions in air along the tank's front; NaN if no ray ends there.
+    visible : (N,) bool
+        Whether a ray was found that enters through the front and the wall.
 
     Notes
     -----
-    The start is the straight line of the same apparent depth behind the front, all media taken for the liquid. A step
-    that would lead to a ray that misses the water, or farther from the point, is halved.
+    The initial value is the straight line of the same apparent depth behind the front, with the index of the liquid for
+    all media. A step that would lead to a ray that misses the water, or farther from the point, is halved.
     """
     in_tank = frames.apply(frames.invert(at.azimuth_from_tank), points_mm)
     x, y, z = at.centre_mm
@@ -161,13 +161,13 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
     aside = in_tank[:, 1:] - [y, z]
     q = aside / np.sqrt(depth**2 + np.sum(aside**2, axis=1))[:, None]
 
-    q = _brought_inside(at, q, points_mm)
-    left = np.arange(len(q))  # those that are not there yet
+    q = _pull_inside(at, q, points_mm)
+    left = np.arange(len(q))  # not converged yet
     for _ in range(_STEPS):
         here = points_mm[left]
         f = miss(at, here, q[left])
         size = np.linalg.norm(f, axis=1)
-        going = size > _CLOSE_MM  # not those that miss the water
+        going = size > _CLOSE_MM  # excludes rays that miss the water
         if not going.any():
             break
         left, here, f, size = left[going], here[going], f[going], size[going]
@@ -185,12 +185,12 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
             share[worse] *= 0.5
         q[left[~worse]] = trial[~worse]
     f = miss(at, points_mm, q)
-    seen = (np.linalg.norm(f, axis=1) < 1e2 * _CLOSE_MM) & trace(at, q[:, 0], q[:, 1])[1]
-    return np.where(seen[:, None], q, np.nan), seen
+    visible = (np.linalg.norm(f, axis=1) < 1e2 * _CLOSE_MM) & trace(at, q[:, 0], q[:, 1])[1]
+    return np.where(visible[:, None], q, np.nan), visible
 
 
-def _brought_inside(at: TankView, q: Array, points_mm: Array) -> Array:
-    """Pull rays that miss the water towards the one that goes for the axis, until they do not."""
+def _pull_inside(at: TankView, q: Array, points_mm: Array) -> Array:
+    """Move rays that miss the water towards the ray that points at the axis, until they reach it."""
     middle = frames.apply(frames.invert(at.azimuth_from_tank), np.array([[0.0, 0.0, at.optics.floor_z_mm]]))[0]
     x, y, _ = at.centre_mm
     aim = (middle[1] - y) / np.hypot(x - middle[0], middle[1] - y)
@@ -199,5 +199,5 @@ def _brought_inside(at: TankView, q: Array, points_mm: Array) -> Array:
         out = ~np.isfinite(miss(at, points_mm, q)).all(axis=1)
         if not out.any():
             break
-        q[out, 0] = aim + 0.95 * (q[out, 0] - aim)  # 40 of these leave an eighth of the way
+        q[out, 0] = aim + 0.95 * (q[out, 0] - aim)  # 40 steps leave an eighth of the distance
     return q

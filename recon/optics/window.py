@@ -1,6 +1,6 @@
-"""Lines of sight in a tank's liquid, from rays of its front, with their derivatives (Dr.Jit, float32).
+"""Lines of sight in a tank's liquid, from rays at its front, with derivatives (Dr.Jit, float32).
 
-The mathematics and its symbols are those of `recon.optics.tank`.
+The mathematics and symbols are those of `recon.optics.tank`.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ Pair = tuple[Float, Float]
 
 @dataclass(frozen=True)
 class Place:
-    """How a view's camera, tank and canister stand to each other: its numbers."""
+    """Relative poses of a view's camera, tank and canister, as kernel parameters."""
 
     centre: list[Float]
-    """(3,) camera, tank's frame, mm."""
+    """(3,) centre of the camera, tank's frame, mm."""
     turn: list[Float]
     """(9,) rotation from the tank's frame to the azimuth frame, row by row."""
     shift: list[Float]
-    """(3,) of the same, mm."""
+    """(3,) shift of the same transform, mm."""
 
-    def turned(self, v: tuple[Float, Float, Float]) -> Vector3f:
+    def rotate(self, v: tuple[Float, Float, Float]) -> Vector3f:
         """Return a direction of the tank's frame in the azimuth frame."""
         r = self.turn
         return mi.Vector3f(*(r[3 * i] * v[0] + r[3 * i + 1] * v[1] + r[3 * i + 2] * v[2] for i in range(3)))
 
-    def in_tank(self, p: Point3f) -> tuple[Float, Float, Float]:
-        """Return a point of the azimuth frame in the tank's."""
+    def to_tank(self, p: Point3f) -> tuple[Float, Float, Float]:
+        """Return a point of the azimuth frame in the tank's frame."""
         x, y, z = (p[i] - self.shift[i] for i in range(3))
         r = self.turn
         return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
@@ -47,25 +47,25 @@ class Line:
     b: Float
     """Impact parameter, mm."""
     p: Float
-    """Climb p_z, of the optical direction."""
+    """Climb p_z of the optical direction."""
     cos_h: Float
-    """Of the heading less pi ..."""
+    """Cosine of the heading minus pi."""
     sin_h: Float
     foot_z: Float
-    """Height nearest to the axis, mm."""
+    """Height of the point nearest to the axis, mm."""
     b_q: Pair
     p_q: Pair
     h_q: Pair
-    """Of the heading."""
+    """Derivatives of the heading."""
     z_q: Pair
-    """Of the foot's height."""
+    """Derivatives of the foot's height."""
     through: Bool
-    """Whether the ray comes through the front below the liquid's surface."""
+    """Whether the ray passes through the front below the liquid's surface."""
 
 
 def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
     """Return (q_y, q_z) of the straight line of equal apparent depth to points in the azimuth frame."""
-    x, y, z = at.in_tank(point)
+    x, y, z = at.to_tank(point)
     c = at.centre
     depth = c[0] - tank.front_mm + tank.wall_mm / tank.n_wall + (tank.front_mm - tank.wall_mm - x) / tank.n_liquid
     per = dr.rsqrt(dr.square(depth) + dr.square(y - c[1]) + dr.square(z - c[2]))
@@ -73,14 +73,14 @@ def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
 
 
 def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -> Line:
-    """Follow rays through the front.
+    """Compute rays through the front.
 
     Parameters
     ----------
     tank, at : Tank, Place
-        The tank, and how it stands to the camera.
+        The tank, and its pose relative to the camera.
     q_y, q_z : Float
-        Sideways components of the ray in air, tank's frame.
+        Components of the ray in air along the front, tank's frame.
     bottom_z_mm : float
         Underside of the canister.
 
@@ -101,8 +101,8 @@ def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -
     through = dr.abs(inside_y) < tank.half_width_mm - tank.wall_mm
     for height in (front_z, inside_z):
         through &= (height < tank.level_mm) & (height > bottom_z_mm)
-    s = at.turned((mi.Float(tank.front_mm - tank.wall_mm), inside_y, inside_z)) + mi.Vector3f(*at.shift)
-    p = at.turned((-a, q_y, q_z))
+    s = at.rotate((mi.Float(tank.front_mm - tank.wall_mm), inside_y, inside_z)) + mi.Vector3f(*at.shift)
+    p = at.rotate((-a, q_y, q_z))
     h2 = n**2 - p.z * p.z
     ih = dr.rsqrt(h2)
     ih2 = ih * ih
@@ -110,8 +110,8 @@ def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -
     derived: list[list[Float]] = [[], [], [], []]
     for j in (0, 1):
         here, other = (1.0, 0.0) if j == 0 else (0.0, 1.0)
-        s_j = at.turned((mi.Float(0.0), aside * here + aside_q2 * q_y * q[j], aside * other + aside_q2 * q_z * q[j]))
-        p_j = at.turned((q[j] / a, mi.Float(here), mi.Float(other)))
+        s_j = at.rotate((mi.Float(0.0), aside * here + aside_q2 * q_y * q[j], aside * other + aside_q2 * q_z * q[j]))
+        p_j = at.rotate((q[j] / a, mi.Float(here), mi.Float(other)))
         momentum_j = s_j.x * p.y + s.x * p_j.y - s_j.y * p.x - s.y * p_j.x
         along_j = s_j.x * p.x + s.x * p_j.x + s_j.y * p.y + s.y * p_j.y
         derived[0].append((momentum_j + b * p.z * p_j.z * ih) * ih)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.by_plant import OfPlant, Pair
 from rhizotwin.recon.results.parts import Leaves, Mesh
-from rhizotwin.recon.roots.plants import Planted
+from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.scenes import rsml, tube_surface
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
@@ -32,7 +32,7 @@ class Shape:
     interval_mm3: Pair
 
 
-def measure(shape: Shape, planted: Planted, plants: Sequence[Plant], whole: Subject) -> tuple[OfPlant, ...]:
+def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[OfPlant, ...]:
     """Divide a shape among plants: every part of it is of the plant whose root's skin is nearest.
 
     Parameters
@@ -91,7 +91,7 @@ def measure(shape: Shape, planted: Planted, plants: Sequence[Plant], whole: Subj
     return tuple(found)
 
 
-def warnings(planted: Planted, found: Sequence[OfPlant]) -> tuple[str, ...]:
+def warnings(planted: PlantedRoots, found: Sequence[OfPlant]) -> tuple[str, ...]:
     """Say which plants were not found, and how much may be of another."""
     said = [f"no base of plant {name} was found near its place: its roots may be among another's" for name in planted.missing]
     total, open_mm = rsml.length_mm(planted.roots), sum(one.open_mm for one in found)

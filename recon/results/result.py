@@ -273,7 +273,7 @@ class Result:
             rsml.write_rsml(folder / "roots.rsml", solid.roots)
         for file, silhouette in self.silhouettes.items():
             atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
-            atomic.write_image(picture_path(folder / "seen", file), silhouette.seen.astype(np.uint8) * 255)
+            atomic.write_image(picture_path(folder / "seen", file), silhouette.usable.astype(np.uint8) * 255)
         summary = self.summary()
         for name, text in result_traits.as_text(self.measured, summary, mass_g=self.mass_g).items():
             atomic.write_text(folder / name, text)

@@ -1,4 +1,4 @@
-"""From coverage to a tree of tubes and one solid.
+"""Reconstruction of the root tree and the solid shape from coverage.
 
-Density, tracing, linking, ghosts, taproot and hypocotyl, and parent assignment.
+Stages: density estimation, tracing, linking, removal of ghosts, taproot and hypocotyl, and parent assignment.
 """

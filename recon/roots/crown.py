@@ -1,7 +1,7 @@
-"""Several plants as one tree: each hangs on a crown behind the net pot, which no picture shows and nobody counts.
+"""Several plants as one tree: the plants are joined by an artificial branch, the crown, behind the net pot.
 
-Tracing and fitting know one tree. The crown is its first branch, from above one plant to above the last, and each plant
-a branch that hangs on it; `without` tells afterwards which nodes were only put there to hold the others.
+Tracing and fitting handle a single tree. The crown is its first branch; it runs from above the first plant to above the
+last, and each plant is attached to it as a branch. `mark_hidden` excludes the artificial nodes from the result.
 """
 
 from __future__ import annotations
@@ -24,39 +24,40 @@ Index = NDArray[np.int64]
 Top = tuple[float, float, float]
 
 HIDDEN_MM = 8.0
-"""The top of a plant is sought so far below the grid: the topmost 2.4 mm stand before the dark net pot for a camera
-level with the roots, and those of a thick base a few diameters more (docs/accuracy.md)."""
+"""Height below the grid in which the top of a plant is searched, mm. From a camera at the height of the roots, the dark
+net pot hides the topmost 2.4 mm of thin roots, and a few diameters more of a thick base (docs/accuracy.md)."""
 _BEYOND_MM = 3.0
-"""The crown goes on so far beyond its last plants, which leave it then as laterals do."""
+"""Length by which the crown extends beyond its outermost plants, so that these also leave it as laterals."""
 _LEFT = 0.5
-"""What holds a plant and is seen is empty in the pictures: the fit leaves less than this of the root's radius there."""
+"""Minimum radius of a real root, as a fraction of its branch's median radius. Artificial nodes in view cover empty
+pixels, and the fit shrinks them below this."""
 _FEW = 3
-"""A node that fewer views show was placed by none: with two, a point is just determined."""
+"""Minimum number of views that show a real node: with two views, a point is only just determined."""
 
 
 def tops(scene: Scene) -> tuple[Top, ...]:
-    """Return where each of several plants hangs: half way between grid and top of the net pot, which is opaque."""
+    """Return the attachment points of several plants, halfway between the grid and the top of the opaque net pot."""
     z_mm = 0.5 * (scene.net_pot.grid_z_mm + scene.net_pot.top_mm)
     return tuple((*plant.at_mm, z_mm) for plant in scene.plants) if len(scene.plants) > 1 else ()
 
 
 def reach_mm(at_mm: Array) -> float:
-    """Return how far from its place (P, 2) a plant's base may be, mm: half way to the next plant."""
+    """Return the maximum horizontal distance of a plant's base from its place (P, 2), mm: half the plant spacing."""
     apart = np.linalg.norm(at_mm[:, None] - at_mm[None], axis=2)
     return 0.5 * float(apart[~np.eye(len(at_mm), dtype=bool)].min())
 
 
-def members(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
-    """Return the dense cells among which the top of each plant is sought, by the plant's number.
+def find_top_cells(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
+    """Return the dense cells among which the top of each plant is searched, by the plant's number.
 
     Parameters
     ----------
     centre_mm : (N, 3) float64 array
-        Cells.
+        Cell centres.
     dense : (N,) bool array
-        Those that hold roots.
+        Mask of the cells that contain roots.
     tops_mm : sequence of tuple of float
-        Where plants hang; none: nobody knows.
+        Attachment points of the plants; empty if unknown.
     """
     if not tops_mm:
         return {}
@@ -68,17 +69,17 @@ def members(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) 
     return {plant: cells for plant, cells in enumerate(chosen) if len(cells)}
 
 
-def hang(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], step_mm: float) -> list[tuple[Array, Array]]:
-    """Hang the traced paths of several plants on a crown.
+def attach_paths(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], step_mm: float) -> list[tuple[Array, Array]]:
+    """Attach the traced paths of several plants to a crown.
 
     Parameters
     ----------
     paths : sequence of tuple
-        First cell, points (n, 3) and shadows (n,) of each, parents before children.
+        First cell, points (n, 3) and shadows (n,) of each path, parents before children.
     under : mapping
-        Where the plant hangs that was traced from a cell, by the cell.
+        Attachment point of the plant that was traced from a cell, by the cell.
     step_mm : float
-        Between points.
+        Distance between points.
 
     Returns
     -------
@@ -94,7 +95,7 @@ def hang(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], st
     found = [(crown, np.full(len(crown), float(np.mean([shadow.mean() for _, _, shadow in paths]))))]
     left = dict(under)
     for first, line, shadow in paths:
-        if first in left:  # the first path of a plant goes on to the crown
+        if first in left:  # the first path of a plant is extended to the crown
             rise = _line([np.array(left.pop(first)), line[0]], step_mm)[:-1]
             line, shadow = np.concatenate([rise, line]), np.concatenate([np.full(len(rise), shadow[0]), shadow])
         found.append((line, shadow))
@@ -102,7 +103,7 @@ def hang(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], st
 
 
 def _line(corners: Sequence[Array], step_mm: float) -> Array:
-    """Return points (N, 3) along straight pieces between corners."""
+    """Return points (N, 3) along straight segments between corners."""
     parts = [np.asarray(corners[0])[None]]
     for a, b in pairwise(corners):
         count = max(1, round(float(np.linalg.norm(b - a)) / step_mm))
@@ -110,23 +111,23 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
     return np.concatenate(parts)
 
 
-def without(system: RootSystem, top_mm: float) -> RootSystem:
-    """Return roots without what no picture shows: of several plants what only holds them together, of one its base.
+def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
+    """Mark the nodes that no view shows as solid: the crown of several plants, or the base of a single one.
 
-    Those nodes count as solid, of which no root is made and which add no volume.
+    No roots are made of solid nodes, and they add no volume.
 
     Parameters
     ----------
     top_mm : float
-        z of the water that is seen, below the net pot.
+        z of the visible water surface below the net pot.
     """
-    at, height_mm, radius_mm = system.seen.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2], system.tubes.radius_mm
+    at, height_mm, radius_mm = system.evidence.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2], system.tubes.radius_mm
     shown = np.zeros(len(height_mm), np.int64)
-    for view, silhouette in enumerate(system.seen.silhouettes):
-        column, row = np.round(np.where(at.seen[view][:, None], at.px[view], 0.0)).astype(np.int64).T
-        shown += at.seen[view] & silhouette.seen[row, column]
+    for view, silhouette in enumerate(system.evidence.silhouettes):
+        column, row = np.round(np.where(at.visible[view][:, None], at.px[view], 0.0)).astype(np.int64).T
+        shown += at.visible[view] & silhouette.usable[row, column]
     hidden = shown < _FEW
-    if not system.seen.tops_mm:
+    if not system.evidence.tops_mm:
         base = system.tubes.branches[0]
         held = np.zeros(len(height_mm), bool)
         held[base[: int(np.argmin(hidden[base]))]] = True
@@ -134,7 +135,7 @@ def without(system: RootSystem, top_mm: float) -> RootSystem:
     high = height_mm > top_mm - HIDDEN_MM
     held = (height_mm > top_mm) | (high & hidden)
     for nodes in system.tubes.branches:
-        if held[nodes[0]] and not held[nodes].all():  # below the net pot the fit left little of what is no root
+        if held[nodes[0]] and not held[nodes].all():  # below the net pot, the fit shrinks nodes that are not root
             own = nodes[int(np.argmin(held[nodes])) :]
             thick = radius_mm[own] > _LEFT * float(np.median(radius_mm[own]))
             above = own[: int(np.argmax(thick))]

@@ -1,11 +1,9 @@
-"""Where cells fall on the pictures of all views, kept small, and the two things done with it.
+"""Compact footprints of cells in all views, to project shadows and to sample pictures.
 
-Casting shadows and reading pictures.
-
-A cell's footprint in a view is six bytes: its column and row in steps of a fraction of a pixel, 16 bits each, and its
-area in half precision. Of every picture only the window that holds cells is kept, one view after the other, so that
-work goes with the plant and not with the picture. Views are a loop inside of one kernel: a kernel for each would cost
-more time to compile than to run.
+The footprint of a cell in a view takes six bytes: column and row in steps of a fraction of a pixel, 16 bits each, and
+the area in half precision. Only the window of each picture that contains cells is stored, one view after another, so
+that the work depends on the size of the plant and not of the picture. All views are processed in a loop within one
+kernel, since compiling a kernel per view would take longer than running it.
 """
 
 from __future__ import annotations
@@ -25,40 +23,40 @@ from rhizotwin.recon.optics import projection
 Array = NDArray[np.float64]
 
 _STEPS = 65535
-"""A picture's longer side in steps: 1/80 px where it is 800 px."""
+"""Number of steps along the longer side of a picture: 1/80 px for 800 px."""
 _PIXELS_AT_ONCE = 1_000_000
-"""Shadows are summed for the views whose windows have so many pixels, but for one at least: each thread has four
-numbers a pixel of them."""
+"""Shadows are summed for as many views at a time as have this many pixels in their windows, and for at least one; each
+thread needs four numbers per pixel."""
 _PARTS = 256
-"""Bounds are sought in so many parts of a view's cells side by side, without a copy of them."""
+"""Number of parts of a view's cells whose bounds are searched in parallel, without copying the cells."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """The part of every view's picture that holds cells, flattened one after the other; all are of one size."""
+    """Windows of equal size, one per view, that contain all cells, flattened and concatenated."""
 
     low: NDArray[np.int64]
-    """(V, 2) first column and row."""
+    """(V, 2) first column and row of each window."""
     columns: int
     rows: int
 
     @property
     def pixels(self) -> int:
-        """Return the number of pixels of a window."""
+        """Return the number of pixels per window."""
         return self.columns * self.rows
 
     @staticmethod
     def around(*several: Footprints) -> Windows:
-        """Lay windows one after the other that hold all footprints, their four pixels each."""
+        """Return windows that contain all footprints, with the four pixels of each."""
         bounds = [footprints.bounds() for footprints in several]
         low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
-        seen = (high >= low).all(axis=1)  # a view may see no cell
-        size = (high - low + 2)[seen].max(axis=0, initial=2)
+        used = (high >= low).all(axis=1)  # a view may contain no cell
+        size = (high - low + 2)[used].max(axis=0, initial=2)
         image_wh = np.asarray(several[0].image_wh)
-        return Windows(np.clip(np.where(seen[:, None], low, 0), 0, image_wh - size), int(size[0]), int(size[1]))
+        return Windows(np.clip(np.where(used[:, None], low, 0), 0, image_wh - size), int(size[0]), int(size[1]))
 
     def cut(self, evidence: Evidence, pictures: Kernel) -> Kernel:
-        """Cut the windows out of whole pictures, (V, H, W) flattened; in the kind of these."""
+        """Cut the windows out of whole pictures, (V, H, W) flattened; the array type is kept."""
         stack = pictures.numpy().reshape(len(self.low), evidence.image_wh[1], evidence.image_wh[0])
         parts = [picture[v : v + self.rows, u : u + self.columns].ravel() for picture, (u, v) in zip(stack, self.low, strict=True)]
         return type(pictures)(np.concatenate(parts))
@@ -76,10 +74,10 @@ class Footprints:
     place: UInt32
     """mi.UInt32, (V, N) flattened: column and row in steps, 16 bits each."""
     px2_a_mm2: Kernel
-    """mi.Float16, (V, N) flattened: area of a mm2 in the picture; 0 where the view says nothing about the cell."""
+    """mi.Float16, (V, N) flattened: projected area of 1 mm2; 0 where the view does not show the cell."""
 
     @staticmethod
-    def of(evidence: Evidence, centre_mm: Array) -> Footprints:
+    def project(evidence: Evidence, centre_mm: Array) -> Footprints:
         """Project cells (N, 3) into all views."""
         count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
         steps_a_px = _STEPS / max(width, height)
@@ -88,10 +86,10 @@ class Footprints:
         view = lane // dr.opaque(mi.UInt32, count)
         point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.seen & readable(p.px, width, height)
-        px = dr.select(seen, p.px, mi.Vector2f(0.0))
-        told = dr.gather(mi.Float16, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
-        area = mi.Float16(dr.select(seen & is_positive(told), dr.norm(dr.cross(p.du, p.dv)), 0.0))
+        visible = p.visible & readable(p.px, width, height)
+        px = dr.select(visible, p.px, mi.Vector2f(0.0))
+        usable = dr.gather(mi.Float16, evidence.usable, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
+        area = mi.Float16(dr.select(visible & is_positive(usable), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)
         return Footprints(views, count, (width, height), steps_a_px, place, area)
@@ -99,17 +97,17 @@ class Footprints:
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the lowest and highest pixels (V, 2) of each view's footprints.
 
-        The highest lie far below where there are none.
+        Where a view has none, the highest is far below the lowest.
         """
         lane = dr.arange(mi.UInt32, self.views * _PARTS)
         view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
 
         def body(cell: UInt32, *found: Kernel) -> tuple[Kernel, ...]:
             at = view * count + cell
-            place, seen = dr.gather(mi.UInt32, self.place, at), is_positive(dr.gather(mi.Float16, self.px2_a_mm2, at))
+            place, visible = dr.gather(mi.UInt32, self.place, at), is_positive(dr.gather(mi.Float16, self.px2_a_mm2, at))
             u, v = (mi.Int32(mi.Float(steps) / self.steps_a_px) for steps in (place & 0xFFFF, place >> 16))
-            low = [dr.select(seen, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
-            high = [dr.select(seen, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
+            low = [dr.select(visible, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
+            high = [dr.select(visible, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
             return cell + _PARTS, *low, *high
 
         state = [dr.full(mi.Int32, none, self.views * _PARTS) for none in (1 << 16, 1 << 16, -(1 << 16), -(1 << 16))]
@@ -120,10 +118,9 @@ class Footprints:
 
 
 class Table:
-    """Footprints of cells with the windows that they are looked up in.
+    """Footprints of a set of cells, with the windows in which they are read and written.
 
-    Where cells are left out, a list tells which are not: a copy of their footprints, most of the memory, would be there
-    beside the whole.
+    A subset of cells is stored as a list of indices, since a copy of the footprints would double the memory.
     """
 
     def __init__(self, footprints: Footprints, windows: Windows, cells: UInt32 = None) -> None:
@@ -133,8 +130,8 @@ class Table:
         self._columns, self._pixels = (dr.opaque(mi.UInt32, number) for number in (windows.columns, windows.pixels))
         dr.eval(self._low, self._cells)
 
-    def chosen(self, kept: UInt32) -> Table:
-        """Return those of some cells, by number (mi.UInt32)."""
+    def select(self, kept: UInt32) -> Table:
+        """Return a subset of the cells, by indices (mi.UInt32)."""
         return Table(self.footprints, self.windows, dr.gather(mi.UInt32, self._cells, kept))
 
     def _at(self, view: UInt32) -> tuple[Float, Float, Float]:
@@ -149,17 +146,17 @@ class Table:
         return u, v, area
 
     def shadows(self, views: range, amount: Float) -> Float:
-        """Return the windows of consecutive views with the shadows of cells (mi.Float, mm2), laid down bilinearly."""
+        """Return the windows of consecutive views with the cells' shadows (mi.Float, mm2), splatted bilinearly."""
         count = max(1, _PIXELS_AT_ONCE // self.windows.pixels)
         starts = range(views.start, views.stop, count)
         parts = [self._few_shadows(range(start, min(start + count, views.stop)), amount) for start in starts]
         return parts[0] if len(parts) == 1 else dr.concat(parts)
 
     def _few_shadows(self, views: range, amount: Float) -> Float:
-        """Return the windows of a few views.
+        """Return the windows of a few views with the shadows of the cells.
 
-        The four parts of a shadow are added as one packet at its upper left pixel, in a copy for each thread, and then
-        summed over the pixels: a quarter of the time of four atomic additions.
+        The four parts of a shadow are added as one packet at its upper left pixel, in a copy per thread, and then
+        summed over the pixels. This takes a quarter of the time of four atomic additions.
         """
         corners = dr.zeros(mi.Float, 4 * self.windows.pixels * len(views))
         dr.eval(corners)
@@ -182,22 +179,22 @@ class Table:
         return total
 
     def mean_log(self, pictures: Float, views: range, least: float, most: float) -> Float:
-        """Return the mean over the views that see a cell of the logarithm of a picture there, clipped.
+        """Return the mean log of the clipped pictures at each cell, over the views that show the cell.
 
-        Mi.Float; 0 where none does.
+        The result is a mi.Float; it is 0 for a cell that no view shows.
 
         Parameters
         ----------
         pictures : Float
-            The windows of the views.
+            Windows of the views.
         """
         first = dr.opaque(mi.UInt32, views.start)
 
         def body(view: UInt32, total: Float, votes: Float) -> tuple[UInt32, Float, Float]:
             u, v, area = self._at(view)
-            seen = is_positive(area)
-            value = bilinear(pictures, (view - first) * self._pixels, self._columns, u, v, seen)
-            return view + 1, total + dr.select(seen, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(seen, 1.0, 0.0)
+            visible = is_positive(area)
+            value = bilinear(pictures, (view - first) * self._pixels, self._columns, u, v, visible)
+            return view + 1, total + dr.select(visible, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(visible, 1.0, 0.0)
 
         count = dr.width(self._cells)
         _, total, votes = self._loop(views, (dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)), body)

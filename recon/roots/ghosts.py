@@ -1,9 +1,8 @@
-"""Which parts of a tree of tubes are no roots.
+"""Detection of tube nodes that are not roots.
 
-What explains nothing, what lies inside others, and short ends that prove nothing.
-
-All functions tell nodes (N,) that should go, which `Tubes.staying` turns into cuts from the tips; but for
-`uncertain_ends`: these are mostly pieces of true roots, whose ends others hide. They stay, without a tip.
+These are ghosts, which explain no pixels, duplicates inside other tubes, and short ends without evidence. Each function
+returns a mask of nodes (N,) to remove, which `Tubes.prune_mask` turns into cuts from the tips. The exception is
+`find_uncertain_ends`, whose nodes are mostly parts of real roots with hidden ends; they are kept, but without a tip.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.roots.proof import Proof
+from rhizotwin.recon.roots.node_support import Support
 from rhizotwin.recon.tubes.tubes import Index, Tubes
 from rhizotwin.scenes import polyline
 
@@ -20,62 +19,64 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLANK_PX = 1.0
-"""The spheres that stand for taproot and hypocotyl are not as precise as tubes, nor is the end at the rim of
-sight: this much about them is theirs."""
+"""Margin about taproot and hypocotyl, whose spheres are less precise than tubes, and about the root's upper end where
+it leaves the views."""
 _EXPLAINED = 0.5
-"""A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a
+"""Minimum fraction of the coverage under a branch that the branch explains; below it, the rest of the branch is a
 ghost."""
 _EXPLAINED_PX = 1.0
-"""... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
+"""Minimum squared coverage that a node explains, summed over all views, px."""
 _END_NODES = 3
-"""Nodes of an end that are weighed together: 2 mm."""
+"""Number of nodes over which the evidence is averaged: 2 mm."""
 _INSIDE = 0.9
-"""Share of a root's radius within which another centre line is its own."""
+"""Fraction of a root's radius within which another centre line duplicates it."""
 _SHARED = 0.3
-"""A branch that explains for itself a smaller part of what it covers may be a second tube of a root, or a ghost among
-roots."""
+"""Minimum fraction of its coverage that a branch explains alone. Below it, the branch duplicates a root or is a ghost
+among roots."""
 _THINNER = 0.5
-"""A root whose beginning is thinner than this share of the rest begins elsewhere: roots taper towards their tips."""
+"""Minimum thickness of the beginning of a root relative to the rest; a thinner beginning is a detour, since roots taper
+towards their tips."""
 _SHORT_MM = 1.5
-"""Branches that stand out less than this must prove that their neighbours, fitted without them, leave them
+"""Branches that protrude less than this are kept only if the neighbours, fitted without them, leave them
 unexplained."""
 _LONG_MM, _TIP_NODES = 8.0, 5
-"""The tips of longer ends are tips, whatever speaks against them; what a tip leaves is that of its last nodes."""
+"""Length above which an end always keeps its tip, and number of last nodes from which the residual at a tip is
+computed."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
-"""A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as
-usual, a tenth less."""
+"""Weights of the evidence for a tip: a free distance of 1 mm counts as much as a quarter of additional visibility; a
+residual larger than usual by a factor e reduces the evidence by a tenth."""
 _CERTAIN = 0.15
-"""With less evidence a tip is none: here as many true ones are lost as false ones stay (see
-docs/decisions/tubes-for-thin-roots.md)."""
+"""Minimum evidence for a tip. At this value as many true tips are rejected as false ones accepted
+(docs/decisions/tubes-for-thin-roots.md)."""
 
 
-def flanked(tubes: Tubes, organ: Mask) -> Mask:
-    """Tell the nodes (N,) about which `FLANK_PX` more belong to them.
+def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:
+    """Return the mask (N,) of nodes with a margin of `FLANK_PX` about them.
 
-    Taproot and hypocotyl, and the top, where the plant goes out of sight.
+    These are the nodes of taproot and hypocotyl, and the upper end of the plant, where it leaves the views.
     """
     top = np.zeros(len(organ), bool)
     top[tubes.branches[0][0]] = True
     return organ | top
 
 
-def unexplaining(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
-    """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
+def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
+    """Return the mask (N,) of nodes that explain no pixels alone, averaged over neighbours along their branch."""
     gone = np.zeros(len(organ), bool)
     for k in range(len(tubes.branches)):
         own = tubes.own(k)
         explained, left = (
             np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
-            for value in (proved.explained, proved.left)
+            for value in (proved.explained, proved.residual)
         )
         gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
     return gone & ~organ
 
 
-def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
-    """Tell the nodes (N,) that lie inside an earlier branch, or on an organ's flank or about the top.
+def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
+    """Return the mask (N,) of nodes inside an earlier branch, within the margin of an organ, or about the upper end.
 
-    Second paths along the same root.
+    Such nodes belong to second paths along the same root.
 
     Parameters
     ----------
@@ -83,8 +84,8 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
         `FLANK_PX` in mm.
     """
     centre, owner = tubes.centre_mm, tubes.owner
-    reach = np.where(flanked(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
-    # by thick roots many, their own nodes among them
+    reach = np.where(find_margin_nodes(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
+    # # A node near a thick root has many neighbours, its own branch's nodes among them.
     held = cKDTree(centre).query_ball_point(centre, reach, workers=-1)
     node = np.concatenate([np.asarray(nodes, np.int64) for nodes in held])
     host = np.repeat(np.arange(len(centre)), [len(nodes) for nodes in held])
@@ -93,52 +94,53 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
     return inside
 
 
-def unproven(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
-    """Tell the nodes (N,) from the beginnings of branches that together explain only a small part of what they cover.
+def find_unsupported_starts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
+    """Return the mask (N,) of nodes at the beginning of branches that together explain little of their own coverage.
 
-    Second tubes of a root, ghosts among roots, and detours beside other roots to where a branch truly begins.
+    They belong to second tubes of a root, to ghosts among roots, and to detours along other roots to the true
+    beginning.
     """
     found = np.zeros(len(tubes.radius_mm), bool)
     for k in range(1, len(tubes.branches)):
         own = tubes.own(k)
-        little = np.flatnonzero(np.cumsum(proved.explained[own]) < _SHARED * np.cumsum(proved.alone[own]))
+        little = np.flatnonzero(np.cumsum(proved.explained[own]) < _SHARED * np.cumsum(proved.own[own]))
         first, rest = np.split(own, [little.max(initial=-1) + 1])
         if not len(rest) or (len(first) and np.median(tubes.radius_mm[first]) < _THINNER * np.median(tubes.radius_mm[rest])):
             found[first] = True
     return found & ~organ
 
 
-def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of short branches that bear none: they may be an artefact of their neighbours."""
+def find_short_leaves(tubes: Tubes, organ: Mask) -> Mask:
+    """Return the mask (N,) of nodes of short branches without children, which may be artefacts of their neighbours."""
     gone = np.zeros(len(organ), bool)
-    for k, line in _standing(tubes):
+    for k, line in _free_ends(tubes):
         if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
             gone[line[1:]] = True
     return gone & ~organ
 
 
-def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of ends, from a branch's last lateral to its tip, whose tips are likely none.
+def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Mask) -> Mask:
+    """Return the mask (N,) of nodes of ends, from a branch's last lateral to its tip, that probably have no tip.
 
-    Three things speak for a tip: that no other root hides it, that it stands free of others, and that it leaves little
-    of what lies about it unexplained, compared with what tips usually leave (noise and blur count for all of them).
-    They are weighed together, as a false tip may pass in one of them. What stands out of its parent by less than its
-    own diameter is a bulge and has no tip, whatever speaks for it.
+    The evidence for a tip combines three measures: other roots do not hide it, it is free of other roots, and the
+    residual around it is small compared with that of other tips (which accounts for noise and blur). They are combined
+    since a false tip may pass any single one. An end that protrudes from its parent by less than its own diameter is a
+    bulge and never has a tip.
 
     Parameters
     ----------
     visible : (N,) float64 array
-        Share of each node, over all views, that no other hides.
+        Fraction of each node, over all views, that no other node hides.
     """
     gone = np.zeros(len(organ), bool)
-    ends = _standing(tubes)
+    ends = _free_ends(tubes)
     if not ends:
         return gone
     owner, radius, near = tubes.owner, tubes.radius_mm, cKDTree(tubes.centre_mm)
     share, free_mm = np.zeros(len(ends)), np.full(len(ends), _FREE_MM)
     for number, (k, line) in enumerate(ends):
         last = line[1:][-_TIP_NODES:]
-        share[number] = proved.left[last].sum() / max(float((proved.explained + proved.left)[last].sum()), 1e-6)
+        share[number] = proved.residual[last].sum() / max(float((proved.explained + proved.residual)[last].sum()), 1e-6)
         tip = tubes.centre_mm[line[-1]]
         others = np.array([n for n in near.query_ball_point(tip, _FREE_MM + float(radius.max())) if owner[n] != k], np.int64)
         if len(others):
@@ -149,19 +151,19 @@ def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> 
     for (k, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
         if weak and _length(tubes, line) < _LONG_MM:
             gone[line[1:]] = ~organ[line[1:]]
-        if _is_bulge(tubes, k, line):  # on taproot and hypocotyl too
+        if _is_bulge(tubes, k, line):  # also on taproot and hypocotyl
             gone[line[1:]] = True
     return gone
 
 
 def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
-    """Tell whether an end is a whole branch that stands out by less than its own diameter."""
+    """Return whether an end is a whole branch that protrudes by less than its own diameter."""
     whole = len(line) == len(tubes.branches[branch])
     return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
 
 
-def _standing(tubes: Tubes) -> list[tuple[int, Index]]:
-    """Return the branches but the first that go on beyond their last lateral, with the nodes of their ends."""
+def _free_ends(tubes: Tubes) -> list[tuple[int, Index]]:
+    """Return the branches, except the first, that continue beyond their last lateral, with the nodes of their ends."""
     return [(k, line) for k, line in enumerate(tubes.ends) if k > 0 and len(line) > 1]
 
 

@@ -1,10 +1,10 @@
-"""Parent assignment: roots that were traced through a crossing are put in order.
+"""Parent assignment: correct order and parents of roots that were traced through a crossing.
 
-No point is moved.
+Points are not moved.
 
-Tracing joins what touches. Three signs tell it from growth: a root goes on where it is thick, a lateral leaves its
-parent onward, not back, and none leaves at the very base of its parent (the basal zone of a root has no laterals:
-Leitner et al. 2010, Plant and Soil 332:177).
+Tracing connects roots that touch. Three criteria distinguish a contact from a branching point: a root continues in the
+thickest line, a lateral leaves its parent in the direction of growth, and no lateral leaves in the basal zone of its
+parent (Leitner et al. 2010, Plant and Soil 332:177).
 """
 
 from collections.abc import Sequence
@@ -19,23 +19,24 @@ Array = NDArray[np.float64]
 _Point = tuple[Array, float]
 
 _REACH_MM = 5.0
-"""Directions and thicknesses beyond a fork are those of this length."""
+"""Length over which directions and thicknesses beyond a fork are averaged."""
 _THICKER = 1.25
-"""A lateral this much thicker than what goes on is the root itself; found diameters scatter by less over 5 mm."""
+"""A lateral thicker than the continuing line by this factor is the root itself; estimated diameters vary by less over 5
+mm."""
 _ROUNDS = 10
-"""At most; three or four are enough."""
+"""Maximum number of rounds; three or four suffice."""
 _BASAL_MM = 2.0
-"""A lateral that begins this near the root on which its parent grows is that root's own: it only runs beside the parent
-at first."""
+"""A lateral that begins this near the root on which its parent grows belongs to that root: it only runs along the
+parent at first."""
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the same centre lines with other bases, orders and parents; parents before children.
+    """Return the same centre lines with corrected bases, orders and parents; parents before children.
 
-    Where a root goes on in a lateral that only began near it, a straight piece joins the two.
+    Where a root continues in a lateral that began near it, a straight segment joins the two.
     """
     arranged = list(roots)
-    for _ in range(_ROUNDS):  # a root that goes on elsewhere has other laterals near its base
+    for _ in range(_ROUNDS):  # a root with a new course has other laterals near its base
         _move_up(arranged)
         before, arranged = arranged, _rejoin(arranged)
         if [(root.parent, len(root.points_mm)) for root in arranged] == [(root.parent, len(root.points_mm)) for root in before]:
@@ -44,7 +45,7 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
 
 def _move_up(roots: list[Root]) -> None:
-    """Give laterals in the basal zone of their parent to the root on which that one grows, again and again."""
+    """Move laterals in the basal zone of their parent to the parent's parent, until none is left."""
     moved = True
     while moved:
         moved = False
@@ -58,7 +59,7 @@ def _move_up(roots: list[Root]) -> None:
 
 
 def _onward(parent: Root, points_mm: Array) -> float:
-    """Return the cosine between the first 5 mm of a line and the parent's growth where the line begins."""
+    """Return the cosine between the first 5 mm of a line and the parent's direction of growth at that point."""
     at = _nearest(parent, points_mm[0])
     along = parent.points_mm[min(at + 1, len(parent.points_mm) - 1)] - parent.points_mm[max(at - 1, 0)]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
@@ -71,16 +72,16 @@ def _nearest(root: Root, point_mm: Array) -> int:
 
 
 def _rejoin(roots: Sequence[Root]) -> list[Root]:
-    """Divide the tree into roots anew: at each fork the thickest line goes on, the others begin there."""
+    """Divide the tree into roots anew: at each fork the thickest line continues, and the others begin."""
     leaving: dict[tuple[int, int], list[int]] = {}
     for index, root in enumerate(roots):
         if root.parent >= 0:
             leaving.setdefault((root.parent, _nearest(roots[root.parent], root.points_mm[0])), []).append(index)
 
-    def meeting(line: int, at: int) -> list[int]:
-        """Return the lines that leave from a point, and those that leave from their bases there."""
+    def lines_at(line: int, at: int) -> list[int]:
+        """Return the lines that leave from a point, including those that leave from their bases."""
         found = list(leaving.get((line, at), []))
-        for k in found:  # which grows on the way
+        for k in found:  # the list grows during the loop
             if np.array_equal(roots[k].points_mm[0], roots[line].points_mm[at]):
                 found += leaving.get((k, 0), [])
         return found
@@ -95,17 +96,17 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
         while at < len(roots[line].points_mm):
             here = (roots[line].points_mm[at], float(roots[line].diameters_mm[at]))
             path.append(here)
-            line, at, others = _fork(roots, line, at, meeting(line, at))
+            line, at, others = _fork(roots, line, at, lines_at(line, at))
             begun += [(k, first, number, [(here[0], _own_diameter(roots[k], first))] if first else []) for k, first in others[::-1]]
         order = made[parent].order + 1 if parent >= 0 else 0
         points, diameters = np.stack([point for point, _ in path]), np.array([diameter for _, diameter in path])
-        seen = roots[line].tip_seen  # of the line in which it ends
-        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label, tip_seen=seen))
+        tip_seen = roots[line].tip_seen  # of the line in which it ends
+        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label, tip_seen=tip_seen))
     return made
 
 
 def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) -> tuple[int, int, list[tuple[int, int]]]:
-    """Return the line that goes on from a point, its next point, and the lines that begin there with theirs."""
+    """Return the line that continues from a point, its next point, and the lines that begin there with theirs."""
     if not laterals:
         return line, at + 1, []
     here = roots[line].points_mm[at]
@@ -119,12 +120,12 @@ def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) ->
 
 
 def _own_diameter(root: Root, first: int) -> float:
-    """Return the diameter with which a line begins at a fork: its own, not that of what it leaves."""
+    """Return the initial diameter of a line at a fork: that of the line itself, not of its parent."""
     return float(root.diameters_mm[min(first, len(root.diameters_mm) - 1)])
 
 
 def _thickness(root: Root, first: int) -> float:
-    """Return the mean diameter of the next 5 mm from a point on; 0 where less than that is left."""
+    """Return the mean diameter over the next 5 mm from a point; 0 if less than that is left."""
     points = root.points_mm[first:]
     if len(points) < 2:
         return 0.0

@@ -1,11 +1,11 @@
-"""Link the tree of branches where the tracing went astray.
+"""Reconnect branches where the tracing changed from one root to another.
 
-Roots that touch each other are told apart by their tangents.
+Roots that touch are separated by their tangents.
 
-Where two roots touch, the easiest path to the top may change from one to the other. What is left of the first is then
-traced as a branch of its own: it ends in the middle of nowhere beside the other, or begins there. Roots are smooth and
-few: of all ways to connect the pieces that meet the one is taken that costs least, where a bend costs the square of its
-angle (and what else speaks against it, see `_cost`), and every branch costs as much as a bend of one radian.
+Where two roots touch, the shortest path to the top may switch from one to the other. The rest of the first root is then
+traced as a separate branch that begins or ends beside the other. Roots are smooth and few: of all ways to connect the
+adjacent pieces, the cheapest is chosen. A bend costs the square of its angle (see `_cost` for the other terms), and
+each branch costs as much as a bend of one radian.
 """
 
 from __future__ import annotations
@@ -17,42 +17,43 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.roots import turning
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, hanging_order
+from rhizotwin.recon.roots import orientation
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, parents_first
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _REACH_MM = 4.0
-"""Pieces farther apart than this do not meet."""
+"""Maximum distance between pieces that are connected."""
 _GAP_MM, _MISS_MM = 4.0, 0.5
-"""A gap this long, or a jump this far to the side, speaks against a connection as much as a bend of one radian does."""
+"""Length of a gap, and sideways displacement, that cost as much as a bend of one radian."""
 _OVERLAP_MM = 0.6
-"""Pieces may overlap by a node's distance: where roots touch, their ends are uncertain."""
+"""Maximum overlap of two pieces, one node's distance: ends are uncertain where roots touch."""
 _FRAYED_NODES, _FRAYED = 3, 0.1
-"""Ends wander where roots touch: so many nodes may be left out where pieces are joined, each at this cost."""
+"""Maximum number of nodes dropped at the ends of two pieces to be joined, where ends are uncertain, and the cost of
+each."""
 _BESIDE_MM, _BESIDE_NODES = 0.7, 9
-"""A beginning of at most so many nodes that runs so near another branch is a second path along the same root."""
+"""Distance from another branch, and number of nodes, up to which the beginning of a branch duplicates that root."""
 _BRANCH, _UNCERTAIN = 1.0, 2.0
-"""What a branch costs, and what one that ends where no root ends costs more."""
+"""Cost of a branch, and additional cost of a branch with an uncertain end."""
 _GAIN = 0.1
-"""Changes that make the tree cheaper by less are left."""
+"""Minimum reduction of the cost for a change."""
 _ROUNDS = 8
-"""Joining may bring other ends together; it ends before."""
+"""Maximum number of rounds; joining may bring other ends together. Usually fewer are needed."""
 
 
 @dataclass(frozen=True)
 class _Tangents:
-    """Where the branches come from and go to at each of their own nodes."""
+    """Tangents of the branches at each node, before and behind it."""
 
     centre: Array
     """(N, 3)"""
     arriving: Array
-    """(N, 3) unit vectors from the nodes before, towards the tip."""
+    """(N, 3) unit vectors from the preceding nodes, towards the tip."""
     leaving: Array
-    """(N, 3) unit vectors to the nodes behind."""
+    """(N, 3) unit vectors to the following nodes."""
     log_before: Array
-    """(N,) logarithm of the radius of the nodes before."""
+    """(N,) logarithm of the mean radius of the preceding nodes."""
     log_after: Array
     owner: Index
     """(N,) branch."""
@@ -61,29 +62,29 @@ class _Tangents:
 
 
 def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
-    """Connect the pieces of the tree so that it is as cheap as can be.
+    """Reconnect the pieces of the tree at minimal cost.
 
-    Nodes stay where they are, but second paths are dropped.
+    Nodes are not moved, but duplicate paths are removed.
 
-    Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is
-    turned round; a tip takes over what follows of a branch that it runs into, of which what came before ends there, or
-    goes on in a third that begins there, or is dropped because it runs beside the first; a branch goes on in its child,
-    and what followed becomes the child. Its parent is assigned at the end (`hierarchy`).
+    The following changes are tried: a tip continues in a branch that begins there; two tips meet, and one of their
+    branches is reversed; a tip continues in the remainder of a branch that it runs into, whose first part then ends
+    there, or continues in a third branch that begins there, or is removed as a duplicate of the first; a branch
+    continues in its child, and its former remainder becomes the child. Parents are assigned later (`hierarchy`).
 
     Parameters
     ----------
     uncertain : (N,) bool array or None
-        Nodes of ends whose tips are likely none: such an end is worth more if it goes on.
+        Nodes of ends that probably have no tip: continuing such an end saves more.
 
     Returns
     -------
     tubes : Tubes
-        Connected.
+        The reconnected tree.
     kept : (N,) bool array
-        The nodes that are left.
+        Mask of the nodes that remain.
     """
     marked = np.zeros(len(tubes.centre_mm), bool) if uncertain is None else uncertain
-    branches = turning.rightly_turned(tubes, list(tubes.branches))
+    branches = orientation.orient_branches(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
         tangents = _tangents(tubes, branches)
         worth = _worth(tangents, branches, marked)
@@ -94,9 +95,9 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
             those = {int(tangents.owner[end]), int(tangents.owner[node])} | ({third} if third >= 0 else set())
             if touched & those:
                 continue
-            tried = _changed(tangents, branches, end, node, third, kind)
-            now = _owner_now(owner, branches, tried, those)
-            if all(above(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
+            tried = _apply_change(tangents, branches, end, node, third, kind)
+            now = _update_owners(owner, branches, tried, those)
+            if all(ancestors(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
                 branches, owner = tried, now
                 touched |= those
         if not touched:
@@ -108,13 +109,13 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
 
 
 def _worth(tangents: _Tangents, branches: list[Index | None], uncertain: Mask) -> Array:
-    """Return what it is worth (N,) that the branch that owns a node does not end."""
+    """Return the cost (N,) that is saved if the branch of each node does not end."""
     ends = np.array([nodes is not None and bool(uncertain[nodes[-1]]) for nodes in branches])
     return np.where(ends[tangents.owner], _BRANCH + _UNCERTAIN, _BRANCH)
 
 
 def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
-    """Find the tangents of branches."""
+    """Compute the tangents of branches."""
     count, centre = len(tubes.centre_mm), tubes.centre_mm
     log_radius = np.log(tubes.radius_mm)
     arriving, leaving = np.zeros((count, 3)), np.zeros((count, 3))
@@ -136,14 +137,14 @@ def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
 
 
 def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
-    """Return what connecting pieces (M,) costs, infinite where one does not follow the other.
+    """Return the cost (M,) of connecting pairs of pieces; infinite where one piece does not follow the other.
 
     Parameters
     ----------
     way : (M, 3) float64 array
-        From the end of one to the beginning of the other.
+        From the end of one piece to the beginning of the other.
     log_ratio : (M,) float64 array
-        Of their radii: roots as thick as the other go on in each other sooner.
+        Log ratio of their radii: roots of equal thickness are connected first.
     """
     middle = _unit(arriving + leaving)
     along = (way * middle).sum(axis=1)
@@ -155,7 +156,7 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
 
 
 class _Kind(IntEnum):
-    """How the branch that owns the node of a change is treated."""
+    """Treatment of the branch that owns the node of a change."""
 
     CUT = 0
     TURNED = 1
@@ -164,12 +165,12 @@ class _Kind(IntEnum):
 
 
 _Change = tuple[float, int, int, int, _Kind]
-"""Gain (negative), the node where a branch ends, that where it goes on, the branch that the interrupted one goes on in
-(or -1), and how."""
+"""Gain (negative), node where a branch ends, node where it continues, branch in which the interrupted one continues (or
+-1), and kind."""
 
 
 def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the tips that go on in a branch that begins near, and the tips that meet; ends may be frayed."""
+    """Return the tips that continue in a nearby branch, and the pairs of tips that meet; end nodes may be dropped."""
     tips, tip_fray = _ends(tangents, branches, last=True)
     starts, start_fray = _ends(tangents, branches, last=False)
     found: list[_Change] = []
@@ -194,7 +195,7 @@ def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -
 def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> tuple[Index, Index]:
     """Return the nodes (M,) at which branches may end (or begin).
 
-    With them, how many nodes (M,) without laterals are left out there.
+    The second array (M,) is the number of nodes without laterals that are dropped there.
     """
     bearing = np.zeros(len(tangents.centre), bool)
     bearing[[nodes[0] for k, nodes in enumerate(branches) if nodes is not None and k > 0]] = True
@@ -215,7 +216,7 @@ def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> t
 
 
 def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the tips that take over what follows of a branch that they run into."""
+    """Return the tips that continue in the remainder of a branch that they run into."""
     tips, fray = _ends(tangents, branches, last=True)
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
@@ -251,7 +252,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
 
 
 def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: int, node: int) -> bool:
-    """Tell whether the branch of a node is, up to there, a second path along the root of the first branch."""
+    """Return whether the branch of a node is, up to that node, a second path along the root of the first branch."""
     second, place = int(tangents.owner[node]), int(tangents.place[node])
     line, beside = branches[first], branches[second]
     assert line is not None
@@ -262,7 +263,7 @@ def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: in
 
 
 def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Change]:
-    """Return the branches that go on in a child of theirs rather than in what follows of their own."""
+    """Return the branches that continue in one of their children instead of their own remainder."""
     found: list[_Change] = []
     for k, line in enumerate(branches):
         if line is None or k == 0 or len(line) <= TANGENT_NODES:
@@ -285,7 +286,7 @@ def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Chang
 
 
 def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
-    """Return for nodes the branches that begin near and in which a root that ends there would go on.
+    """Return, by node, the nearby branches in which a root that ends at the node would continue.
 
     Each comes with its (negative) cost.
     """
@@ -305,7 +306,7 @@ def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Ind
 
 
 def _pairs(centre: Array, first: Index, second: Index) -> Index:
-    """Return pairs (M, 2) of numbers of nodes of two lists that are near each other."""
+    """Return pairs (M, 2) of indices of nodes in two lists that are near each other."""
     near = cKDTree(centre[first]).sparse_distance_matrix(cKDTree(centre[second]), _REACH_MM, output_type="ndarray")
     pairs = np.stack([near["i"], near["j"]], axis=1)[np.lexsort((near["j"], near["i"]))]
     return pairs[first[pairs[:, 0]] != second[pairs[:, 1]]]
@@ -316,10 +317,10 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
-    """Return branches of which one goes on from a node of its own in another's node.
+def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
+    """Return the branches after one of them continues in a node of another.
 
-    What is left of that one goes on in a third, if any.
+    The remainder of that other one continues in a third branch, if any.
     """
     changed = list(branches)
     a, b, place = int(tangents.owner[end]), int(tangents.owner[node]), int(tangents.place[node])
@@ -329,14 +330,14 @@ def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: 
     if kind is _Kind.EXCHANGED:
         changed[b], changed[a] = np.concatenate([second[: place + 1], whole[1:]]), second[place:]
         return changed
-    first = whole[: tangents.place[end] + 1]  # what is frayed is left out
+    first = whole[: tangents.place[end] + 1]  # uncertain end nodes are dropped
     if kind is _Kind.TURNED:
         changed[a], changed[b] = np.concatenate([first, second[place:0:-1]]), None
         return changed
     changed[a] = np.concatenate([first, second[place:]])
     if kind is _Kind.SPLICED:
         changed[b] = None
-        return _rehung(tangents.centre, changed, second[1:place], first)
+        return _reattach(tangents.centre, changed, second[1:place], first)
     left = second[:place]
     changed[b] = left if len(left) > 1 else None
     following = branches[third] if third >= 0 else None
@@ -345,8 +346,8 @@ def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: 
     return changed
 
 
-def _rehung(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
-    """Hang the children of dropped nodes on the nearest nodes of a line."""
+def _reattach(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
+    """Attach the children of dropped nodes to the nearest nodes of a line."""
     nearest = dict(zip(dropped.tolist(), line[cKDTree(centre[line]).query(centre[dropped])[1]].tolist(), strict=True))
     return [
         nodes if k == 0 or nodes is None or int(nodes[0]) not in nearest else np.concatenate([[nearest[int(nodes[0])]], nodes[1:]])
@@ -354,8 +355,8 @@ def _rehung(centre: Array, branches: list[Index | None], dropped: Index, line: I
     ]
 
 
-def _owner_now(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
-    """Return the branch (N,) that owns each node after some branches changed, -1 where a node was dropped."""
+def _update_owners(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
+    """Return the branch (N,) that owns each node after some branches changed; -1 for dropped nodes."""
     now = owner.copy()
     for branches, gone in ((before, True), (after, False)):
         for k in changed:
@@ -366,5 +367,5 @@ def _owner_now(owner: Index, before: list[Index | None], after: list[Index | Non
 
 
 def _parents_first(branches: list[Index | None], count: int) -> tuple[Index, ...]:
-    ordered = (branches[k] for k in hanging_order(branches, count))
+    ordered = (branches[k] for k in parents_first(branches, count))
     return tuple(nodes for nodes in ordered if nodes is not None)

@@ -1,4 +1,4 @@
-"""Thick roots and solids: the radius with which roots begin in the core, and the parts of it that no root explains."""
+"""Thick roots and solids: initial radii of roots in the core, and the parts of the core that no root explains."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.device import readable, vectors
-from rhizotwin.recon.hull.boxes import Scattered
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tubes
@@ -24,46 +24,46 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 THICK_PX = 3.0
-"""Roots of a larger radius show both flanks apart in every view, blur and all."""
+"""Minimum radius of a thick root, px: above it, every view resolves both flanks despite the blur."""
 _RIM_PX = CORE_PX + 0.5
-"""A root's surface lies so far outside of its core: half a pixel of it is not covered in full."""
+"""Distance of a root's surface from its core, px: the outermost half pixel is not fully covered."""
 _GAP_NODES = 3
-"""Gaps of fewer nodes do not end a thick root."""
+"""Gaps of fewer nodes do not interrupt a thick root."""
 
 
 @dataclass(frozen=True)
 class Core:
-    """Cells deep inside full coverage in every view."""
+    """Cells deep within full coverage in every view."""
 
     cells: Cells
     depth_mm: Array
-    """(N,) to the nearest cell outside."""
+    """(N,) distance to the nearest cell outside."""
 
-    def chosen(self, which: Mask | NDArray[np.int64]) -> Core:
-        """Return some of the cells, by mask (N,) or number (M,)."""
-        return Core(self.cells.chosen(which), self.depth_mm[which])
+    def select(self, which: Mask | NDArray[np.int64]) -> Core:
+        """Return a subset of the cells, by mask (N,) or indices (M,)."""
+        return Core(self.cells.select(which), self.depth_mm[which])
 
 
 def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
-    """Give nodes in a core the radius of the largest sphere of the core that holds them.
+    """Set the radius of nodes in a core to that of the largest sphere of the core that contains them.
 
-    A branch that runs within the core for more than its width is a thick root; others only begin inside one.
+    A branch that runs within the core for more than its width is a thick root; other branches only begin inside one.
 
     Parameters
     ----------
     start : Tubes
-        As traced.
+        Traced tubes.
     core : Core
-        In which they may run.
+        Core through which they may run.
     px_a_mm : float
-        Scale in the middle of the water.
+        Scale at the centre of the water.
 
     Returns
     -------
     tubes : Tubes
-        With the radii of thick roots.
+        Tubes with the radii of thick roots.
     thick : (N,) bool array
-        The nodes of these.
+        Mask of the nodes of thick roots.
     """
     thick, radius = np.zeros(len(start.radius_mm), bool), start.radius_mm.copy()
     inner = _inner_radius(core, start.centre_mm)
@@ -77,22 +77,22 @@ def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
             wide = np.interp(np.arange(len(nodes)), np.flatnonzero(inside), inner[nodes][inside]) + _RIM_PX / px_a_mm
             if len(nodes) * SPACING_MM > 2.0 * float(np.median(wide)):
                 thick[nodes], radius[nodes] = True, wide
-    return tubes.moved(start, start.centre_mm, radius), thick
+    return tubes.with_geometry(start, start.centre_mm, radius), thick
 
 
 def _inner_radius(core: Core, points_mm: Array) -> Array:
-    """Return the radius (N,) of the largest sphere of a core that holds each point (N, 3); 0 where none does."""
+    """Return the radius (N,) of the largest sphere of a core that contains each point (N, 3); 0 where there is none."""
     found, depth, edge_mm = np.zeros(len(points_mm)), core.depth_mm, core.cells.grid.size_mm
     if not len(depth):
         return found
     highest = depth.copy()  # about each cell
-    for _, here, there in Scattered.of(core.cells.index).neighbours():
+    for _, here, there in CellSet.from_cells(core.cells.index).neighbours():
         np.maximum.at(highest, here, depth[there])
         np.maximum.at(highest, there, depth[here])
-    ridge = np.flatnonzero(depth > highest - 0.6 * edge_mm)  # of a cone, too, whose axis rises by less a cell
+    ridge = np.flatnonzero(depth > highest - 0.6 * edge_mm)  # also for a cone, whose depth rises by less per cell
     octave, place = np.floor(np.log2(depth[ridge] / edge_mm)), cKDTree(points_mm)
-    for one in np.unique(octave):  # spheres alike in size bound the search
-        some = core.chosen(ridge[octave == one])
+    for one in np.unique(octave):  # groups of similar size limit the search
+        some = core.select(ridge[octave == one])
         near = place.sparse_distance_matrix(cKDTree(some.cells.centre_mm), float(some.depth_mm.max()), output_type="ndarray")
         size = some.depth_mm[near["j"]]
         inside = near["v"] < size
@@ -100,39 +100,39 @@ def _inner_radius(core: Core, points_mm: Array) -> Array:
     return found
 
 
-def without_roots(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:
-    """Return the parts of a core in which no thick root runs: balls, boxes and bulbs.
+def find_solids(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:
+    """Return the parts of a core that contain no thick root, such as spheres, boxes and bulbs.
 
-    What is narrower than a thick root is a crowd of thin ones.
+    A part narrower than a thick root is a cluster of thin ones.
 
     Parameters
     ----------
     thick : (N,) bool array
-        As from `thicken`.
+        Mask of thick nodes as returned by `thicken`.
     """
     if not len(core.depth_mm):
         return core.cells
-    part = Scattered.of(core.cells.index).parts()
+    part = CellSet.from_cells(core.cells.index).components()
     deep = part[core.depth_mm > (THICK_PX - _RIM_PX) / px_a_mm]
     taken = part[core.cells.tree.query(tree.centre_mm[thick])[1]] if thick.any() else part[:0]
-    return core.cells.chosen(np.isin(part, deep) & ~np.isin(part, taken))
+    return core.cells.select(np.isin(part, deep) & ~np.isin(part, taken))
 
 
 def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np.bool_]:
-    """Tell where (V, H, W) solids lie in all pictures: what a picture shows there is explained by them.
+    """Return the mask (V, H, W) of pixels that solids cover, whose coverage is explained by them.
 
     Parameters
     ----------
     margin_px : float
-        Within this of a core lies the whole of a solid.
+        Margin about the core that contains the whole solid.
     """
     (width, height), views = evidence.image_wh, evidence.bank.count
     covered = np.zeros((views, height, width), bool)
-    rim = solids.chosen(Scattered.of(solids.index).faces()[0])  # it hides the others
+    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # it hides the cells within
     points = vectors(rim.centre_mm)
     for view in range(views if len(rim.index) else 0):
         p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))
-        lane = dr.compress(p.seen & readable(p.px, width, height))
+        lane = dr.compress(p.visible & readable(p.px, width, height))
         if dr.width(lane):
             column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
             empty = dr.full(mi.Float, 1.0, width * height)
@@ -142,13 +142,13 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
     return covered
 
 
-def in_solids(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
-    """Tell the nodes (N,) in and about solids.
+def find_solid_nodes(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
+    """Return the mask (N,) of nodes in and about solids.
 
     Parameters
     ----------
     margin_mm : float
-        Within this of a cell lies the whole of a solid.
+        Margin about a cell that contains the whole solid.
     """
     if not len(solids.index):
         return np.zeros(len(tree.radius_mm), bool)
@@ -156,5 +156,5 @@ def in_solids(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
 
 
 def is_thick(tree: Tubes, px_a_mm: float) -> Mask:
-    """Tell the nodes (N,) of thick roots."""
+    """Return the mask (N,) of nodes of thick roots."""
     return np.asarray(tree.radius_mm > THICK_PX / px_a_mm)

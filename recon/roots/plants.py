@@ -1,7 +1,8 @@
-"""Which root is of which of several plants: by its base at the net pot's grid.
+"""Assignment of roots to plants, by their bases at the grid of the net pot.
 
-A tree that reaches the bases of two plants, since their roots touch, is divided between them. Roots taper from base to
-tip and leave their parents onward, so that the way from one base to the other is cut where it is thin and turns back.
+A tree that reaches the bases of two plants, because their roots touch, is divided. Roots taper from base to tip and
+leave their parents in the direction of growth; the path between the two bases is therefore cut where it is thin and
+reverses.
 """
 
 from __future__ import annotations
@@ -22,74 +23,74 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _DIRECTION_MM = 5.0
-"""Directions and thicknesses along a way are those of this length, as for parent assignment (`hierarchy`)."""
+"""Length over which directions and thicknesses along a path are averaged, as for parent assignment (`hierarchy`)."""
 _SURE = 2.0
-"""A piece that hangs on nothing is given to the nearest plant; with another less than so many times as far away, whose
-it is counts as open."""
+"""Minimum ratio of the distances to the second-nearest and the nearest plant. A detached piece is assigned to the
+nearest plant; below this ratio the assignment is marked as uncertain."""
 
 
 @dataclass(frozen=True)
-class Planted:
-    """Roots with the plant of each."""
+class PlantedRoots:
+    """Roots with their assigned plants."""
 
     roots: tuple[Root, ...]
     open: tuple[bool, ...]
-    """Of each root whether it may as well be of another plant."""
+    """Whether each root may equally belong to another plant."""
     missing: tuple[str, ...]
-    """Plants of which no base was found."""
+    """Plants without a base."""
 
 
-def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
-    """Give every root to a plant.
+def assign(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> PlantedRoots:
+    """Assign each root to a plant.
 
     Parameters
     ----------
     roots : sequence of Root
-        As `hierarchy.arrange` gives them.
+        Roots as returned by `hierarchy.arrange`.
     plants : sequence of Plant
-        With where each hangs.
+        Plants with their places.
     grid_z_mm : float
-        z of the net pot's grid through which they hang.
+        z of the net pot's grid through which the roots grow.
     """
     if len(plants) == 1:
-        return Planted(tuple(replace(root, plant=plants[0].plant) for root in roots), (False,) * len(roots), ())
+        return PlantedRoots(tuple(replace(root, plant=plants[0].plant) for root in roots), (False,) * len(roots), ())
     at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
-    trees = Tree.of(roots)
-    trees = [part for tree in trees for part in _divided(tree, at_mm)]
+    trees = Tree.from_roots(roots)
+    trees = [part for tree in trees for part in _divide(tree, at_mm)]
     owners = [_owner(tree, at_mm) for tree in trees]
     missing = tuple(plant.plant for k, plant in enumerate(plants) if k not in owners)
     owners, uncertain = _nearest(trees, owners, at_mm)
     arranged = [hierarchy.arrange(tree.roots) if tree.is_turned else tree.roots for tree in trees]
     given = [[replace(root, plant=plants[owner].plant) for root in own] for own, owner in zip(arranged, owners, strict=True)]
-    return _planted(given, uncertain, missing)
+    return _concatenate(given, uncertain, missing)
 
 
-def keep(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
-    """Return roots that know their plants, as a person gave them, with which of them may as well be of another.
+def check_assignment(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> PlantedRoots:
+    """Return roots with the plants assigned by a person, and flag those that may equally belong to another.
 
     Parameters
     ----------
     roots, plants, grid_z_mm : sequence of Root, sequence of Plant, float
-        As in `give`; every root has the name of one of the plants.
+        As for `assign`; each root has the name of one of the plants.
     """
     at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
-    trees = Tree.of(roots)
+    trees = Tree.from_roots(roots)
     uncertain = _nearest(trees, [_owner(tree, at_mm) for tree in trees], at_mm)[1]
     names = {root.plant for root in roots}
-    return _planted([tree.roots for tree in trees], uncertain, tuple(one.plant for one in plants if one.plant not in names))
+    return _concatenate([tree.roots for tree in trees], uncertain, tuple(one.plant for one in plants if one.plant not in names))
 
 
-def _planted(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> Planted:
-    """Return the roots of trees, whose parents are numbers within their tree, one tree after the other."""
+def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> PlantedRoots:
+    """Concatenate the roots of trees, whose parents are indices within their tree."""
     made: list[Root] = []
     for tree in trees:
         first = len(made)
         made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1) for root in tree]
-    return Planted(tuple(made), tuple(is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree), missing)
+    return PlantedRoots(tuple(made), tuple(is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree), missing)
 
 
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
-    """Return the plants whose bases a tree holds, with root and point of each."""
+    """Return the plants whose bases a tree contains, with root and point of each."""
     reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}
     for plant, place in enumerate(at_mm):
         away = [
@@ -103,23 +104,23 @@ def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
 
 
 def _owner(tree: Tree, at_mm: Array) -> int:
-    """Return the plant whose base a divided tree holds; -1 where it holds none."""
+    """Return the plant whose base a divided tree contains; -1 if there is none."""
     return next(iter(_bases(tree, at_mm)), -1)
 
 
-def _divided(tree: Tree, at_mm: Array) -> list[Tree]:
-    """Divide a tree until no part holds the bases of two plants."""
+def _divide(tree: Tree, at_mm: Array) -> list[Tree]:
+    """Divide a tree until no part contains the bases of two plants."""
     bases = list(_bases(tree, at_mm).values())
     if len(bases) < 2:
         return [tree]
-    rooted = tree.turned(*bases[0])
+    rooted = tree.reroot(*bases[0])
     other = _bases(rooted, at_mm)
     line, at = list(other.values())[1]
     way = rooted.way(line, at)
     cut = _cut(np.array([rooted.roots[k].points_mm[i] for k, i in way]), np.array([rooted.roots[k].diameters_mm[i] for k, i in way]))
-    above, below = rooted.parted(way[cut], way[cut + 1])
-    below = below.turned(*_nearest_point(below, rooted.roots[line].points_mm[at]))
-    return [*_divided(above, at_mm), *_divided(below, at_mm)]
+    above, below = rooted.split(way[cut], way[cut + 1])
+    below = below.reroot(*_nearest_point(below, rooted.roots[line].points_mm[at]))
+    return [*_divide(above, at_mm), *_divide(below, at_mm)]
 
 
 def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:
@@ -130,13 +131,13 @@ def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:
 
 
 def _cut(points_mm: Array, diameters_mm: Array) -> int:
-    """Return the number of the step at which a way (N, 3) between two bases goes from one plant's roots to the other's.
+    """Return the step at which a path (N, 3) between two bases passes from one plant's roots to the other's.
 
     Notes
     -----
-    The least of ln d + cos t over the steps: d the thickness there, the lesser of the medians over 5 mm on its two
-    sides, t the angle between the chords of 5 mm before and behind it. A root that is thinner by a factor e weighs as
-    much as a right angle.
+    The step minimises ln d + cos t. d is the thickness there, the smaller of the medians over 5 mm on both sides; t is
+    the angle between the 5 mm chords before and behind it. A root thinner by a factor e counts as much as a right
+    angle.
     """
     way_mm = polyline.way_mm(points_mm)
     cost = np.empty(len(points_mm) - 1)
@@ -153,14 +154,14 @@ def _cut(points_mm: Array, diameters_mm: Array) -> int:
 
 
 def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tuple[list[int], list[bool]]:
-    """Give the pieces that hang on nothing to the nearest plant, the nearest piece first.
+    """Assign detached pieces to the nearest plant, the nearest piece first.
 
     Returns
     -------
     owners : list of int
         Plant of each tree.
     unsure : list of bool
-        Whether another plant is nearly as near.
+        Whether another plant is almost as near.
     """
     held = [[place[None]] for place in at_mm]  # points of each plant
     for tree, owner in zip(trees, owners, strict=True):
@@ -179,11 +180,11 @@ def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tupl
         others = np.delete(away[k], owner)
         uncertain[k] = bool(others.min() < _SURE * away[k, owner])
         grown = cKDTree(np.concatenate([root.points_mm for root in trees[k].roots]))
-        for other in free:  # what is torn off it hangs on it
+        for other in free:  # pieces detached from this one are attached to it
             away[other, owner] = min(away[other, owner], float(grown.query(_ends(trees[other]))[0].min()))
     return found, uncertain
 
 
 def _ends(tree: Tree) -> Array:
-    """Return the points (N, 3) by which a piece may hang on another: the ends of its first root."""
+    """Return the points (N, 3) at which a piece may be attached to another: the ends of its first root."""
     return tree.roots[0].points_mm[[0, -1]]

@@ -1,4 +1,4 @@
-"""Trees of roots that are turned to another base, and parted."""
+"""Trees of roots that can be rerooted and split."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from rhizotwin.scenes.rsml import Root
 
 Place = tuple[int, int]
-"""Number of a root, and of a point of it."""
+"""Index of a root, and index of a point on it."""
 
 
 @dataclass(frozen=True)
 class Tree:
-    """Roots that hang together, the first without a parent, parents before children."""
+    """Connected roots; the first has no parent, and parents come before children."""
 
     roots: tuple[Root, ...]
     is_turned: bool = False
-    """Whether orders and parents follow from another base than they were found with."""
+    """Whether orders and parents were derived from another base than the original one."""
 
     @classmethod
-    def of(cls, roots: Sequence[Root]) -> list[Tree]:
-        """Return the trees of a list of roots, parents before children."""
+    def from_roots(cls, roots: Sequence[Root]) -> list[Tree]:
+        """Split a list of roots, parents before children, into trees."""
         tree_of, members = [0] * len(roots), list[list[int]]()
         for index, root in enumerate(roots):
             if root.parent < 0:
@@ -32,7 +32,7 @@ class Tree:
             else:
                 tree_of[index] = tree_of[root.parent]
             members[tree_of[index]].append(index)
-        return [cls(_renumbered(roots, chosen)) for chosen in members]
+        return [cls(_renumber(roots, chosen)) for chosen in members]
 
     def joint(self, line: int) -> Place:
         """Return the place on its parent from which a root leaves."""
@@ -41,27 +41,27 @@ class Tree:
         return root.parent, int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
 
     def way(self, line: int, at: int) -> list[Place]:
-        """Return the places from the tree's base to a place, each point once on the root that it is of."""
+        """Return the places from the tree's base to a place, each point once, on the root that contains it."""
         found: list[Place] = []
         while line >= 0:
             found += [(line, k) for k in range(at, -1, -1)]
             line, at = self.joint(line) if self.roots[line].parent >= 0 else (-1, 0)
         return found[::-1]
 
-    def turned(self, line: int, at: int) -> Tree:
-        """Return the same tree with its base at a place: the roots on the way there are turned round."""
+    def reroot(self, line: int, at: int) -> Tree:
+        """Return the same tree with its base at a given place; roots along the path are reversed."""
         if self.roots[line].parent < 0 and at == 0:
             return self
         chain = [(line, at)]
         while self.roots[chain[-1][0]].parent >= 0:
             chain.append(self.joint(chain[-1][0]))
-        reach = dict(chain)  # of each root on the way, up to which point it is on the way
+        reach = dict(chain)  # for each root on the path, the last point on the path
         points = np.concatenate([self.roots[k].points_mm[: end + 1][::-1] for k, end in chain])
         diameters = np.concatenate([self.roots[k].diameters_mm[: end + 1][::-1] for k, end in chain])
         fresh = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.0])
         made = [replace(self.roots[line], points_mm=points[fresh], diameters_mm=diameters[fresh], parent=-1, order=0, tip_seen=True)]
         rest = {k: made_at for made_at, k in enumerate((k for k, end in chain if end + 1 < len(self.roots[k].points_mm)), start=1)}
-        for k in rest:  # what goes on beyond the way is a root of its own there
+        for k in rest:  # the remainder beyond the path becomes a separate root
             root, end = self.roots[k], reach[k]
             made.append(replace(root, points_mm=root.points_mm[end:], diameters_mm=root.diameters_mm[end:], parent=0, order=1))
         number = {**dict.fromkeys(reach, 0)}
@@ -74,15 +74,15 @@ class Tree:
             made.append(replace(root, parent=parent, order=made[parent].order + 1))
         return Tree(tuple(made), is_turned=True)
 
-    def parted(self, before: Place, behind: Place) -> tuple[Tree, Tree]:
-        """Part a tree between two neighbouring places on a way from its base.
+    def split(self, before: Place, behind: Place) -> tuple[Tree, Tree]:
+        """Split a tree between two adjacent places on a path from its base.
 
         Returns
         -------
         above : Tree
-            With ``before``, from the same base.
+            Contains ``before``; keeps the base.
         below : Tree
-            With ``behind``, which is its base.
+            Contains ``behind``, which becomes its base.
         """
         line, at = behind
         root = self.roots[line]
@@ -98,13 +98,13 @@ class Tree:
                 down.add(index)
         roots = list(self.roots)
         roots[line] = lower
-        below = _renumbered(roots, sorted(down))
+        below = _renumber(roots, sorted(down))
         roots[line] = lower if upper is None else upper
-        above = _renumbered(roots, [k for k in range(len(roots)) if k not in down or (k == line and upper is not None)])
+        above = _renumber(roots, [k for k in range(len(roots)) if k not in down or (k == line and upper is not None)])
         return Tree(above, is_turned=True), Tree(below, is_turned=True)
 
 
-def _renumbered(roots: Sequence[Root], chosen: Sequence[int]) -> tuple[Root, ...]:
-    """Return some of the roots, their parents as numbers among themselves; a parent that is left out is none."""
+def _renumber(roots: Sequence[Root], chosen: Sequence[int]) -> tuple[Root, ...]:
+    """Return a subset of the roots with renumbered parents; a parent outside the subset becomes -1."""
     number = {index: place for place, index in enumerate(chosen)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in chosen)

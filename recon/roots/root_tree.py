@@ -1,4 +1,4 @@
-"""A root system as a tree of tubes, with what it was fitted to."""
+"""A root system as a tree of tubes, with the evidence it was fitted to."""
 
 from __future__ import annotations
 
@@ -22,46 +22,46 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class RootTree:
-    """Roots found as tubes, with what they were fitted to."""
+    """Roots as tubes, with the evidence they were fitted to."""
 
     tubes: Tubes
     solid: Mask
-    """(N,) nodes in what no root explains: spheres, boxes and bulbs."""
+    """(N,) nodes within solids that no root explains, such as spheres, boxes and bulbs."""
     solids_mm: Array
-    """(M, 3) points deep inside of these, whose shape the trimmed hull gives."""
+    """(M, 3) points deep inside the solids, whose shape the trimmed hull defines."""
     margin_mm: float
-    """Within this of such a point lies the whole of a solid."""
+    """Distance from these points that contains the whole solid."""
     px_a_mm: float
     attenuation: TubeAttenuation
-    """How much light roots let through."""
+    """Attenuation of light by the roots."""
     learned_per_mm: float | None = None
-    """Attenuation as the widest roots seem to have it."""
-    seen: Evidence
-    """What it was fitted to."""
+    """Attenuation estimated from the widest roots."""
+    evidence: Evidence
+    """Evidence that the tubes were fitted to."""
     cameras: Cameras
-    """Those of ``seen``."""
+    """Cameras of the views in the evidence."""
 
     @property
     def thick(self) -> Mask:
-        """Return the nodes (N,) of thick roots."""
+        """Return the mask (N,) of nodes of thick roots."""
         return organs.is_thick(self.tubes, self.px_a_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootSystem(RootTree):
-    """Roots at rest."""
+    """The refined root tree."""
 
     uncertain: Mask
-    """(N,) nodes of ends whose tips are likely none."""
+    """(N,) nodes of ends that probably have no tip."""
 
     @cached_property
-    def drawn(self) -> Rendering:
-        """The roots as the views show them."""
-        return Rendering.of(self.seen, self.tubes)
+    def rendering(self) -> Rendering:
+        """The roots rendered in all views."""
+        return Rendering.draw(self.evidence, self.tubes)
 
     def roots(self) -> tuple[Root, ...]:
-        """Return the branches as roots, parents before children, each from where it leaves its parent's inside."""
-        number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm  # the root that each node is of
+        """Return the branches as roots, parents before children, each from the surface of its parent."""
+        number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm  # index of each node's root
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):
             diameters = 2.0 * self.tubes.radii(k)
@@ -71,7 +71,7 @@ class RootSystem(RootTree):
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
                 number[own[number[own] < 0]] = len(roots)
-                order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
-                root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
+                order, tip_seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
+                root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=tip_seen)
                 roots.append(root)
-        return thick_lines.emerged(hierarchy.arrange(roots))
+        return thick_lines.trim_buried(hierarchy.arrange(roots))

@@ -1,4 +1,4 @@
-"""The tube stage: from coverage to a tree of tubes, whatever their thickness, and the solids that no tube explains."""
+"""The tube stage: from coverage to a tree of tubes of any thickness, and the solids that no tube explains."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.translucency import Attenuation
-from rhizotwin.recon.hull.boxes import Scattered
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.roots import density, ghosts, organs, proof, search_space, tracing
+from rhizotwin.recon.roots import density, ghosts, node_support, organs, search_space, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.organs import Core
+from rhizotwin.recon.roots.refinement import TreeRefinement
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
-from rhizotwin.recon.roots.settling import Settling
 from rhizotwin.recon.tubes import root_calibration, root_sway, tube_attenuation, tube_fit, tubes
 from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
@@ -27,16 +27,17 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FLANK_PX = 0.5
-"""About `CORE_PX` and this beyond a core point lies the flank of a taproot or hypocotyl."""
+"""Margin beyond `CORE_PX` about a core point that contains the flank of a taproot or hypocotyl."""
 _BEYOND_PX = 1.25
-"""Beyond `CORE_PX` about a core point, the rest of a taproot's flank: half a pixel of outline, and its swelling."""
+"""Margin beyond `CORE_PX` about a core point that contains the rest of a taproot's flank: half a pixel of outline and
+the dilation."""
 _LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
-"""Steps of the last fit of opaque roots, and of translucent ones, whose attenuation and hairs were found before all of
-them were."""
+"""Steps of the last fit: for opaque roots, and for translucent roots, whose attenuation and hairs were fitted before
+all roots were found."""
 
 
-def find(
-    seen: Evidence,
+def find_tree(
+    evidence: Evidence,
     cameras: Cameras,
     water: Water,
     learned: Attenuation | None,
@@ -44,40 +45,40 @@ def find(
     known: TubeAttenuation | None = None,
     monitor: Monitor,
 ) -> RootTree | None:
-    """Find the roots as a tree of tubes; None where there are none.
+    """Reconstruct the roots as a tree of tubes; return None if there are none.
 
     Parameters
     ----------
-    seen, cameras : Evidence, Cameras
-        Measured coverage, and the cameras of its views in their order.
+    evidence, cameras : Evidence, Cameras
+        Measured coverage, and the cameras of its views in the same order.
     learned : Attenuation or None
-        With which opacity became coverage; None where the pictures were silhouettes already.
+        Attenuation used to convert opacity to coverage; None if the pictures are silhouettes.
     known : TubeAttenuation, optional
-        Of the same roots, found with other cameras.
+        Attenuation of the same roots, estimated with other cameras.
     """
-    px_a_mm, learned_per_mm = search_space.px_a_mm(seen, water), None if learned is None else learned.mu_per_mm
+    px_a_mm, learned_per_mm = search_space.px_a_mm(evidence, water), None if learned is None else learned.mu_per_mm
     margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
-    if (found := _traced(seen, water, px_a_mm, margin_mm, monitor=monitor)) is None:
+    if (found := _trace(evidence, water, px_a_mm, margin_mm, monitor=monitor)) is None:
         return None
     cells, core, start = found
     with monitor.stage("tubes"):
-        whole = seen.seen
-        seen, solids, fitted, thick = _beside(seen, start, core, px_a_mm)
+        whole = evidence.usable
+        evidence, solids, fitted, thick = _separate_solids(evidence, start, core, px_a_mm)
         depth = tracing.core_depth(cells, solids.index, reach_mm=margin_mm, most_mm=0.0)
     with monitor.stage("translucency"):
-        attenuation, seen, fitted = _with_light(seen, fitted, thick, learned_per_mm, known)
+        attenuation, evidence, fitted = _fit_light(evidence, fitted, thick, learned_per_mm, known)
     with monitor.stage("branches"):
-        settle = Settling(seen, replace(seen, seen=whole), px_a_mm)
-        fitted = settle.settled(fitted)
-        fitted = fitted.keep(fitted.staying(ghosts.short_leaves(fitted, organs.is_thick(fitted, px_a_mm))))
+        settle = TreeRefinement(evidence, replace(evidence, usable=whole), px_a_mm)
+        fitted = settle.refine(fitted)
+        fitted = fitted.keep(fitted.prune_mask(ghosts.find_short_leaves(fitted, organs.is_thick(fitted, px_a_mm))))
     with monitor.stage("residue"):
-        fitted = settle.searched(fitted, cells.chosen(depth <= depth.min()))
-    solid = organs.in_solids(fitted, solids, margin_mm)
+        fitted = settle.search(fitted, cells.select(depth <= depth.min()))
+    solid = organs.find_solid_nodes(fitted, solids, margin_mm)
     if solid.all():
         return None
     thick = organs.is_thick(fitted, px_a_mm)
     with monitor.stage("sway"):
-        seen, cameras, fitted = root_sway.follow(seen, cameras, fitted, thick, px_a_mm=px_a_mm)
+        evidence, cameras, fitted = root_sway.follow(evidence, cameras, fitted, thick, px_a_mm=px_a_mm)
     return RootTree(
         tubes=fitted,
         solid=solid,
@@ -86,106 +87,106 @@ def find(
         px_a_mm=px_a_mm,
         attenuation=attenuation,
         learned_per_mm=learned_per_mm,
-        seen=seen,
+        evidence=evidence,
         cameras=cameras,
     )
 
 
-def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Core, Tubes] | None:
-    """Find the first tubes.
+def _trace(evidence: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Core, Tubes] | None:
+    """Find the initial tubes.
 
-    Return the cells that hold root, the cores of what is thick, and the tubes; None where there is no root.
+    Return the cells that contain roots, the cores of thick parts, and the tubes; None if there is no root.
     """
     with monitor.stage("search"):
-        cells, deep = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
+        cells, deep = search_space.carve_cells(evidence, water, px_a_mm, monitor=monitor)
         if not len(cells.index):
             return None
     with monitor.stage("density"):
-        cells, depth = _weighed(seen, cells, deep, px_a_mm, margin_mm)
+        cells, depth = _estimate_density(evidence, cells, deep, px_a_mm, margin_mm)
     with monitor.stage("trace"):
         paths = tracing.trace(cells, depth) if len(cells.index) else []
         if not paths:
             return None
         inside = depth > 0.0
-        core = Core(cells.chosen(inside), depth[inside])
-        return cells, core, tubes.string([path.points_mm for path in paths], [tracing.first_radius(path) for path in paths])
+        core = Core(cells.select(inside), depth[inside])
+        return cells, core, tubes.place_nodes([path.points_mm for path in paths], [tracing.first_radius(path) for path in paths])
 
 
-def _beside(seen: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[Evidence, Cells, Tubes, Mask]:
-    """Put the traced tubes beside the solids.
+def _separate_solids(evidence: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[Evidence, Cells, Tubes, Mask]:
+    """Separate the traced tubes from the solids.
 
-    Return what the pictures say beside these, their cores, the tubes, and the nodes (N,) that are thick.
+    Return the evidence outside the solids, the cores of the solids, the tubes, and the mask (N,) of thick nodes.
     """
-    start = tubes.from_axes(organs.thicken(start, core, px_a_mm)[0])
+    start = tubes.trim_inside_parents(organs.thicken(start, core, px_a_mm)[0])
     start, thick = organs.thicken(start, core, px_a_mm)
-    solids = organs.without_roots(core, start, thick, px_a_mm)
-    seen = seen.beside(organs.footprint(seen, solids, CORE_PX + _BEYOND_PX)) if len(solids.index) else seen
-    return seen, solids, start, thick
+    solids = organs.find_solids(core, start, thick, px_a_mm)
+    evidence = evidence.exclude(organs.footprint(evidence, solids, CORE_PX + _BEYOND_PX)) if len(solids.index) else evidence
+    return evidence, solids, start, thick
 
 
-def _with_light(
-    seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation | None
+def _fit_light(
+    evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation | None
 ) -> tuple[TubeAttenuation, Evidence, Tubes]:
-    """Fit attenuation, blur and hairs, and return what goes on with them: opacity, or the coverage of opaque roots.
+    """Fit attenuation, blur and hairs, and return them with the opacity, or the coverage of opaque roots.
 
-    Coverage allows for the light that opaque roots reflect, unless it was raised for translucent ones.
+    Coverage includes the light that opaque roots reflect, unless it was corrected for translucent roots.
     """
-    opacity = seen.by_light() if seen.has_opacity else seen
+    opacity = evidence.with_opacity() if evidence.has_opacity else evidence
     if known is None:
         attenuation, fit = tube_attenuation.find(opacity, fitted, thick, learned_per_mm)
     else:
         attenuation, fit = known, tube_attenuation.follow(opacity, fitted, thick, learned_per_mm, known)
     by_light = attenuation.mu_per_mm is not None or learned_per_mm is not None
-    return attenuation, fit.evidence if by_light else replace(fit.evidence, coverage=seen.coverage), fit.tubes
+    return attenuation, fit.evidence if by_light else replace(fit.evidence, coverage=evidence.coverage), fit.tubes
 
 
-def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
-    """Estimate how much root is in each cell.
+def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
+    """Estimate the density of roots in each cell.
 
-    Return the cells that hold any, those of taproot and hypocotyl last, and their depth (N,), mm.
+    Return the non-empty cells, those of taproot and hypocotyl last, and their depth (N,), mm.
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
-    hides = cells.chosen(organ)
-    rind = hides.chosen(Scattered.of(hides.index).faces()[0])  # one layer covers what is behind
-    thin, number = density.estimate(seen, cells.chosen(~organ), rind)
+    hides = cells.select(organ)
+    rind = hides.select(CellSet.from_cells(hides.index).faces()[0])  # one layer covers everything behind it
+    thin, number = density.estimate(evidence, cells.select(~organ), rind)
     return density.join(thin, hides), np.concatenate([depth[~organ][number], depth[organ]])
 
 
-def swayed(tree: RootTree, cameras: Cameras) -> bool:
-    """Tell whether roots sway so far from where they were found, with some cameras, that they must be found anew."""
-    return root_sway.is_far(tree.seen, cameras, tree.tubes, tree.px_a_mm)
+def has_swayed(tree: RootTree, cameras: Cameras) -> bool:
+    """Return whether the roots move so far between views, for some cameras, that they must be reconstructed again."""
+    return root_sway.has_moved(tree.evidence, cameras, tree.tubes, tree.px_a_mm)
 
 
 def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
-    """Ask the roots for the water's index and the cameras, and fit the tubes with what they told.
+    """Estimate the refractive index of the water and the cameras from the roots, and refit the tubes.
 
     Returns
     -------
     RootTree
-        With cameras to go on with; ``cameras.roots`` tells what came of it, None where there are too few roots to tell.
+        Tree with refined cameras. ``cameras.roots`` holds the estimate; None if there are too few roots.
     """
     with monitor.stage("calibration"):
-        seen, fitted, cameras = root_calibration.calibrate(tree.seen, tree.cameras, tree.tubes, tree.thick)
-        return replace(tree, seen=seen, tubes=fitted, cameras=cameras)
+        evidence, fitted, cameras = root_calibration.calibrate(tree.evidence, tree.cameras, tree.tubes, tree.thick)
+        return replace(tree, evidence=evidence, tubes=fitted, cameras=cameras)
 
 
-def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
-    """Bring the tubes to rest, and tell which ends are likely none."""
+def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
+    """Fit the tubes a last time, and mark the ends that probably have no tip."""
     with monitor.stage("last tubes"):
-        light = Prior.of(tree.seen, tree.learned_per_mm)
-        steps = _LAST_STEPS if tree.seen.mu_per_mm is None else _TRANSLUCENT_STEPS
-        fit = tube_fit.fit(tree.seen, tree.tubes, tree.thick, steps=steps, light=light)
-        uncertain = ghosts.uncertain_ends(fit.tubes, fit.residual.visible, proof.find(fit.drawn), tree.thick)
+        light = Prior.from_evidence(tree.evidence, tree.learned_per_mm)
+        steps = _LAST_STEPS if tree.evidence.mu_per_mm is None else _TRANSLUCENT_STEPS
+        fit = tube_fit.fit(tree.evidence, tree.tubes, tree.thick, steps=steps, light=light)
+        uncertain = ghosts.find_uncertain_ends(fit.tubes, fit.residual.visible, node_support.compute_support(fit.rendering), tree.thick)
     return RootSystem(
         tubes=fit.tubes,
         solid=tree.solid,
         solids_mm=tree.solids_mm,
         margin_mm=tree.margin_mm,
         px_a_mm=tree.px_a_mm,
-        attenuation=tube_attenuation.described(tree.attenuation, fit),
+        attenuation=tube_attenuation.update_attenuation(tree.attenuation, fit),
         learned_per_mm=tree.learned_per_mm,
-        seen=fit.evidence,
+        evidence=fit.evidence,
         cameras=tree.cameras,
         uncertain=uncertain,
     )

@@ -1,4 +1,4 @@
-"""Where roots may be, and where taproot and hypocotyl are for certain: carved out of the water in cells."""
+"""The search space: cells of the water that may contain roots, and the cells of taproot and hypocotyl."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage import evidence
-from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.evidence import Evidence, bright_spots, core_outline, generous_outline
 from rhizotwin.recon.coverage.silhouettes import Mask
 from rhizotwin.recon.hull import carve, distance_maps
 from rhizotwin.recon.hull.carve import Water
@@ -21,86 +20,86 @@ from rhizotwin.recon.roots.density import Cells
 from rhizotwin.scenes.monitor import Monitor
 
 _CELL_PX = 0.75
-"""Edge of the cells of the search space, seen from the cameras."""
+"""Edge length of the cells of the search space, in pixels of the views."""
 _MOST_BRIGHT = 0.025
-"""Share of the views, one in any case, in which a point of a taproot or solid may lie in a bright spot: a bubble is
-before it in one; a gap between roots shows in several. With 0.05, two of 40 views, a thick print's length is 7 %
-instead of 1 % too large, since gaps are closed."""
+"""Maximum fraction of the views, at least one view, in which a point of a taproot or solid may lie in a bright spot: a
+bubble covers it in one view, while a gap between roots is visible in several. With 0.05, two of 40 views, the length of
+a thick print is 7 % instead of 1 % too large, as gaps are closed."""
 _AT_ONCE = 50_000
-"""Cells that are projected together: 80 MB in 80 views."""
+"""Number of cells projected together: 80 MB for 80 views."""
 _MOST_CELLS = 2_000_000
-"""A search space with more cells is made coarser: its footprints in all views must fit in memory."""
+"""Maximum number of cells; a larger search space is coarsened, as its footprints in all views must fit in memory."""
 
 
-def px_a_mm(seen: Evidence, water: Water) -> float:
-    """Return px/mm at the middle of the water."""
-    at = seen.project(np.array([[0.0, 0.0, 0.5 * (water.top_mm + water.bottom_mm)]]))
+def px_a_mm(evidence: Evidence, water: Water) -> float:
+    """Return the scale at the centre of the water, px/mm."""
+    at = evidence.project(np.array([[0.0, 0.0, 0.5 * (water.top_mm + water.bottom_mm)]]))
     return float(np.median(np.sqrt(np.linalg.norm(at.du, axis=-1) * np.linalg.norm(at.dv, axis=-1))))
 
 
-def carve_cells(seen: Evidence, water: Water, px_a_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells]:
-    """Carve where roots may be, and where taproot and hypocotyl are for certain, out of the water.
+def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells]:
+    """Carve out of the water the cells that may contain roots, and those that belong to taproot and hypocotyl.
 
     Parameters
     ----------
     px_a_mm : float
-        Scale of the pictures; cells are as large as they resolve.
+        Scale of the pictures; it sets the size of the cells.
 
     Returns
     -------
     cells, core : Cells
-        On the same lattice.
+        Both on the same lattice.
     """
     size_mm = _CELL_PX / px_a_mm
-    generous = DistanceMaps.drawn(seen.silhouettes, "search", monitor, evidence.generous_outline)
+    generous = DistanceMaps.compute(evidence.silhouettes, "search", monitor, generous_outline)
     low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
     while True:
         grid = Grid.over(low, high, size_mm)
-        cells = density.even_cells(_carve(seen, generous, grid, water))
+        cells = density.split_leaves(_carve(evidence, generous, grid, water))
         if len(cells.index) <= _MOST_CELLS:
             break
-        size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # each 1.26 halves their number
+        size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # a factor of 1.26 halves their number
     del generous
-    spots = [evidence.bright_spots(one) for one in seen.silhouettes]
-    pairs = zip(seen.silhouettes, spots, strict=True)
+    spots = [bright_spots(one) for one in evidence.silhouettes]
+    pairs = zip(evidence.silhouettes, spots, strict=True)
     closed = [replace(one, coverage=np.where(spot, np.float32(1.0), one.coverage)) for one, spot in pairs]
-    deep = DistanceMaps.drawn(closed, "core", monitor, evidence.core_outline)
-    core = density.even_cells(_carve(seen, deep, grid, water))
-    return cells, core.chosen(~_often_bright(seen, core, spots))
+    deep = DistanceMaps.compute(closed, "core", monitor, core_outline)
+    core = density.split_leaves(_carve(evidence, deep, grid, water))
+    return cells, core.select(~_find_bright_cells(evidence, core, spots))
 
 
-def _often_bright(seen: Evidence, core: Cells, spots: Sequence[Mask]) -> NDArray[np.bool_]:
-    """Return which cells (N,) more views see in a bright spot than spots before a thick root explain."""
+def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -> NDArray[np.bool_]:
+    """Return the mask (N,) of cells in bright spots in more views than spots in front of a thick root explain."""
     views = [k for k, one in enumerate(spots) if one.any()]
     bright = np.zeros(len(core.index), np.int64)
     if views and len(core.index):
-        bright = _count(seen.of_views(views), core, [spots[k] for k in views])
+        bright = _count_views(evidence.select_views(views), core, [spots[k] for k in views])
     some = np.flatnonzero(bright)
     often = np.zeros(len(bright), bool)
-    views_of = _count(seen, core.chosen(some), [np.ones(one.shape, bool) for one in spots])
+    views_of = _count_views(evidence, core.select(some), [np.ones(one.shape, bool) for one in spots])
     often[some] = bright[some] > np.maximum(_MOST_BRIGHT * views_of, 1.0)
     return often
 
 
-def _count(seen: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDArray[np.int64]:
-    """Return by how many views each cell (N,) is seen at a pixel of the view's mask."""
+def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDArray[np.int64]:
+    """Return the number of views that show each cell (N,) at a pixel of the view's mask."""
     found = np.zeros(len(cells.index), np.int64)
     for begin in range(0, len(found), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        nodes = seen.project(cells.centre_mm[part])
-        column, row = np.rint(np.where(nodes.seen[..., None], nodes.px, 0.0)).astype(np.int64).transpose(2, 0, 1)
-        found[part] = sum(nodes.seen[k] & mask[row[k], column[k]] for k, mask in enumerate(masks))
+        nodes = evidence.project(cells.centre_mm[part])
+        column, row = np.rint(np.where(nodes.visible[..., None], nodes.px, 0.0)).astype(np.int64).transpose(2, 0, 1)
+        found[part] = sum(nodes.visible[k] & mask[row[k], column[k]] for k, mask in enumerate(masks))
     return found
 
 
-def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:
+def _carve(evidence: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:
     """Carve outlines out of the water."""
     hull = carve.carve(
-        seen.bank,
+        evidence.bank,
         maps,
         grid,
         water,
-        min_votes=distance_maps.least_votes(seen.bank.count),
-        slack_px=0.0,  # nobody asks for this hull's interval: nodes beside the outline are decided early
+        min_votes=distance_maps.least_votes(evidence.bank.count),
+        slack_px=0.0,  # the interval of this hull is not needed: nodes beside the outline are classified early
     )
     return hull.leaves

@@ -1,7 +1,7 @@
-"""The lines of laterals on thick roots: without what no view shows of them.
+"""Remove the hidden part of laterals inside thick roots.
 
-No view shows where a lateral begins within a storage root, and a path along the middle of what is wide is longer than
-any root. The tissue of such an organ is laid down about laterals that were there before: they begin near its skin.
+No view shows where a lateral begins within a storage root, and a path along the axis of a wide root would be longer
+than the root. The tissue of a storage root grows around existing laterals, which therefore begin near its surface.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 BURIED_MM = 1.0
-"""Laterals count from their parent's axis, but from no deeper below its surface than this: secondary growth lays down
-a storage root's tissue outside of the stele of the young root, of a diameter of some millimetres, on which they grew
-(Esau 1977, Anatomy of Seed Plants, chapter 15)."""
+"""Maximum depth below the parent's surface at which a lateral begins, mm; laterals of thinner parents begin at the
+axis. Secondary growth adds tissue outside the stele of the young root, of a diameter of some millimetres, on which the
+laterals grew (Esau 1977, Anatomy of Seed Plants, chapter 15)."""
 SWOLLEN = 4.0
-"""A root so many times as thick as a lateral on it has swollen since: bulbs and carrots of the library are 6 to 50
-times as thick, the roots of the printed phantom, that never were young, 1.2 to 3.1 times."""
+"""A root thicker than a lateral by this factor has grown in thickness since: bulbs and carrots of the library are 6 to
+50 times as thick, and the roots of the printed phantom, which have no secondary growth, 1.2 to 3.1 times."""
 
 
-def emerged(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the same roots, laterals without what lies deep within swollen ones on which they grow."""
-    return tuple(_without(root, _above(roots, root)) for root in roots)
+def trim_buried(roots: Sequence[Root]) -> tuple[Root, ...]:
+    """Return the roots, with laterals shortened by the part deep inside swollen parents."""
+    return tuple(_trim(root, _ancestors(roots, root)) for root in roots)
 
 
-def _above(roots: Sequence[Root], root: Root) -> list[Root]:
-    """Return the roots on which one grows: its parent, that one's parent and so on."""
+def _ancestors(roots: Sequence[Root], root: Root) -> list[Root]:
+    """Return the ancestors of a root, from its parent upwards."""
     found: list[Root] = []
     while root.parent >= 0:
         root = roots[root.parent]
@@ -41,17 +41,17 @@ def _above(roots: Sequence[Root], root: Root) -> list[Root]:
     return found
 
 
-def _without(root: Root, above: Sequence[Root]) -> Root:
-    """Return a root without its beginning deep within others; one that never comes out stays as it is."""
+def _trim(root: Root, above: Sequence[Root]) -> Root:
+    """Return a root without the first part that lies deep inside others; one that lies inside entirely is unchanged."""
     least_mm = 2.0 * max(BURIED_MM, 0.5 * SWOLLEN * float(np.median(root.diameters_mm)))
-    wide = [of.diameters_mm > least_mm for of in above]
-    point = np.concatenate([np.zeros((0, 3)), *(of.points_mm[some] for of, some in zip(above, wide, strict=True))])
-    diameter = np.concatenate([np.zeros(0), *(of.diameters_mm[some] for of, some in zip(above, wide, strict=True))])
+    wide = [ancestor.diameters_mm > least_mm for ancestor in above]
+    point = np.concatenate([np.zeros((0, 3)), *(ancestor.points_mm[some] for ancestor, some in zip(above, wide, strict=True))])
+    diameter = np.concatenate([np.zeros(0), *(ancestor.diameters_mm[some] for ancestor, some in zip(above, wide, strict=True))])
     if not len(point):
         return root
     out_mm = (cdist(root.points_mm, point) - (0.5 * diameter - BURIED_MM)).min(axis=1)
     first = int(np.argmax(out_mm > 0.0))
-    if first == 0:  # it begins outside, or is all inside
+    if first == 0:  # the root begins outside, or lies inside entirely
         return root
     share = out_mm[first - 1] / (out_mm[first - 1] - out_mm[first])
     way = polyline.way_mm(root.points_mm)

@@ -1,12 +1,12 @@
-"""Where roots end: the last edge of coverage along the axis of each tip.
+"""Root ends: locate the edge of coverage along the axis of each tip.
 
-Profiles across a tube say nothing of where it ends. Along the axis of a tip the measured coverage m and the explained
-coverage e fall from that of the root, c, to nothing. Blurred as it may be, the edge of one lies
+Profiles across a tube do not constrain its end. Along the axis of a tip, the measured coverage m and the explained
+coverage e fall from that of the root, c, to zero. Independently of the blur, the edge of m lies
 
     integral of (m - e) / c
 
-beyond that of the other: pixels, blur, taper, the round end and whatever else is drawn there are in both. The median
-over the views counts: others that are not drawn may hide a tip.
+beyond that of e: pixels, blur, taper, the rounded end and neighbouring roots affect both alike. The median over the
+views is used, as roots that are not modelled may hide a tip in some views.
 """
 
 from __future__ import annotations
@@ -24,41 +24,42 @@ from rhizotwin.scenes import polyline
 Array = NDArray[np.float64]
 
 _SAMPLES = 33
-"""Places along an axis: three a pixel for a root of two pixels' radius."""
+"""Number of samples along an axis: three per pixel for a root with a radius of two pixels."""
 _REACH_PX = 3.0
-"""So far beyond a radius before and behind the last node the axis is looked at: the edge's blur, and two cells of the
-search space."""
+"""Length of the sampled axis before and behind the last node, in addition to the radius: the blur of the edge, and two
+cells of the search space."""
 _LEAST_COVERAGE = 0.15
-"""A root that covers less of its own axis shows no edge there: a sixth of a pixel wide."""
+"""Minimum coverage of a root on its own axis, which corresponds to a width of a sixth of a pixel; thinner roots show no
+edge."""
 _OTHERS = 0.1
-"""Coverage of others before a tip from which a view does not tell where it ends."""
+"""Maximum coverage by other roots before a tip for a view to be used."""
 _LEAST_SINE = 0.5
-"""Steeper views see a tip's flank before its end."""
+"""Minimum sine between axis and ray: steeper views show a tip's flank before its end."""
 _LEAST_VIEWS = 4
-"""Fewer views than this may all be wrong by the same root."""
+"""Minimum number of views: fewer may all be affected by the same root."""
 _LEAST_LENGTH = 0.5
-"""Ends are shortened to this part of their length at most; what has less is judged as a whole."""
+"""Minimum remaining fraction of an end that is shortened; shorter ends are accepted or rejected as a whole."""
 
 
-def placed(seen: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
-    """Move the tips of a tree along their axes to where the pictures say that they end.
+def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
+    """Move the tips of a tree along their axes to their position in the pictures.
 
     Parameters
     ----------
-    seen : Evidence
-        With taproot and hypocotyl in it.
+    evidence : Evidence
+        Evidence including taproot and hypocotyl.
     px_a_mm : float
-        Scale in the middle of the water.
+        Scale at the centre of the water.
     """
-    off_mm = _off(seen, tree, px_a_mm)
+    off_mm = _tip_offsets(evidence, tree, px_a_mm)
     centre = tree.centre_mm.copy()
     for line, move in zip(tree.ends, off_mm, strict=True):
-        centre[line] = _stretched(tree.centre_mm[line], float(move))
-    return tubes.moved(tree, centre, tree.radius_mm)
+        centre[line] = _stretch(tree.centre_mm[line], float(move))
+    return tubes.with_geometry(tree, centre, tree.radius_mm)
 
 
-def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
-    """Return how far (T,) each tip lies beyond where it was put, mm; 0 where too few views tell."""
+def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
+    """Return the distance (T,) by which each tip lies beyond its node, mm; 0 where too few views are usable."""
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = tree.centre_mm[tip] - tree.centre_mm[before]
@@ -67,18 +68,18 @@ def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     reach = radius + _REACH_PX / px_a_mm
     way = reach[:, None] * np.linspace(-1.0, 1.0, _SAMPLES)  # (T, S)
     point = tree.centre_mm[tip][:, None] + way[..., None] * axis[:, None]
-    at = seen.project(point.reshape(-1, 3))
-    explained_there = 1.0 - tube_picture.transmittance(seen, tree, seen.project(tree.centre_mm))
+    at = evidence.project(point.reshape(-1, 3))
+    explained_there = 1.0 - tube_picture.transmittance(evidence, tree, evidence.project(tree.centre_mm))
     views, p = at.shape[0], at.on_device
-    start = wholes(np.repeat(np.arange(views), at.shape[1]) * seen.pixels)
+    start = wholes(np.repeat(np.arange(views), at.shape[1]) * evidence.pixels)
     dr.eval(explained_there)
-    measured, explained, told = (
-        np.array(bilinear(picture, start, seen.image_wh[0], p.px.x, p.px.y, p.seen)).reshape(views, *way.shape)
-        for picture in (seen.coverage, explained_there, seen.seen)
+    measured, explained, usable = (
+        np.array(bilinear(picture, start, evidence.image_wh[0], p.px.x, p.px.y, p.visible)).reshape(views, *way.shape)
+        for picture in (evidence.coverage, explained_there, evidence.usable)
     )
-    clear = (at.seen.reshape(told.shape) & (told > 0.99)).all(axis=2)
+    clear = (at.visible.reshape(usable.shape) & (usable > 0.99)).all(axis=2)
     clear &= np.where(way > (radius + 0.5 * _REACH_PX / px_a_mm)[:, None], explained, 0.0).max(axis=2) < _OTHERS
-    clear &= at.sine(np.repeat(axis, _SAMPLES, axis=0)).reshape(told.shape)[:, :, 0] > _LEAST_SINE
+    clear &= at.sine(np.repeat(axis, _SAMPLES, axis=0)).reshape(usable.shape)[:, :, 0] > _LEAST_SINE
     inner = way < -0.5 * reach[:, None]
     own = np.where(inner, explained, 0.0).sum(axis=2) / inner.sum(axis=1)
     clear &= own > _LEAST_COVERAGE
@@ -88,8 +89,8 @@ def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     return np.asarray(np.nanmedian(off, axis=0))
 
 
-def _stretched(line: Array, more_mm: float) -> Array:
-    """Return nodes (n, 3) strung along the same line, its last one farther by some mm; the first one stays."""
+def _stretch(line: Array, more_mm: float) -> Array:
+    """Return nodes (n, 3) along the same line with the last one displaced by some mm; the first one is fixed."""
     along = polyline.way_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:
         return line

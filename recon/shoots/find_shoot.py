@@ -52,7 +52,7 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
         told = blades.find(mesh)
         colour = measure_colour(pictures, drawn, views)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
-    hidden = sum(float(one.coverage[~one.seen].sum()) for one in drawn.values()) / max(covered, 1e-9)
+    hidden = sum(float(one.coverage[~one.usable].sum()) for one in drawn.values()) / max(covered, 1e-9)
     enclosed = shoot_hull.enclosed_share(hull, told)
     said = (
         *(() if hidden <= MUCH_HIDDEN else (_hidden(hidden),)),

@@ -104,7 +104,7 @@ def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View)
 
 def _inside(silhouette: Silhouette) -> Mask:
     """Return the pixels (H, W) well inside the shoot."""
-    covered = ((silhouette.coverage > 0.99) & silhouette.seen).astype(np.uint8)
+    covered = ((silhouette.coverage > 0.99) & silhouette.usable).astype(np.uint8)
     return cv2.erode(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _INSIDE_PX + 1,) * 2)) > 0
 
 

@@ -61,9 +61,9 @@ def find(
     order = carve.spread(len(views))
     drawn, views = [drawn[k] for k in order], [views[k] for k in order]
     room = _room(drawn, views, scene)
-    maps = DistanceMaps.drawn(drawn, "shoot", monitor)
+    maps = DistanceMaps.compute(drawn, "shoot", monitor)
     optics = replace(
-        Optics.of(scene),
+        Optics.from_scene(scene),
         outer_radius_mm=room.radius_mm,
         inner_radius_mm=room.radius_mm,
         n_wall=1.0,
@@ -74,7 +74,7 @@ def find(
         tank=None,
     )
     grid = room.grid(finest_mm)
-    hull = carve.carve(ViewBank.of(views, optics), maps, grid, room, slack_px=SLACK_PX)
+    hull = carve.carve(ViewBank.pack(views, optics), maps, grid, room, slack_px=SLACK_PX)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError("the shoot's silhouettes have no volume in common: the cameras do not fit the pictures, or there is no shoot")
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)
@@ -83,13 +83,13 @@ def find(
 
 def stalks_mm3(hull: Hull, blades: Blades) -> float:
     """Return the volume of the part of a hull that is nearest to stem or petioles."""
-    return hull.leaves.some(~blades.near(hull.leaves.middles_mm)).volume_mm3()
+    return hull.leaves.select(~blades.near(hull.leaves.middles_mm)).volume_mm3()
 
 
 def enclosed_share(hull: Hull, blades: Blades) -> float:
     """Return the share of a hull's volume that lies deeper in it than leaves and stalks do."""
     depth_mm = cKDTree(blades.points_mm).query(hull.leaves.middles_mm, workers=-1)[0]
-    return hull.leaves.some(depth_mm > _DEEP_MM).volume_mm3() / hull.leaves.volume_mm3()
+    return hull.leaves.select(depth_mm > _DEEP_MM).volume_mm3() / hull.leaves.volume_mm3()
 
 
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:

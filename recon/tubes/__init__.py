@@ -1,1 +1,1 @@
-"""Roots as tubes: how they look through the water, their fit to all views, and what they tell of the rig."""
+"""Roots as tubes: their appearance through the water, the fit to all views, and rig calibration from them."""

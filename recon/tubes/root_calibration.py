@@ -1,19 +1,17 @@
-"""What the roots themselves tell about the rig.
+"""Calibration from the roots: estimate the refractive index of the water, and correct cameras and canister.
 
-The water's index, and whether cameras and canister are where the markers put them.
-
-Roots are seen in all views, at every distance from the axis: a wrong index makes them miss their places in the pictures
-in a way that no shape and hardly any camera can link. Each node of the fitted tubes says in each view how far off the
-tube lies sideways (`tube_picture`), and `sight_change` how a change of the rig would move it. The nodes' own positions
-and radii are eliminated (Schur complement, 4x4 blocks), and
+Roots are visible in all views and at all distances from the axis. A wrong refractive index displaces them in the
+pictures in a pattern that no shape, and hardly any camera error, can reproduce. `tube_picture` and `tube_profiles` give
+the lateral displacement of the tube at each node and view, and `rig_derivatives` its derivatives. The nodes' own
+positions and radii are eliminated (Schur complement, 4x4 blocks), and
 
     (S / phi + prior) q = g / phi
 
-is solved for the shared quantities q: the index, and together with it the focal length, the canister's pose in the
-strip, each station's camera and each view's table angle, which the markers know as well as their covariances say.
-Residuals along a root and within a view belong together, so that phi, the variance of a unit of evidence, comes from
-the scatter of whole roots and whole views (sandwich with two ways of clustering: Cameron, Gelbach and Miller 2011,
-equation 2.11), and not from the pixels, which would claim far too much.
+is solved for the shared unknowns q: the refractive index, and with it the focal length, the pose of the canister in the
+strip, the camera of each station and the table angle of each view. The covariances from the markers serve as the prior.
+Residuals along a root and within a view are correlated; phi, the variance of a unit of evidence, is therefore computed
+from the scatter of whole roots and whole views (sandwich estimator with two-way clustering: Cameron, Gelbach and Miller
+2011, equation 2.11) and not from the pixels, which would be far too optimistic.
 """
 
 from __future__ import annotations
@@ -30,9 +28,9 @@ from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty, RootCal
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import inverse, scatter
-from rhizotwin.recon.tubes import sight_change, tube_fit, tube_profiles
+from rhizotwin.recon.tubes import rig_derivatives, tube_fit, tube_profiles
+from rhizotwin.recon.tubes.rig_derivatives import QUANTITIES, Quantity
 from rhizotwin.recon.tubes.root_light import LEAST_VARIANCE
-from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles, ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -41,130 +39,132 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 INDEX_PRIOR = 0.003
-"""How far the water's index may be from the given one: ten degrees are 0.001, 2 g/l of salts 0.0003, red or blue light
-0.002."""
+"""Prior standard deviation of the water's refractive index: ten degrees change it by 0.001, 2 g/l of salts by 0.0003,
+red or blue light by 0.002."""
 INDEX_LIMITS = 1.32, 1.36
-"""Water, from hot to salty."""
+"""Range of the refractive index, from hot to salty water."""
 SURE = 3.0
-"""An index is believed beyond this many standard deviations of the given one, and not for fewer than `LEAST_NODES`
-nodes."""
+"""Minimum deviation from the given index, in standard deviations, for the estimate to be used. At least `LEAST_NODES`
+nodes are required."""
 LEAST_GAIN = 0.04
-"""Nor where it takes less than this share off the distance of the roots from their places.
+"""Minimum relative reduction of the lateral distance of the roots for the estimate to be used.
 
-On a radish 0.0006 took 0.5 %, and the gain grows with the square, so that this is 0.0018. Wide roots that are not quite
-round bias the index: a printed phantom calls for 0.0027 too much with five standard deviations, and gains 0.6 to 0.8
-% by it. The gain is that of the linear system: tubes that are fitted once more come nearer to their places by some per
-cent with any index, more or less by how the pictures are rounded.
+On a radish, an error of 0.0006 gained 0.5 %; the gain grows with the square, so this limit corresponds to 0.0018. Wide
+roots that are not quite round bias the index: for a printed phantom, the estimate is 0.0027 too high with five standard
+deviations, and gains 0.6 to 0.8 %. The gain is that of the linear system: refitting the tubes reduces the distance by
+some per cent with any index, depending on the rounding of the pictures.
 """
 LEAST_NODES = 100
-"""Sixty millimetres of root: fewer come from one or two roots, whose scatter tells no uncertainty."""
+"""Minimum number of nodes (60 mm of root): fewer come from one or two roots, whose scatter does not give an
+uncertainty."""
 MOST_NODES = 1500
-"""More, evenly chosen, tell no more: nodes of one root are off together."""
+"""Maximum number of nodes, evenly selected; more add no information, as nodes of one root are correlated."""
 LEAST_TURN_RAD = 1e-5
-"""No table angle is known better: markers tell it to 7e-5 at 800x600."""
+"""Minimum standard deviation of a table angle: markers determine it to 7e-5 at 800x600."""
 _LEAST_VIEWS = 8
-"""Fewer views than this leave a node's own place uncertain."""
+"""Minimum number of views for the position of a node to be determined."""
 _RIDGE, _ALONG = 1e-3, 0.5
-"""Parts of a node's own curvature that hold it in all directions, and along its root, where nothing is seen."""
+"""Fractions of a node's own curvature added in all directions, and along its root, where the views give no
+constraint."""
 _PASSES = 4
-"""The variance of a unit of evidence and the change settle together."""
+"""Number of iterations of the variance of a unit of evidence and the change."""
 _ROUNDS, _STEPS = 4, 3
-"""Times that the tubes are fitted anew, and steps of each fit."""
+"""Number of refits of the tubes, and steps of each."""
 _SETTLED = 0.2
-"""Parts of its standard deviation by which an index may still move at the end."""
+"""Maximum change of the index in the last iteration, in standard deviations."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """The rig as the roots would have it."""
+class RigCorrection:
+    """Corrections of the rig estimated from the roots."""
 
     change: Array
-    """(K,) of all unknowns together, from what markers and edges said."""
+    """(K,) values of all unknowns, relative to the estimate from markers and edges."""
     sigma: Array
     """(K,) standard deviations."""
     nodes: int
     before_px: float
-    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its
-    best place."""
+    """Root mean square lateral distance between roots and tubes in the pictures, with each node at its best
+    position."""
     after_px: float
-    """The same when the rig is changed as found."""
+    """The same with the corrected rig."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Which unknown each quantity of each view is."""
+    """Mapping from the quantities of each view to the unknowns."""
 
-    of: NDArray[np.int64]
-    """(V, Q) number of the unknown, -1 where there is none."""
+    index: NDArray[np.int64]
+    """(V, Q) index of the unknown, -1 where there is none."""
     precision: Array
-    """(K, K) of what was known."""
+    """(K, K) prior precision."""
     shared: int
-    """Unknowns before this one belong to several views."""
+    """Number of leading unknowns that several views share."""
 
     @staticmethod
-    def own(views: int, quantities: int, sigma: float) -> Columns:
-        """Return those of quantities that each view has for itself, nearly unknown before."""
+    def per_view(views: int, quantities: int, sigma: float) -> Columns:
+        """Return the columns of quantities that are independent for each view, with a wide prior."""
         count = views * quantities
         return Columns(np.arange(count).reshape(views, quantities), np.eye(count) / sigma**2, count)
 
     @staticmethod
-    def to(order: Sequence[int], known: RigUncertainty | None) -> Columns:
-        """Return those of the rig; of the index alone where nobody knows how sure the cameras are."""
+    def for_rig(order: Sequence[int], known: RigUncertainty | None) -> Columns:
+        """Return the columns of the rig; of the index only if the uncertainty of the cameras is unknown."""
         views = len(order)
-        of = np.full((views, len(QUANTITIES)), -1)
-        of[:, 0] = 0
+        index = np.full((views, len(QUANTITIES)), -1)
+        index[:, 0] = 0
         if known is None:
-            return Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
-        of[:, 1:6] = np.arange(1, 6)
-        of[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
+            return Columns(index, np.array([[INDEX_PRIOR**-2.0]]), 1)
+        index[:, 1:6] = np.arange(1, 6)
+        index[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
         shared = 6 + 6 * known.stations
-        of[:, 6] = shared + np.arange(views)
+        index[:, 6] = shared + np.arange(views)
         precision = np.zeros((shared + views, shared + views))
         precision[0, 0] = INDEX_PRIOR**-2.0
         precision[1:shared, 1:shared] = inverse(known.covariance)
         turn = np.arange(shared, shared + views)
         precision[turn, turn] = np.maximum(known.turn[list(order)], LEAST_TURN_RAD) ** -2.0
-        return Columns(of, precision, shared)
+        return Columns(index, precision, shared)
 
 
-def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
-    """Ask fitted tubes for the index.
+def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
+    """Estimate the refractive index from fitted tubes.
 
-    Where it is believed, change index and cameras and fit the tubes anew, until nothing changes; where that explains
-    nothing, all stays as it was.
+    If the estimate is significant, update index and cameras and refit the tubes until convergence; if this does not
+    reduce the residuals, the initial values are kept.
 
     Parameters
     ----------
-    seen : Evidence
-        With the views of ``cameras``, in their order.
+    evidence : Evidence
+        Evidence of the views of ``cameras``, in their order.
     thick : (N,) bool array
         As in `tube_fit.fit`.
 
     Returns
     -------
-    seen : Evidence
-        With the cameras and optics to go on with.
+    evidence : Evidence
+        Evidence with the resulting cameras and optics.
     tubes : Tubes
-        Fitted to it.
+        Tubes fitted to it.
     cameras : Cameras
-        To go on with; their ``roots`` tell what came of it, None where there are too few nodes.
+        Resulting cameras. Their ``roots`` holds the estimate; None if there are too few nodes.
     """
-    first = estimate(seen, cameras, tubes)
+    first = estimate(evidence, cameras, tubes)
     if first is None:
-        return seen, tubes, cameras
-    given, found, now = (seen, tubes), first, cameras
-    if sure := believed(first, cameras.optics):
+        return evidence, tubes, cameras
+    given, found, now = (evidence, tubes), first, cameras
+    if sure := is_significant(first, cameras.optics):
         for _ in range(_ROUNDS):
-            now = changed(cameras, found.change)
-            seen = seen.with_cameras(now)
-            tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
+            now = apply_change(cameras, found.change)
+            evidence = evidence.with_cameras(now)
+            tubes = tube_fit.fit(evidence, tubes, thick, steps=_STEPS).tubes
             last = found
-            found = estimate(seen, now, tubes, taken=last.change) or last
+            found = estimate(evidence, now, tubes, taken=last.change) or last
             if abs(found.change[0] - last.change[0]) < _SETTLED * found.sigma[0]:
                 break
         if found.after_px > first.before_px:
-            sure, (seen, tubes), found, now = False, given, first, cameras
-    told = RootCalibration(
+            sure, (evidence, tubes), found, now = False, given, first, cameras
+    calibration = RootCalibration(
         n_water=now.optics.n_water if sure else cameras.optics.n_water + float(found.change[0]),
         n_water_sigma=float(found.sigma[0]),
         n_water_given=cameras.optics.n_water,
@@ -174,25 +174,25 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tu
         before_px=first.before_px,
         after_px=found.after_px,
     )
-    return seen, tubes, replace(now, roots=told)
+    return evidence, tubes, replace(now, roots=calibration)
 
 
-def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> Found | None:
-    """Find from fitted tubes what of the rig is other than thought; None where there are too few nodes.
+def estimate(evidence: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> RigCorrection | None:
+    """Estimate corrections of the rig from fitted tubes; return None if there are too few nodes.
 
     Parameters
     ----------
     taken : (K,) float64 array or None
-        Change that the cameras hold already, beyond what markers and edges said.
+        Changes that the cameras already include, relative to the estimate from markers and edges.
     """
     known = cameras.uncertainty
-    columns, wanted = Columns.to(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
-    found = system(seen, cameras, tubes, wanted, columns)
+    columns, wanted = Columns.for_rig(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
+    found = build_system(evidence, cameras, tubes, wanted, columns)
     if found is None:
         return None
     before = np.zeros(len(columns.precision)) if taken is None else taken
     more, covariance = found.solve(before)
-    return Found(
+    return RigCorrection(
         change=before + more,
         sigma=np.sqrt(np.diag(covariance)),
         nodes=len(found.start),
@@ -201,47 +201,50 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | N
     )
 
 
-def system(
-    seen: Evidence,
+def build_system(
+    evidence: Evidence,
     cameras: Cameras,
     tubes: Tubes,
     wanted: tuple[Quantity, ...],
     columns: Columns,
 ) -> System | None:
-    """Return what fitted tubes say of quantities of the rig; None where there are too few nodes.
+    """Return the normal equations of the rig quantities from fitted tubes; None if there are too few nodes.
 
     Parameters
     ----------
-    seen, cameras, tubes : Evidence, Cameras, Tubes
-        Views, and what was fitted to them.
+    evidence, cameras, tubes : Evidence, Cameras, Tubes
+        Views, and the tubes fitted to them.
     wanted : tuple of Quantity
-        What may change.
+        Quantities to estimate.
     columns : Columns
-        Which unknown each of them is in each view.
+        Index of the unknown of each quantity in each view.
     """
-    drawn = Rendering.of(seen, tubes)
+    drawn = Rendering.draw(evidence, tubes)
     at, profiles = drawn.at, tube_profiles.profiles(drawn)
-    told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
-    chosen = np.flatnonzero(told.sum(axis=0) >= _LEAST_VIEWS)
+    usable = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
+    chosen = np.flatnonzero(usable.sum(axis=0) >= _LEAST_VIEWS)
     if len(chosen) < LEAST_NODES:
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
     sums, points = profiles.host(chosen), tubes.centre_mm[chosen]
-    px = at.px[:, chosen] + seen.window.low_px  # in whole pictures, as cameras have them
-    moves = [sight_change.moves(view, cameras.optics, wanted, px[v], points, sums.across[v]) for v, view in enumerate(cameras.views)]
+    px = at.px[:, chosen] + evidence.window.low_px  # in coordinates of the whole picture, as used by the cameras
+    moves = [
+        rig_derivatives.picture_derivatives(view, cameras.optics, wanted, px[v], points, sums.across[v])
+        for v, view in enumerate(cameras.views)
+    ]
     by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
-    return System.of(sums, profiles.residual_gradient().of(chosen), by, columns, (tubes.tangents[chosen], tubes.owner[chosen]))
+    return System.build(sums, profiles.residual_gradient().select(chosen), by, columns, (tubes.tangents[chosen], tubes.owner[chosen]))
 
 
-def believed(found: Found, optics: Optics) -> bool:
-    """Tell whether the index that the roots ask for is to be taken."""
-    asked = optics.n_water + float(found.change[0])
+def is_significant(found: RigCorrection, optics: Optics) -> bool:
+    """Return whether the index estimated from the roots is significant and within limits."""
+    estimated = optics.n_water + float(found.change[0])
     sure = abs(float(found.change[0])) > SURE * float(found.sigma[0])
-    return sure and found.after_px < (1.0 - LEAST_GAIN) * found.before_px and INDEX_LIMITS[0] < asked < INDEX_LIMITS[1]
+    return sure and found.after_px < (1.0 - LEAST_GAIN) * found.before_px and INDEX_LIMITS[0] < estimated < INDEX_LIMITS[1]
 
 
-def changed(cameras: Cameras, change: Array) -> Cameras:
-    """Return cameras with a change (K,) of their unknowns."""
+def apply_change(cameras: Cameras, change: Array) -> Cameras:
+    """Return the cameras with a change (K,) of their unknowns applied."""
     optics = replace(cameras.optics, n_water=cameras.optics.n_water + float(change[0]))
     known = cameras.uncertainty
     if known is None:
@@ -251,42 +254,44 @@ def changed(cameras: Cameras, change: Array) -> Cameras:
     moved = []
     for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True)):
         canister = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
-        view = sight_change.displaced(sight_change.with_canister_moved(view, canister), camera[known.station[frame]])
+        view = rig_derivatives.move_camera(rig_derivatives.move_canister(view, canister), camera[known.station[frame]])
         moved.append(replace(view, camera=view.camera.focused(1.0 + float(change[1]))))
-    return cameras.moved(moved, optics)
+    return cameras.with_views(moved, optics)
 
 
 @dataclass(frozen=True)
 class System:
-    """Normal equations of the shared unknowns, the nodes' own positions and radii eliminated."""
+    """Normal equations of the shared unknowns, with the nodes' own positions and radii eliminated."""
 
     sums: HostProfiles
     by: Array
-    """(V, N, Q) shift sideways by the quantities of the view."""
+    """(V, N, Q) derivatives of the lateral shift by the quantities of the view."""
     columns: Columns
     root: NDArray[np.int64]
     """(N,) the branch of each node."""
     start: Array
-    """(N, 4) where the nodes would go if nothing shared changed."""
+    """(N, 4) step of the nodes with the shared unknowns unchanged."""
     follow: Array
-    """(N, 4, K) how the nodes give way to the shared unknowns (with the opposite sign)."""
+    """(N, 4, K) response of the nodes to the shared unknowns (with opposite sign)."""
     reduced: Array
     """(K, K)"""
     right: Array
     """(K,)"""
 
     @staticmethod
-    def of(sums: HostProfiles, residual: ResidualGradient, by: Array, columns: Columns, along: tuple[Array, NDArray[np.int64]]) -> System:
+    def build(
+        sums: HostProfiles, residual: ResidualGradient, by: Array, columns: Columns, along: tuple[Array, NDArray[np.int64]]
+    ) -> System:
         """Eliminate the nodes.
 
         Parameters
         ----------
         sums, residual : HostProfiles, ResidualGradient
-            What views, one by one and together, say of the nodes.
+            Residuals of the nodes, per view and summed.
         by : (V, N, Q) array
-            Shift sideways by the quantities of the view.
+            Derivatives of the lateral shift by the quantities of the view.
         columns : Columns
-            Which unknown each quantity is.
+            Index of the unknown of each quantity.
         along : tuple of arrays
             Tangents (N, 3) and branches (N,) of the nodes.
         """
@@ -297,7 +302,7 @@ class System:
         own[:, :3, :3] += mean * (_RIDGE * np.eye(3) + _ALONG * tangent[:, :, None] * tangent[:, None, :])
         own[:, 3, 3] += _RIDGE * own[:, 3, 3] + 1e-9
         mixed, whole, right = np.zeros((count, 4, unknowns)), np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-        for v, numbers in enumerate(columns.of):
+        for v, numbers in enumerate(columns.index):
             used = numbers >= 0
             j, by_j = numbers[used], by[v][:, used[: by.shape[2]]]
             whole[np.ix_(j, j)] += (sums.shift_2[v, :, None] * by_j).T @ by_j
@@ -310,7 +315,7 @@ class System:
         return System(sums, by, columns, root, start, follow, reduced, right - np.einsum("nij,ni->j", mixed, start))
 
     def solve(self, before: Array) -> tuple[Array, Array]:
-        """Return the change (K,) and its covariance; ``before`` (K,) was changed already."""
+        """Return the change (K,) and its covariance; ``before`` (K,) was applied already."""
         prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
         for _ in range(_PASSES):
             covariance = inverse(self.reduced + phi * prior)
@@ -325,9 +330,9 @@ class System:
 
     @cached_property
     def _slopes(self) -> list[Array]:
-        """Derivative (N, K) of each view's shift by the shared unknowns, with nodes that follow."""
+        """Derivative (N, K) of each view's shift by the shared unknowns, including the response of the nodes."""
         slopes = []
-        for v, numbers in enumerate(self.columns.of):
+        for v, numbers in enumerate(self.columns.index):
             used = numbers >= 0
             slope = -np.matmul(self.sums.across[v][:, None, :], self.follow[:, :3])[:, 0]
             slope[:, numbers[used]] += self.by[v][:, used[: self.by.shape[2]]]
@@ -335,7 +340,7 @@ class System:
         return slopes
 
     def _left(self, change: Array, v: int) -> tuple[Array, Array]:
-        """Return what is left in a view: shift (N,) and width (N,)."""
+        """Return the remaining residuals of a view: shift (N,) and width (N,)."""
         sums = self.sums
         sideways = np.einsum("ni,ni->n", sums.across[v], self.start[:, :3]) + self._slopes[v] @ change
         wider = sums.scale[v] * (self.start[:, 3] - self.follow[:, 3] @ change)
@@ -354,17 +359,17 @@ class System:
         return scatter(np.concatenate(scores), np.repeat(np.arange(views), roots), np.tile(np.arange(roots), views))
 
     def distance_px(self, change: Array) -> float:
-        """Return the root mean square distance sideways that is left after a change (K,)."""
+        """Return the root mean square lateral distance that remains after a change (K,)."""
         square = weight = 0.0
         for v in range(len(self.by)):
             shift, _ = self._left(change, v)
-            seen = self.sums.shift_2[v]
-            square += float(np.sum(np.square(shift) / np.maximum(seen, 1e-9), where=seen > 0.0))
-            weight += float(seen.sum())
+            weights = self.sums.shift_2[v]
+            square += float(np.sum(np.square(shift) / np.maximum(weights, 1e-9), where=weights > 0.0))
+            weight += float(weights.sum())
         return float(np.sqrt(square / weight))
 
 
 def _positive(matrix: Array) -> Array:
-    """Return a symmetric matrix without what rounding made negative."""
+    """Return a symmetric matrix with negative eigenvalues due to rounding set to zero."""
     size, axes = np.linalg.eigh(matrix)
     return np.asarray((axes * np.maximum(size, 0.0)) @ axes.T)

@@ -1,25 +1,25 @@
-"""How a translucent root looks as a tube: two strips, one in the other, narrower and fainter the thinner the root is.
+"""Appearance of a translucent root as a tube: two nested strips, narrower and fainter the thinner the root is.
 
-A round root of radius w and attenuation mu, whose axis makes the angle theta with the line of sight, has at the share x
-of its radius the chord ``2 w sqrt(1 - x^2) / sin(theta)``, so that it absorbs
+A round root of radius w and attenuation mu, whose axis makes the angle theta with the line of sight, has the chord ``2
+w sqrt(1 - x^2) / sin(theta)`` at the fraction x of its radius, and absorbs
 
     alpha(x) = 1 - exp(-2 tau sqrt(1 - x^2)),    tau = mu w / sin(theta)
 
-of the light. Tissue refracts, too: with an index n times that of the water a line of sight at x goes through the root
-nearer to its axis, at x / n' (Bouguer), so that ``sqrt(1 - x^2 / n'^2)`` takes the place of the root above and the rim
-is no longer clear. Here n' is the index as the cross-section has it, and theta' the angle to the axis inside,
+of the light. Tissue also refracts: with an index n times that of the water, a line of sight at x passes nearer to the
+axis, at x / n' (Bouguer), so that ``sqrt(1 - x^2 / n'^2)`` replaces the square root above and the rim is no longer
+transparent. Here n' is the index in the cross-section, and theta' the angle to the axis inside,
 
     1 - 1 / n'^2 = (n^2 - 1) / (n^2 sin^2(theta')),    cos(theta') = cos(theta) / n,    tau = mu w / sin(theta').
 
-Cut into levels, alpha is a heap of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1)
-integral s^(2k+1) dh``, and Gauss's quadrature of this heap (Golub and Welsch 1969, Math. Comp. 23:221) gives the two
-strips of half-widths e w and heights h that have the integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6
-alpha`` in common with it: a pixel and a blur as wide as the root tell no more of it.
+Divided into levels, alpha is a stack of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1) integral
+s^(2k+1) dh``. Gauss quadrature of this stack (Golub and Welsch 1969, Math. Comp. 23:221) gives the two strips of
+half-widths e w and heights h with the same integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6 alpha``: with
+pixels and blur as wide as the root, pictures contain no more information.
 
-Hairs of length l stand about it as a grey sleeve of attenuation m. A line of sight through the sleeve alone passes
-``sqrt((w + l)^2 - x^2) - sqrt(w^2 - x^2)`` of it on either side, so that its faint opacity adds up to ``pi m l (2 w +
-l) / sin(theta)``, and x^2 over it to three quarters of ``w^2 + (w + l)^2``, a third of that being a strip's: one strip
-more, behind which the root's own strips have what light is left.
+Hairs of length l form a grey sleeve of attenuation m around the root. A line of sight through the sleeve only has the
+path ``sqrt((w + l)^2 - x^2) - sqrt(w^2 - x^2)`` in it on either side. Its faint opacity integrates to ``pi m l (2 w +
+l) / sin(theta)``, and x^2 times it to three quarters of ``w^2 + (w + l)^2``, a third of which is that of a strip. The
+sleeve is therefore one more strip, and the root's own strips absorb the light that it transmits.
 """
 
 from __future__ import annotations
@@ -38,27 +38,28 @@ from rhizotwin.recon.device import TO_LAST, Float, numbers
 Array = NDArray[np.float64]
 
 LAYERS = 2
-"""Strips in place of a root."""
+"""Number of strips that represent a root."""
 HAIRS = Hairs(length_mm=0.3, mu_per_mm=0.05)
-"""Radish in water has hairs of a tenth to half a millimetre, 10 um thick, some thirty a millimetre of root, which take
-a third of the light: they stand before a seventh of it in each millimetre of the sleeve."""
+"""Hairs of radish in water are 0.1 to 0.5 mm long and 10 um thick, with about thirty per millimetre of root. They
+absorb a third of the light that reaches them and cover a seventh of each millimetre of the sleeve."""
 _TAU = np.geomspace(1e-4, 50.0, 1201)
-"""Optical depths of half a root that are tabulated, linear in between to 1e-5; beyond, a root is opaque to 1e-4 of its
-width."""
+"""Tabulated optical depths of half a root; linear interpolation is accurate to 1e-5. Beyond, a root is opaque to 1e-4
+of its width."""
 _RIM = np.linspace(0.0, 0.8, 33)
-"""Chords at the rim, in those through the middle, that are tabulated: sqrt(1 - 1 / n'^2). Linear in between to 1e-4."""
+"""Tabulated chords at the rim, relative to those through the middle: sqrt(1 - 1 / n'^2). Linear interpolation is
+accurate to 1e-4."""
 _LEAST_SPREAD = 1e-9
-"""Variance of the squared half-widths of a root that is dark to its rim, and one strip: less is rounding."""
+"""Variance of the squared half-widths below which a root is represented by one strip; smaller values are rounding."""
 _NODES = 400
-"""Of the Gauss-Legendre quadrature of the moments."""
+"""Number of nodes of the Gauss-Legendre quadrature of the moments."""
 LEAST_SINE = 0.2
-"""A root that points at the camera more than this is taken for leaning so: no root is straight for more than a few
-diameters."""
+"""Minimum sine of the angle between root and line of sight; smaller values are replaced by it, as no root is straight
+for more than a few diameters."""
 
 
 @dataclass(frozen=True)
 class Strips:
-    """Strips in place of translucent roots, every field (LAYERS, ...)."""
+    """Strips that represent translucent roots; each field is (LAYERS, ...)."""
 
     width: Array
     """e: half-width over the root's radius."""
@@ -71,14 +72,14 @@ class Strips:
 
 
 def strips(tau: Array, index: float = 1.0) -> Strips:
-    """Return the strips in place of round translucent roots seen from the side.
+    """Return the strips of round translucent roots viewed from the side.
 
     Parameters
     ----------
     tau : (...) float64 array
         Attenuation times radius.
     index : float
-        Of the tissue, over that of the water.
+        Refractive index of the tissue, relative to water.
     """
     log_tau, table = _table()
     rim = np.sqrt(1.0 - index**-2.0) / (_RIM[1] - _RIM[0])
@@ -93,33 +94,33 @@ def strips(tau: Array, index: float = 1.0) -> Strips:
 
 @dataclass(frozen=True)
 class Layer:
-    """A strip in place of a root, in a picture, all mi.Float."""
+    """A strip of a root in a picture; all fields mi.Float."""
 
     half_px: Float
     height: Float
     by_width: Float
-    """Derivative of the coverage by the root's half-width over that by the strip's own."""
+    """Derivative of the coverage by the root's half-width, relative to that by the strip's own half-width."""
     by_height: Float
     """Derivative of the height by the root's half-width, 1/px."""
 
 
 def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float, *, index: float = 1.0) -> list[Layer]:
-    """Return the strips in place of roots.
+    """Return the strips of roots in a picture.
 
-    `strips` in a picture, as a kernel has it; one and opaque without attenuation.
+    This is the kernel version of `strips`; without attenuation, a root is one opaque strip.
 
     Parameters
     ----------
     mu_per_mm : float or None
         Attenuation; None for opaque roots.
     hairs : float
-        Strength of the hairs about them, in those of `HAIRS`.
+        Strength of the hairs, relative to `HAIRS`.
     radius_mm, half_px : Float
-        The roots', mi.Float.
+        Radius and half-width of the roots, mi.Float.
     sine : Float
-        Of the angle between axis and line of sight, mi.Float.
+        Sine of the angle between axis and line of sight, mi.Float.
     index : float
-        Of the tissue, over that of the water.
+        Refractive index of the tissue, relative to water.
     """
     sine = dr.maximum(sine, LEAST_SINE)
     if mu_per_mm is None:
@@ -151,7 +152,7 @@ def _translucent(mu_per_mm: float, index: float, radius_mm: Float, sine: Float, 
 
 
 def _hairy(own: list[Layer], strength: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
-    """Return the strips of roots behind that of their hairs, and that."""
+    """Return the strips of roots attenuated by their hairs, and the strip of the hairs."""
     long, mu = dr.opaque(mi.Float, HAIRS.length_mm), dr.opaque(mi.Float, strength * HAIRS.mu_per_mm)
     px_a_mm = half_px / radius_mm
     outer = radius_mm + long
@@ -166,16 +167,16 @@ def _hairy(own: list[Layer], strength: float, radius_mm: Float, sine: Float, hal
 
 
 _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
-"""Radii at which it is tabulated how much light roots take, a third of a percent apart."""
+"""Radii at which the absorbed light is tabulated, 0.3 % apart."""
 
 
-def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
-    """Return the radii (N,) of roots that absorb as much light as opaque bare ones, seen from the side.
+def equivalent_radius(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
+    """Return the radii (N,) of roots that absorb as much light as opaque roots without hairs, viewed from the side.
 
     Parameters
     ----------
     opaque_mm : (N,) float64 array
-        Radii of the opaque ones.
+        Radii of the opaque roots.
     mu_per_mm, hairs, index : float or None, float, float
         As in `layers`.
     """
@@ -186,19 +187,19 @@ def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, ind
 
 
 def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
-    """Return the radii (N,) of opaque bare roots that absorb as much light as given ones, seen from the side.
+    """Return the radii (N,) of opaque roots without hairs that absorb as much light as given roots, from the side.
 
     Parameters
     ----------
     radius_mm : (N,) float64 array
-        Radii of the given ones.
+        Radii of the given roots.
     mu_per_mm, hairs, index : float or None, float, float
         As in `layers`.
     """
     own = radius_mm
     if mu_per_mm is not None:
-        seen = strips(mu_per_mm * radius_mm, index)
-        own = np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
+        layer = strips(mu_per_mm * radius_mm, index)
+        own = np.asarray(radius_mm * (layer.width * layer.height).sum(axis=0))
     if not hairs:
         return own
     half_mm = np.sqrt(0.75 * (radius_mm**2 + (radius_mm + HAIRS.length_mm) ** 2))

@@ -1,9 +1,9 @@
-"""Whether thin roots let light through, and how much: tubes are fitted from opaque and from translucent ones.
+"""Attenuation of thin roots: fit tubes as opaque and as translucent roots, and compare.
 
-A thin root's opacity fixes mu w^2 and leaves mu and w open, but not under all angles: a root that leans towards the
-line of sight is darker by 1 / sin(theta) where it is faint and hardly darker where it is nearly opaque; and a picture
-shows how wide it is. Attenuation, blur and hairs are fitted together with the tubes (`root_light`), and both fits are
-compared on the profiles of lone roots, with a loss in which a profile where something else stands counts little.
+The opacity of a thin root determines mu w^2 but not mu and w separately. Two effects separate them: a root inclined
+towards the line of sight is darker by 1 / sin(theta) if faint, and hardly darker if nearly opaque; and the pictures
+show the width. Attenuation, blur and hairs are fitted together with the tubes (`root_light`). Both fits are compared on
+the profiles of lone roots, with a robust loss that gives little weight to profiles with other objects.
 """
 
 from __future__ import annotations
@@ -26,42 +26,44 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _START_PER_MM = 2.0
-"""Attenuation from which translucent roots are fitted where wide ones tell none: in the middle of `root_light.FAINTEST`
-and 8 per mm, as logarithms."""
+"""Initial attenuation of translucent roots if there is no estimate from wide ones: the geometric mean of
+`root_light.FAINTEST` and 8 per mm."""
 _STEPS, _TRANSLUCENT_STEPS = 5, 8
-"""Steps of the fit of opaque roots, and of translucent ones, which have farther to go: 0.35 of log mu a step."""
+"""Steps of the fit of opaque roots, and of translucent ones, which need more: log mu changes by at most 0.35 per
+step."""
 _PERHAPS = 1.1
-"""Half of `CLEARLY`: where opaque roots leave this many times as much, and by more than chance (`_TELLING`), roots are
-translucent, too. Opaque plants of the twin left 1.01 to 1.03 times as much, an opaque bean 1.09."""
+"""Ratio of residuals, opaque to translucent, above which roots count as translucent if the difference is also
+significant (`_TELLING`); half of the excess of `CLEARLY`. Opaque plants of the twin have 1.01 to 1.03, an opaque bean
+1.09."""
 _TELLING, _EXCLUDED = 2.0, 3.0
-"""Standard deviations, from the scatter of roots and views, by which two models must differ to be told apart (opaque
-plants of the twin had 0.2 to 1.7, thin translucent ones 2.8 to 12) and attenuation must be less than the darkest, and
-by which hairs half as strong as those of radish are excluded."""
+"""Minimum difference of two models in standard deviations, from the scatter of roots and views (opaque plants of the
+twin have 0.2 to 1.7, thin translucent ones 2.8 to 12), also between attenuation and the upper bound; and the difference
+at which hairs half as strong as those of radish are excluded."""
 
 
 @dataclass(frozen=True)
 class TubeAttenuation:
-    """How much light roots let through, and what else they share."""
+    """Attenuation of light by the roots, with the other light parameters they share."""
 
     mu_per_mm: float | None
-    """None: roots are opaque."""
+    """None for opaque roots."""
     light: Array
-    """(L,) as fitted (`tube_profiles.LIGHT`)."""
+    """(L,) fitted light parameters (`tube_profiles.LIGHT`)."""
     covariance: Array
-    """(L, L) of it; 0 for what was not fitted."""
+    """(L, L) covariance of the light parameters; 0 for those not fitted."""
     against_opaque: float
-    """How many times more opaque roots leave unexplained on lone roots; less than 1 where they leave less, 0 where
-    nothing was compared."""
+    """Ratio of the residuals of opaque and translucent roots on lone roots; below 1 if opaque roots fit better, 0 if no
+    comparison was made."""
     profiles: int
-    """Profiles of lone roots that told it."""
+    """Number of profiles of lone roots in the comparison."""
     rival_per_mm: float | None = None
-    """Attenuation that explains the pictures better than opaque roots, but not clearly so."""
+    """Attenuation that explains the pictures better than opaque roots, but not clearly."""
     hairs: Literal["none", "maybe", "there"] = "none"
-    """Whether hairs stand about the roots; maybe, where pictures with and without them would look alike."""
+    """Whether the roots have hairs; "maybe" if pictures with and without hairs would look alike."""
 
     @staticmethod
     def opaque() -> TubeAttenuation:
-        """Return the attenuation of opaque roots, where nothing was compared."""
+        """Return the attenuation of opaque roots without a comparison."""
         many = len(tube_profiles.LIGHT)
         return TubeAttenuation(None, np.zeros(many), np.zeros((many, many)), 0.0, 0)
 
@@ -71,76 +73,76 @@ class TubeAttenuation:
         return float(np.sqrt(self.covariance[MU, MU]))
 
     def warnings(self) -> list[str]:
-        """Return what is to be said of an attenuation that is not sure."""
+        """Return warnings about an uncertain attenuation."""
         hairs = []
         if self.hairs == "there":
             long_mm = translucent_tube.HAIRS.length_mm
-            hairs = [f"hairs of about {long_mm:g} mm seem to stand about the roots; their light is not counted as root"]
+            hairs = [f"the roots appear to have hairs of about {long_mm:g} mm; light absorbed by the hairs is not attributed to the roots"]
         if self.rival_per_mm is None:
             return hairs
         return [
             *hairs,
-            f"roots may be translucent ({self.rival_per_mm:.2g} per mm): opaque ones leave {self.against_opaque:.2f} times as much of lone "
-            "roots unexplained, which may be chance; they are taken to be opaque",
+            f"roots may be translucent ({self.rival_per_mm:.2g} per mm): with opaque roots the residual of lone roots is "
+            f"{self.against_opaque:.2f} times as large, which may be due to chance; roots are assumed opaque",
         ]
 
 
-def find(seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
-    """Fit tubes as opaque and as translucent roots, and take the translucent ones if they are clearly better.
+def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
+    """Fit tubes as opaque and as translucent roots, and return the translucent fit if it is clearly better.
 
     Parameters
     ----------
-    seen : Evidence
-        Opacity, with roots taken for opaque; silhouettes tell of blur alone.
+    evidence : Evidence
+        Opacity, with roots assumed opaque; silhouettes constrain the blur only.
     fitted : Tubes
         The tubes.
     thick : (N,) bool array
-        Nodes that stay as they are.
+        Mask of nodes that are not changed.
     learned_per_mm : float or None
-        Attenuation as the widest roots seem to have it (`translucency.learn`).
+        Attenuation estimated from the widest roots (`translucency.learn`).
     """
-    opaque = tube_fit.fit(seen, fitted, thick, steps=_STEPS, light=Prior.of(seen))
-    if not seen.has_opacity or (opaque.few and learned_per_mm is None):
-        return described(TubeAttenuation.opaque(), opaque), opaque
+    opaque = tube_fit.fit(evidence, fitted, thick, steps=_STEPS, light=Prior.from_evidence(evidence))
+    if not evidence.has_opacity or (opaque.few and learned_per_mm is None):
+        return update_attenuation(TubeAttenuation.opaque(), opaque), opaque
     glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
-    tubes = root_light.with_light_kept(opaque.tubes, thick, seen, glassy)
-    prior = Prior.of(glassy, learned_per_mm)
-    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))  # some glass looks like any edge
+    tubes = root_light.match_absorption(opaque.tubes, thick, evidence, glassy)
+    prior = Prior.from_evidence(glassy, learned_per_mm)
+    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))  # some combination with an index looks like any edge
     translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
     losses, lone = _losses(opaque, translucent, thick)
-    if losses[0].sum() > _PERHAPS * losses[1].sum():  # opaque ones had fewer steps
-        opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.of(opaque.evidence))
+    if losses[0].sum() > _PERHAPS * losses[1].sum():  # the opaque fit had fewer steps
+        opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.from_evidence(opaque.evidence))
         losses, lone = _losses(opaque, translucent, thick)
     against, profiles = float(losses[0].sum() / max(losses[1].sum(), 1e-12)), int(lone.sum())
     mu_per_mm = translucent.evidence.mu_per_mm or DARKEST
-    is_told = profiles >= LEAST_LONE
-    below = np.log(DARKEST / mu_per_mm) > _TELLING * described(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
-    perhaps = is_told and against > _PERHAPS and bool(below)
+    is_sufficient = profiles >= LEAST_LONE
+    below = np.log(DARKEST / mu_per_mm) > _TELLING * update_attenuation(TubeAttenuation.opaque(), translucent).sigma + ROUNDING
+    perhaps = is_sufficient and against > _PERHAPS and bool(below)
     clearly = perhaps and (against > CLEARLY or significance(losses[0] - losses[1], opaque.tubes.owner) > _TELLING)
-    is_translucent = clearly or (not is_told and learned_per_mm is not None)
+    is_translucent = clearly or (not is_sufficient and learned_per_mm is not None)
     fit = translucent if is_translucent else opaque
     found = replace(TubeAttenuation.opaque(), against_opaque=against, profiles=profiles)
-    return described(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit
+    return update_attenuation(replace(found, rival_per_mm=mu_per_mm if perhaps and not clearly else None), fit), fit
 
 
-def follow(seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation) -> Fit:
-    """Fit tubes and light, beginning with a light that is known.
+def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation) -> Fit:
+    """Fit tubes and light parameters, starting from known light parameters.
 
     Parameters
     ----------
-    seen, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float or None
+    evidence, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float or None
         As in `find`.
     known : TubeAttenuation
-        Of the same roots.
+        Attenuation of the same roots.
     """
-    lit = root_light.with_light(replace(seen, mu_per_mm=known.mu_per_mm), known.light)
-    tubes = root_light.with_light_kept(fitted, thick, seen, lit)
-    return tube_fit.fit(lit, tubes, thick, steps=_STEPS, light=Prior.of(lit, learned_per_mm))
+    lit = root_light.with_light(replace(evidence, mu_per_mm=known.mu_per_mm), known.light)
+    tubes = root_light.match_absorption(fitted, thick, evidence, lit)
+    return tube_fit.fit(lit, tubes, thick, steps=_STEPS, light=Prior.from_evidence(lit, learned_per_mm))
 
 
-def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
-    """Return an attenuation as a fit of the light has it, with its covariance and what it says of hairs."""
-    light, system, prior = root_light.light_of(fit.evidence), fit.light, fit.prior
+def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
+    """Return an attenuation updated from a fit of the light, with its covariance and the presence of hairs."""
+    light, system, prior = root_light.light_vector(fit.evidence), fit.light, fit.prior
     if system is None or prior is None:
         return attenuation
     covariance = system.covariance(light, prior)
@@ -148,7 +150,7 @@ def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
         covariance[MU, MU], covariance[INDEX, INDEX] = LEARNED_SIGMA**2, BENDING[1] ** 2
     hairs: Literal["none", "maybe", "there"] = "none"
     if fit.evidence.has_opacity and not fit.few:
-        change, sigma = system.alone(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)
+        change, sigma = system.estimate_without_prior(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)
         strength = light[HAIRS] + change[HAIRS]
         if strength + _EXCLUDED * sigma[HAIRS] > 0.5:
             hairs = "there" if fit.evidence.mu_per_mm is not None and strength > _TELLING * sigma[HAIRS] else "maybe"
@@ -156,19 +158,19 @@ def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
 
 
 def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:
-    """Return what both leave (2, V, N) on the profiles that are a lone root's for both, and which these are (V, N)."""
+    """Return the losses of both fits (2, V, N) on profiles that are of a lone root for both, and their mask (V, N)."""
     fits = opaque, translucent
-    lone = np.logical_and.reduce([tube_profiles.profiles(fit.drawn).is_lone for fit in fits]) & ~thick
-    left = np.stack([tube_profiles.misfit(opaque.evidence, opaque.tubes, fit.drawn.difference) for fit in fits])
+    lone = np.logical_and.reduce([tube_profiles.profiles(fit.rendering).is_lone for fit in fits]) & ~thick
+    left = np.stack([tube_profiles.misfit(opaque.evidence, opaque.tubes, fit.rendering.difference) for fit in fits])
     lone &= np.isfinite(left).all(axis=0)
     return np.where(lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0), lone
 
 
 def significance(difference: Array, owner: NDArray[np.int64]) -> float:
-    """Return by how many standard deviations differences (V, N) add up to more than nothing.
+    """Return the sum of differences (V, N) in standard deviations.
 
-    Profiles of one root, or of one view, are not independent: their sums scatter about nothing. It is never more than
-    the root of their number.
+    Profiles of one root, or of one view, are not independent: the variance is that of their sums about zero. The result
+    is never larger than the square root of the number of profiles.
 
     Parameters
     ----------

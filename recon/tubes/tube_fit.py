@@ -1,8 +1,8 @@
 """Fit tubes to the coverage of all views: Gauss-Newton with smooth branches.
 
-Where tubes hide each other their residual gradients are taken one by one (the nodes' normal equations are independent
-but for the smoothness along a branch); the pictures are drawn anew at every step, so that the steps settle where all
-agree.
+Where tubes hide each other, their residual gradients are computed one by one (the nodes' normal equations are
+independent except for the smoothness along a branch). The pictures are rendered again at every step, so that the
+iteration converges to a common solution.
 """
 
 from __future__ import annotations
@@ -22,103 +22,106 @@ from rhizotwin.recon.tubes import root_light, tube_profiles
 from rhizotwin.recon.tubes.root_light import LEAST_LONE, LightSystem, Prior
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
-from rhizotwin.recon.tubes.tubes import Tubes, moved
+from rhizotwin.recon.tubes.tubes import Tubes, with_geometry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEPS = 8
-"""Of a whole fit: steps of which `_RELAXED` is taken leave 0.4^8, less than a thousandth, of what a radius was off."""
+"""Steps of a complete fit: with the fraction `_RELAXED` per step, the remaining error of a radius is 0.4^8, less than a
+thousandth."""
 _BEND = 2.0
-"""Weight of the squared second differences of positions, 1/mm2: a view's full profile weighs some 10."""
+"""Weight of the squared second differences of positions, 1/mm2; a full profile of one view has a weight of about 10."""
 _SUPPLE_MM = 0.34
-"""Radius of roots that bend as easily as `_BEND` says.
+"""Radius of roots with the bending stiffness `_BEND`.
 
-Within their own radius the nodes of a wide tube would turn its flanks to and fro. With a weight that grows with the
-fourth power, as the stiffness of a beam does, nodes with data of 1600/mm2 (80 views of 4 px/mm) are smoothed over a
-third of their radius."""
+Within their own radius, the nodes of a wide tube would oscillate with its flanks. With a weight that grows with the
+fourth power, like the stiffness of a beam, nodes with data of 1600/mm2 (80 views of 4 px/mm) are smoothed over a third
+of their radius."""
 _TAPER = 12.0
 """Weight of the squared relative differences of radii along a branch: roots keep their radius over more than a
 centimetre.
 
-With less, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others
-hide is not held thin.
+With less, dense clusters made one root thick and its neighbour thin from node to node, and too thick on average: a root
+that others hide has no lower bound.
 """
 _DAMPING, _ALONG = 0.05, 0.5
-"""Fractions of a node's own curvature added to all its directions, and to that along the branch."""
+"""Fractions of a node's own curvature added in all directions, and along the branch."""
 _RELAXED = 0.6
-"""Share of a radius's step that is taken: where tubes share pixels all of them answer at once, and whole steps swing
-without end between too wide and too thin."""
+"""Fraction of the computed step of a radius that is applied: tubes that share pixels all respond at once, and full
+steps would oscillate between too wide and too thin."""
 LEAST = 0.5
-"""Curvature, 1/mm2, that every node has: one that no view sees stays where it is."""
+"""Minimum curvature of a node, 1/mm2: a node that no view shows is not moved."""
 _LARGEST_STEP_MM = 0.15
-"""A step moves no node by more: about a thin root's radius, within which its profiles tell the way."""
+"""Maximum displacement of a node per step: about the radius of a thin root, within which the profiles are
+informative."""
 _MOST_SHARE, _MOST_MM = 0.3, 0.01
-"""A step changes a radius by no more than this share of it and this: within that a profile's slope tells the way."""
+"""Maximum change of a radius per step, relative and absolute, within which the slope of a profile is valid."""
 _THINNEST_MM = 0.02
-"""Radius of the thinnest tube: a fifth of a pixel wide at 0.2 mm a pixel."""
+"""Minimum radius of a tube: a fifth of a pixel wide at 0.2 mm per pixel."""
 _STRETCH_NODES = 21
-"""A stretch, 12.6 mm of nodes 0.6 mm apart, over which a root is about equally thick."""
+"""Number of nodes, 12.6 mm at 0.6 mm spacing, over which a root has about the same thickness."""
 _BULGE = 1.12
-"""A radius stays within this ratio of its stretch's median: a bulge is another root that runs beside."""
+"""Maximum ratio of a radius to the median of its stretch: a bulge is another root alongside."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Tubes that were fitted, and what the pictures said at the last step."""
+    """Fitted tubes, with the residuals of the last step."""
 
     evidence: Evidence
-    """With the light as it was fitted."""
+    """Evidence with the fitted light parameters."""
     tubes: Tubes
     residual: ResidualGradient
     light: LightSystem | None
-    """The equations of the light; None where it was not fitted."""
+    """Normal equations of the light parameters; None if they were not fitted."""
     prior: Prior | None
-    """With which it was fitted."""
+    """Prior of the light parameters."""
     few: bool
-    """Lone roots are few, and the blur alone was fitted, to all of them."""
+    """Whether lone roots were too few, so that only the blur was fitted, to all profiles."""
 
     @cached_property
-    def drawn(self) -> Rendering:
-        """The tubes as they are now."""
-        return Rendering.of(self.evidence, self.tubes)
+    def rendering(self) -> Rendering:
+        """The rendering of the fitted tubes."""
+        return Rendering.draw(self.evidence, self.tubes)
 
 
 def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, light: Prior | None = None) -> Fit:
-    """Move the nodes and change their radii, and the light, until the tubes explain the pictures.
+    """Fit positions and radii of the nodes, and the light parameters, to the pictures.
 
     Parameters
     ----------
     thick : (N,) bool array
-        Nodes of thick roots, which show both flanks: their radii are not held near those about them, and tell no light.
+        Mask of nodes of thick roots, whose flanks are both visible: their radii are not smoothed, and do not constrain
+        the light parameters.
     light : Prior, optional
-        What is known of attenuation, blur and hairs, which are fitted with the tubes; without, they stay.
+        Prior of attenuation, blur and hairs, which are then fitted with the tubes; otherwise they are fixed.
     """
     system, few = None, False
     for _ in range(steps):
         passes.add("gauss_newton_steps")
-        drawn, smooth, change = Rendering.of(evidence, tubes), prior(tubes), None
-        profiles = tube_profiles.profiles(drawn, None if light is None else root_light.changes(drawn, light.seen), every=few)
+        drawn, smooth, change = Rendering.draw(evidence, tubes), prior(tubes), None
+        profiles = tube_profiles.profiles(drawn, None if light is None else root_light.changes(drawn, light.evaluated), every=few)
         residual = profiles.residual_gradient()
         if light is not None:
             equations = profiles.light_equations()
-            system = LightSystem.of(equations, profiles, tubes, smooth, thick)
+            system = LightSystem.build(equations, profiles, tubes, smooth, thick)
             if not few and system.lone < LEAST_LONE:
-                few, light = True, light.of_blur()
+                few, light = True, light.blur_only()
             else:
-                now = root_light.light_of(evidence)
+                now = root_light.light_vector(evidence)
                 step = system.step(now, light)
                 evidence, change = root_light.with_light(evidence, now + step), equations.by_light @ step
         tubes = _step(tubes, residual, smooth, change)
-        tubes = moved(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _even(tubes)))
+        tubes = with_geometry(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _limit_radii(tubes)))
     release()  # no other tree's kernels have these sizes
     return Fit(evidence, tubes, residual, system, light, few)
 
 
 def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, change: Array | None) -> Tubes:
-    """Take one damped Gauss-Newton step, in which the nodes follow a change of the light.
+    """Apply one damped Gauss-Newton step, in which the nodes follow a change of the light parameters.
 
-    ``change`` (N, 4) is that of their gradient.
+    ``change`` (N, 4) is the change of the nodes' gradient.
     """
     count, tangent = len(tubes.radius_mm), tubes.tangents
     hessian = residual.hessian.copy()
@@ -128,24 +131,24 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
     wanted = residual.gradient.ravel() - prior @ state
-    asked = np.stack([wanted, np.zeros_like(wanted) if change is None else change.ravel()], axis=1)
-    step, follow = splu((blocks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(asked).T.reshape(2, count, 4)
+    right = np.stack([wanted, np.zeros_like(wanted) if change is None else change.ravel()], axis=1)
+    step, follow = splu((blocks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(right).T.reshape(2, count, 4)
     step[:, 3] *= _RELAXED
     step = step - follow
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
     most = _MOST_SHARE * tubes.radius_mm + _MOST_MM
     radius = np.maximum(tubes.radius_mm + np.clip(step[:, 3], -most, most), _THINNEST_MM)
-    return moved(tubes, centre, radius)
+    return with_geometry(tubes, centre, radius)
 
 
-def followed(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
-    """Return how nodes (N, 4, L) follow the light: positions and radii that explain the pictures alike.
+def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
+    """Return the response of nodes (N, 4, L) to the light parameters that keeps the explained pictures unchanged.
 
     Parameters
     ----------
     hessian, by_light : (N, 4, 4), (N, 4, L) array
-        Of `ResidualGradient` and `LightEquations`.
+        Fields of `ResidualGradient` and `LightEquations`.
     """
     count, many = len(tubes.radius_mm), by_light.shape[2]
     hessian = hessian + LEAST * np.eye(4)
@@ -154,19 +157,19 @@ def followed(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
     return np.asarray(-solved.reshape(count, 4, many))
 
 
-def _even(tubes: Tubes) -> Array:
-    """Return radii (N,) held near the median of their stretch of the branch.
+def _limit_radii(tubes: Tubes) -> Array:
+    """Return radii (N,) clipped near the median of their stretch of the branch.
 
-    A bulge is another root that runs beside.
+    A bulge is another root alongside.
     """
     typical = _typical(tubes)
     return np.clip(tubes.radius_mm, typical / _BULGE, typical * _BULGE)
 
 
 def _typical(tubes: Tubes) -> Array:
-    """Return the median radius (N,) of each node's stretch of its branch."""
-    line, first, last = tubes.strung
-    first = first + (first > 0)  # a branch's first node has its parent's radius
+    """Return the median radius (N,) over each node's stretch of its branch."""
+    line, first, last = tubes.flattened
+    first = first + (first > 0)  # the first node of a branch has its parent's radius
     own = np.arange(len(line))
     own = own[own >= first]
     stretch = own[:, None] + np.arange(_STRETCH_NODES) - _STRETCH_NODES // 2
@@ -176,19 +179,19 @@ def _typical(tubes: Tubes) -> Array:
 
 
 def prior(tubes: Tubes) -> sparse.csr_matrix:
-    """Return the quadratic form (4 N, 4 N) of smooth branches.
+    """Return the quadratic form (4 N, 4 N) of the smoothness prior.
 
-    Little bending, radii that change slowly within a branch.
+    It penalises bending, and changes of the radius within a branch.
 
-    Radii change by parts of what is typical of their stretch, so that a taproot may taper by as much of its width as a
-    lateral.
+    Changes of the radius are relative to the typical radius of the stretch, so that a taproot may taper by the same
+    fraction of its width as a lateral.
     """
     count = len(tubes.radius_mm)
-    line, first, last = tubes.strung
+    line, first, last = tubes.flattened
     place = np.arange(len(line))
     middle = np.flatnonzero((first < place) & (place < last))
     triples = np.stack([line[middle - 1], line[middle], line[middle + 1]], axis=1)
-    second = np.flatnonzero(place > first + (first > 0))  # a branch's first node has its parent's radius
+    second = np.flatnonzero(place > first + (first > 0))  # the first node of a branch has its parent's radius
     neighbours = np.stack([line[second - 1], line[second]], axis=1)
     bend = _differences(triples, np.array([1.0, -2.0, 1.0]), count)
     beam = (tubes.radius_mm[triples].min(axis=1) / _SUPPLE_MM) ** 4

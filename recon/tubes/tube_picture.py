@@ -1,17 +1,18 @@
-"""Coverage pictures of tubes seen through the water (Dr.Jit).
+"""Coverage pictures of tubes viewed through the water (Dr.Jit).
 
-A tube's segment is a strip in a picture: with its axis at distance d from a pixel's centre and half-width w it covers
+A segment of a tube is a strip in a picture. With the distance d of its axis from a pixel's centre and the half-width w,
+it covers the fraction
 
     c = F(d + w) - F(d - w)
 
-of the pixel, where F(x) is the part of the pixel on one side of a straight edge at distance x. For an edge in the
+of the pixel, where F(x) is the fraction of the pixel on one side of a straight edge at distance x. For an edge in the
 direction (t_x, t_y) it is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|:
-the square pixel seen along the edge. Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact
+the square pixel projected along the edge. Blur of standard deviation s widens them, a^2 + 6 s^2 and b^2 + 6 s^2 (exact
 in variance). Roots hide each other: coverages combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c)
-add up. A pixel belongs to the segment on whose side of the line between two segments its centre lies: both have it
-there at the same distance from their axes. A branch's last segment goes on as half an ellipse, the picture of a round
-tip, and fades out. A kernel walks along the rows of each strip, from where it begins to cover them to where it ends: of
-its bounding box it would cover a third.
+add up. A pixel belongs to the segment on whose side of the dividing line between two segments its centre lies; on that
+line both axes have the same distance. The last segment of a branch ends in half an ellipse, the picture of a rounded
+tip, and fades out. The kernel walks along the rows of each strip and visits only covered pixels, about a third of the
+bounding box.
 """
 
 from __future__ import annotations
@@ -32,51 +33,51 @@ from rhizotwin.recon.tubes.translucent_tube import Layer
 from rhizotwin.recon.tubes.tubes import Tubes
 
 PIXEL_SIGMA = 12.0**-0.5
-"""Standard deviation of the square pixel."""
+"""Standard deviation of a square pixel."""
 _NARROWEST_PX = 0.1
-"""An edge along the rows sees a pixel of no width without blur: a box this wide stands for it."""
+"""Minimum width of the boxes: an edge along the rows, without blur, would have a box of zero width."""
 _LEAST_PX = 1e-3
-"""Segments that are shorter in a picture have no direction there."""
+"""Minimum length of a segment in a picture; shorter ones have no direction."""
 _NOTHING, _ENDS = 1e-4, 4.0
-"""Optical depth that counts for nothing, and standard deviations beyond a tip to where as little is left of it."""
+"""Negligible optical depth, and distance beyond a tip, in standard deviations, where the depth has fallen to it."""
 _STEEPEST = 1e-3
-"""Least sine of a segment with the rows and columns: flatter ones are cut off as if they had it, a hundredth of a pixel
-beside."""
+"""Minimum sine of the angle between a segment and the rows and columns; flatter segments are clipped as if they had it,
+an error of a hundredth of a pixel."""
 _FAR_PX = 3.0
-"""Beyond this from an edge a pixel lies on one side of it, blur and all."""
+"""Distance from an edge beyond which a pixel lies entirely on one side, blur included."""
 _HIDDEN = 5.3
-"""Optical depth where a picture does not tell of roots: that of a tube that covers it (`FULLEST`)."""
+"""Optical depth of masked pixels, equal to that of a tube with full coverage (`FULLEST`)."""
 FULLEST = 0.995
-"""Coverage is kept below one: its optical depth is infinite."""
+"""Maximum coverage, below one since its optical depth would be infinite."""
 
 
 def _on_one_side(x: Float, outer: Float, inner: Float, per_area: Float) -> Float:
-    """Return the part of a pixel, whose shadow is a trapezium, that lies on one side of an edge at x."""
+    """Return the fraction of a pixel, with a trapezoidal projection, that lies on one side of an edge at x."""
     x = dr.clip(x, -_FAR_PX, _FAR_PX)
     ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
     return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
 
 
 def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
-    """Return the light that tubes, and what hides them, let through in all views: mi.Float, (V, H, W) flattened.
+    """Return the light transmitted by tubes and masked pixels in all views: mi.Float, (V, H, W) flattened.
 
     Parameters
     ----------
     evidence, tubes, at : Evidence, Tubes, Nodes
-        Views and what hides the tubes; the tree, and where its nodes lie in the pictures.
+        Views with their masks; the tree, and the positions of its nodes in the pictures.
     """
     passes.add("renderings")
-    depth, strips = (1.0 - mi.Float(evidence.seen)) * _HIDDEN, _Strips.of(evidence, tubes, at)
+    depth, strips = (1.0 - mi.Float(evidence.usable)) * _HIDDEN, _Strips.project(evidence, tubes, at)
     dr.eval(depth)
     if strips is None:
         return dr.exp(-depth)
     (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way
-    # opaque: as a literal every blur would be a kernel of its own
+    # Opaque, since every literal value of blur would compile a new kernel.
     sigma, spread = dr.opaque(mi.Float, float(np.hypot(evidence.blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * evidence.blur_px**2)
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
-    # covered are the pixels with |d| < side_px and -end_px < s < length + end_px: an oblique cut reaches farther
+    # Covered pixels have |d| < side_px and -end_px < s < length + end_px; an oblique cut reaches farther.
     side_px, is_tip = strips.widest_px + outer, strips.cap_px > 0
     oblique = dr.maximum(*(dr.abs(t.x * t_y - t.y * t_x) / (t.x * t_x + t.y * t_y) for t in strips.cuts))
     end_px = side_px * oblique + dr.select(is_tip, strips.cap_px + _ENDS * sigma, 0.0)
@@ -87,8 +88,8 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     first, last = (y + dr.minimum(0.0, strips.length * t_y) - reach, y + dr.maximum(0.0, strips.length * t_y) + reach)
     top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
-    def covered(v: Int32) -> tuple[Int32, Int32]:
-        """Return the first and the last column that are covered in a row."""
+    def row_span(v: Int32) -> tuple[Int32, Int32]:
+        """Return the first and the last covered column of a row."""
         e_y = mi.Float(v) - y
         by_side, by_end = side_px * dr.abs(per_y), (0.5 * strips.length + end_px) * dr.abs(per_x)
         middle = e_y * t_x * per_y, (0.5 * strips.length - e_y * t_y) * per_x
@@ -111,59 +112,59 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
         value, own = -dr.log(1 - dr.minimum(c, FULLEST)), (before >= 0) & ((beyond < 0) | is_tip)
         place = strips.start + mi.UInt32(v * width + u)
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, own & (value > _NOTHING) & (u <= end), mode=dr.ReduceMode.Direct)
-        ended, (low, high) = u >= end, covered(v + 1)
+        ended, (low, high) = u >= end, row_span(v + 1)
         return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)
 
-    dr.while_loop((*covered(top), top), lambda _u, _end, v: v <= bottom, body)
+    dr.while_loop((*row_span(top), top), lambda _u, _end, v: v <= bottom, body)
     return dr.exp(-depth)
 
 
 @dataclass(frozen=True)
 class _Strips:
-    """Segments of tubes in the views that see both their ends, (M,) on the device."""
+    """Segments of tubes in the views that show both their ends, (M,) on the device."""
 
     start: UInt32
-    """mi.UInt32, where the picture of the view begins."""
+    """mi.UInt32, offset of the view's picture."""
     begin: Vector2f
-    """mi.Vector2f, pixel of the beginning."""
+    """mi.Vector2f, pixel of the first end."""
     way: Vector2f
     """mi.Vector2f, unit direction."""
     length: Float
     """mi.Float, px."""
     cuts: tuple[Vector2f, Vector2f]
-    """mi.Vector2f, unit normals of the lines that cut it off at both ends.
+    """mi.Vector2f, unit normals of the lines that clip the segment at both ends.
 
-    Two segments share the line that halves the angle between them, unless that is sharper than a right angle: cut off
-    square, bends had notches outside, into which fits pushed the nodes of wide tubes to and fro."""
+    Two segments share the line that bisects the angle between them, unless the angle is sharper than a right angle.
+    With perpendicular cuts, bends had notches outside, and fits moved the nodes of wide tubes back and forth."""
     half_px: tuple[Float, Float]
     """mi.Float, half-widths at both ends."""
     cap_px: Float
-    """mi.Float, how far along the segment the round tip reaches that follows; 0 where the branch goes on."""
+    """mi.Float, length of the rounded tip that follows; 0 where the branch continues."""
     layers: tuple[list[Layer], list[Layer]]
-    """The strips as which it is seen, at both ends."""
+    """The strips that represent it, at both ends."""
 
     @property
     def widest_px(self) -> Float:
-        """Return the largest half-width of them, mi.Float: hairs reach farther than the root."""
+        """Return the largest half-width of the strips, mi.Float: hairs reach farther than the root."""
         return reduce(dr.maximum, [layer.half_px for end in self.layers for layer in end])
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
-        """Return the strips of all views; None where no view sees any."""
+    def project(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
+        """Return the strips of all views; None if no view shows any."""
         p, (views, nodes), segments = at.on_device, at.shape, tubes.segments
         count, nodes = dr.opaque(mi.UInt32, len(segments)), dr.opaque(mi.UInt32, nodes)
         numbered = [wholes(end) for end in segments.T]
 
         def ends(place: UInt32) -> tuple[UInt32, UInt32, list[UInt32]]:
-            """Return views, segments and the places of both ends in (V, N), flattened."""
+            """Return views, segments and the indices of both ends in (V, N), flattened."""
             view = place // count
             segment = place - view * count
             return view, segment, [view * nodes + dr.gather(mi.UInt32, end, segment) for end in numbered]
 
         _, _, both = ends(dr.arange(mi.UInt32, views * len(segments)))
-        seen = [dr.gather(mi.Bool, p.seen, end) for end in both]
+        visible = [dr.gather(mi.Bool, p.visible, end) for end in both]
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
-        drawn = dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > _LEAST_PX))
+        drawn = dr.compress(visible[0] & visible[1] & (dr.norm(there - here) > _LEAST_PX))
         if not dr.width(drawn):
             return None
         view, segment, both = ends(drawn)
@@ -189,22 +190,23 @@ class _Strips:
 
 
 def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, way: Vector2f) -> tuple[Vector2f, Vector2f]:
-    """Return the unit normals of the lines that cut segments off at both ends.
+    """Return the unit normals of the lines that clip segments at both ends.
 
     Parameters
     ----------
     beside : list of UInt32
-        Places of the nodes before and after the segments.
+        Indices of the nodes before and after the segments.
     here, there, way : Vector2f
         Pixels of both ends, and the unit direction from one to the other.
     """
     before, after = (dr.gather(mi.Vector2f, p.px, node) for node in beside)
     onto, onward = here - before, after - there
-    joined = [dr.gather(mi.Bool, p.seen, node) & (dr.dot(w, way) > _LEAST_PX) for node, w in zip(beside, (onto, onward), strict=True)]
+    joined = [dr.gather(mi.Bool, p.visible, node) & (dr.dot(w, way) > _LEAST_PX) for node, w in zip(beside, (onto, onward), strict=True)]
     onto, onward = (w / dr.maximum(dr.norm(w), _LEAST_PX) for w in (onto, onward))
 
     def cut(mine: Vector2f, is_joined: Bool, other: Vector2f, has_other: Bool) -> Vector2f:
-        # a free end is cut off as the segment before it goes: cut square it would turn with its node and push it aside
+        # A free end is clipped parallel to the other cut: a perpendicular cut would turn with its node and push it
+        # aside.
         free = dr.select(has_other & (dr.dot(other, way) > 0.5**0.5), other, way)
         return dr.select(is_joined, dr.normalize(mine + way), free)
 
@@ -213,23 +215,23 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
 
 @dataclass(frozen=True)
 class Rendering:
-    """Tubes drawn into all views, and what they leave of the pictures."""
+    """Tubes rendered in all views, and the residual coverage."""
 
     evidence: Evidence
     tubes: Tubes
     at: Nodes
-    """Where the nodes lie in the pictures."""
+    """Positions of the nodes in the pictures."""
     passing: Float
-    """mi.Float, (V, H, W) flattened: `transmittance`, which pixels average where they would not its logarithm."""
+    """mi.Float, (V, H, W) flattened: `transmittance`. Unlike its logarithm, it may be averaged over pixels."""
     difference: Kernel
-    """mi.Float16, (V, H, W) flattened: measured less explained coverage, 0 where nothing is seen."""
+    """mi.Float16, (V, H, W) flattened: measured minus explained coverage, 0 where masked."""
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes) -> Rendering:
-        """Draw tubes."""
+    def draw(evidence: Evidence, tubes: Tubes) -> Rendering:
+        """Render tubes."""
         at = evidence.project(tubes.centre_mm)
         passing = transmittance(evidence, tubes, at)
-        difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.seen)
+        difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.usable)
         dr.eval(passing, difference)
         return Rendering(evidence, tubes, at, passing, difference)
 
@@ -239,9 +241,9 @@ class Rendering:
         Parameters
         ----------
         evidence, tubes : Evidence, Tubes
-            With a little more of something, by ``step``; the nodes where they are.
+            With one parameter increased by ``step``, and the nodes unchanged.
         """
-        change = (self.passing - transmittance(evidence, tubes, self.at)) * mi.Float(self.evidence.seen)
+        change = (self.passing - transmittance(evidence, tubes, self.at)) * mi.Float(self.evidence.usable)
         change = mi.Float16(change * dr.opaque(mi.Float, 1.0 / step))
         dr.eval(change)
         return change

@@ -1,9 +1,9 @@
-"""What each view says across the tubes at every node.
+"""Profiles across the tubes at every node and in every view (Dr.Jit).
 
-Coverage along a profile, and how it would change with the node (Dr.Jit).
+They give the residual coverage along a profile, and its derivatives by the node's position and radius.
 
-In a profile across a tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its
-half-width w by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave
+In a profile across a tube at offsets o, the derivative of the coverage is -(g(o + w) - g(o - w)) v by a shift and (g(o
++ w) + g(o - w)) v by the half-width w, where g is the Gaussian of the pixel and v the fraction that other tubes leave
 visible.
 """
 
@@ -28,64 +28,64 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Array = NDArray[np.float64]
 
 _SAMPLES = 14
-"""Samples of a profile, half of them at either edge."""
+"""Number of samples in a profile, half of them at each edge."""
 _MARGIN_PX = 1.8
-"""A profile is compared so far to both sides of either edge, or to the middle: nothing else tells of shift and
-width."""
+"""Distance on both sides of each edge, or up to the middle, over which a profile is compared; elsewhere the coverage
+does not depend on shift and width."""
 _INTERPOLATION_VARIANCE = 0.1
-"""Variance, px2, by which bilinear interpolation blurs."""
+"""Variance of the blur by bilinear interpolation, px2."""
 _LEAST_SPEED_PX = 0.3
-"""A tube seen end-on (px/mm along its axis) shows no strip."""
+"""Minimum length of a tube in the picture, px per mm along its axis: a tube viewed end-on shows no strip."""
 LIGHT = ("log mu", "blur variance", "hairs", "index")
-"""What all roots share: attenuation, variance of the pictures' blur (px2), strength of the hairs, and by how much the
-index of the roots is more than that of the water, over this."""
+"""Parameters shared by all roots: logarithm of the attenuation, variance of the pictures' blur (px2), strength of the
+hairs, and relative excess of the roots' refractive index over that of water."""
 _ALONE = 0.95
-"""Share of the light beside a lone root that passes: others take no more of it. What they hide of the root itself would
-tell less: where it covers a pixel nearly, the quotient of two small numbers."""
+"""Minimum transmittance beside a lone root. Transmittance of the other tubes on the root itself would be less reliable:
+where the root almost covers a pixel, it is the quotient of two small numbers."""
 _LEAST_SINE = 0.3
-"""Roots that lean towards the camera more than this tell more of their bends than of their light."""
+"""Minimum sine of a lone root: steeper roots constrain their bends more than their light."""
 OUTLIER = 0.05
-"""Sum of squared differences over a profile, px, from which a view loses weight: something else is there.
+"""Sum of squared differences over a profile, px, above which a view loses weight as it contains another object.
 
-Only what the tubes leave uncovered counts: that may be another root. What they cover and the picture shows empty is
-wrong for certain.
+Only coverage that the tubes do not explain counts, since it may be another root. Pixels that the tubes cover but the
+picture shows empty are errors.
 """
 
 
 @dataclass(frozen=True)
 class Sections:
-    """Cuts across nodes in the views that see them and not end-on; (M,) on the device."""
+    """Cross-sections at nodes, in the views that show them and not end-on; (M,) on the device."""
 
     shape: tuple[int, int]
-    """Views and nodes, V and N."""
+    """Number of views and nodes, V and N."""
     place: UInt32
-    """mi.UInt32, which of (V, N), flattened, each is."""
+    """mi.UInt32, index into (V, N), flattened."""
     start: UInt32
-    """mi.UInt32, where the picture of its view begins."""
+    """mi.UInt32, offset of the view's picture."""
     columns: int
     rows: int
     px: Vector2f
-    """mi.Vector2f, the node's pixel."""
+    """mi.Vector2f, pixel of the node."""
     normal: Vector2f
     """mi.Vector2f, unit direction across the tube in the picture."""
     across: Vector3f
-    """mi.Vector3f, gradient of the place across the tube by the node (canister frame), px/mm."""
+    """mi.Vector3f, gradient of the position across the tube by the node (canister frame), px/mm."""
     scale: Float
-    """mi.Float, px/mm across the tube."""
+    """mi.Float, scale across the tube, px/mm."""
     half_px: Float
     """mi.Float, half-width of the tube."""
     sine: Float
-    """mi.Float, of the angle between the tube and the line of sight."""
+    """mi.Float, sine of the angle between the tube and the line of sight."""
     layers: list[Layer]
-    """The strips as which the tube is seen."""
+    """The strips that represent the tube."""
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
-        """Cut across the nodes of tubes; None where no view shows any."""
+    def cut(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
+        """Return the cross-sections at the nodes of tubes; None if no view shows any."""
         p, count = at.on_device, dr.opaque(mi.UInt32, at.shape[1])
         tangent = vectors(tubes.tangents)
         t = at.in_all_views(tangent)
-        place = dr.compress(p.seen & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
+        place = dr.compress(p.visible & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
         if not dr.width(place):
             return None
         view = place // count
@@ -102,17 +102,17 @@ class Sections:
 
     @property
     def count(self) -> int:
-        """Return how many there are."""
+        """Return the number of cross-sections."""
         return int(dr.width(self.place))
 
     def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
-        """Return the offset across the tube, px, of one of a profile's samples, from ``-reach_px`` to ``reach_px``."""
+        """Return the offset across the tube, px, of sample k of a profile from ``-reach_px`` to ``reach_px``."""
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
 
     def at_edge(self, k: UInt32 | int) -> Float:
-        """Return the offset across the tube, px, of one of `_SAMPLES` samples about its two edges.
+        """Return the offset across the tube, px, of sample k of `_SAMPLES` about the two edges.
 
-        They are `edge_step` apart.
+        Samples are `edge_step` apart.
         """
         number, half = mi.Float(k), _SAMPLES // 2
         first = number < half
@@ -121,7 +121,7 @@ class Sections:
 
     @property
     def edge_step(self) -> Float:
-        """Return how far apart the samples about an edge are, mi.Float, px."""
+        """Return the spacing of the samples about an edge, mi.Float, px."""
         return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
@@ -131,7 +131,7 @@ class Sections:
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
 
     def spread(self, value: Float) -> Float:
-        """Return values (M,) in their places, mi.Float (V, N) flattened; 0 where nothing is cut."""
+        """Scatter values (M,) to (V, N) flattened, mi.Float; 0 where there is no cross-section."""
         whole = dr.zeros(mi.Float, self.shape[0] * self.shape[1])
         dr.scatter(whole, value, self.place)
         return whole
@@ -139,46 +139,46 @@ class Sections:
 
 @dataclass(frozen=True)
 class ResidualGradient:
-    """What the pictures want of each node: the normal equations of position and radius, H x = g."""
+    """Normal equations of position and radius of each node, H x = g, from the residuals of all views."""
 
     hessian: Array
     """(N, 4, 4) of x, y, z, radius."""
     gradient: Array
     """(N, 4)"""
     visible: Array
-    """(N,) share of the nodes' coverage, summed over the views, that nothing hides."""
+    """(N,) fraction of the nodes' coverage, summed over the views, that nothing hides."""
 
-    def of(self, nodes: NDArray[np.int64]) -> ResidualGradient:
-        """Return that of some nodes (M,)."""
+    def select(self, nodes: NDArray[np.int64]) -> ResidualGradient:
+        """Return the equations of a subset of the nodes (M,)."""
         return ResidualGradient(*(getattr(self, field.name)[nodes] for field in fields(self)))
 
 
 @dataclass(frozen=True)
 class LightEquations:
-    """What pictures want of nodes and light together."""
+    """Joint normal equations of nodes and light parameters."""
 
     by_light: Array
-    """(N, 4, L) of x, y, z, radius by `LIGHT`, of all profiles: how the nodes' gradient changes with the light."""
+    """(N, 4, L) derivative of the gradient (x, y, z, radius) by `LIGHT`, from all profiles."""
     lone: Array
-    """(N, 4 + L, 4 + L) of x, y, z, radius and `LIGHT`, of lone profiles."""
+    """(N, 4 + L, 4 + L) of x, y, z, radius and `LIGHT`, from lone profiles."""
     gradient: Array
     """(N, 4 + L)"""
 
 
 @dataclass(frozen=True)
 class HostProfiles:
-    """What each view (V) says across the tube at each node (N), integrated over its profile."""
+    """Profile integrals of each view (V) across the tube at each node (N)."""
 
     across: Array
-    """(V, N, 3) gradient of the place across the tube by the node, px/mm."""
+    """(V, N, 3) gradient of the position across the tube by the node, px/mm."""
     scale: Array
-    """(V, N) px/mm across the tube."""
+    """(V, N) scale across the tube, px/mm."""
     shift_2: Array
-    """(V, N) squared derivative of the coverage by a shift in px; 0 where the view says nothing."""
+    """(V, N) squared derivative of the coverage by a shift in px; 0 where the view has no data."""
     shift_width: Array
     width_2: Array
     shift: Array
-    """(V, N) derivative by the shift times what is unexplained."""
+    """(V, N) derivative by the shift times the residual."""
     width: Array
     shown: Array
     """(V, N) coverage that nothing hides."""
@@ -187,36 +187,37 @@ class HostProfiles:
 
 @dataclass(frozen=True)
 class Changes:
-    """How coverage changes in all views, mi.Float16, (V, H, W) flattened: differences of pictures.
+    """Derivatives of the coverage in all views, mi.Float16, (V, H, W) flattened: differences of pictures.
 
-    Along the valley in which wider and fainter roots look alike less than a hundredth of the derivatives is left: edges
-    that are a Gaussian's, and no pixel's, would hide it.
+    Along the valley in which wider and fainter roots look alike, less than a hundredth of the derivatives remains; the
+    analytic derivatives with a Gaussian edge are not accurate enough.
     """
 
     radius: Kernel
-    """By the logarithm of all radii."""
+    """Derivative by the logarithm of all radii."""
     light: dict[int, Kernel]
-    """By those of `LIGHT` that are asked for."""
+    """Derivatives by the selected parameters of `LIGHT`."""
 
 
 @dataclass(frozen=True)
 class LightProfiles:
-    """What every profile says of the light; on the device, (V, N) flattened, 0 where it is no lone root's."""
+    """Profile integrals for the light parameters; on the device, (V, N) flattened, 0 except for lone roots."""
 
     by_shift: tuple[Float, ...]
-    """Derivatives by `LIGHT` times the shift's; of all profiles."""
+    """Derivatives by `LIGHT` times the derivative by the shift, of all profiles."""
     by_width: tuple[Float, ...]
-    """... and the width's."""
+    """Derivatives by `LIGHT` times the derivative by the width, of all profiles."""
     shift_radius: Float
-    """Derivative by the radius as `Changes` have it, times the shift's; px/mm as all that follow by the radius."""
+    """Derivative by the radius from `Changes`, times that by the shift; px/mm, as for all following products with the
+    radius."""
     radius_2: Float
     radius: Float
-    """Times what is unexplained."""
+    """Derivative by the radius times the residual."""
     by_radius: tuple[Float, ...]
     light_2: tuple[Float, ...]
     """Products of the derivatives by `LIGHT`, upper triangle."""
     light: tuple[Float, ...]
-    """Times what is unexplained."""
+    """Derivatives by `LIGHT` times the residual."""
 
 
 @dataclass(frozen=True)
@@ -235,16 +236,16 @@ class Profiles:
     shown: Float
     whole: Float
     lone: Float
-    """1 where nothing else hides the root or stands on it, else 0."""
+    """1 for a lone root, which nothing else hides or overlaps, else 0."""
     light: LightProfiles | None = None
 
     @property
     def is_lone(self) -> NDArray[np.bool_]:
-        """Which profiles (V, N) are a lone root's."""
+        """Mask (V, N) of the profiles of lone roots."""
         return np.array(self.lone).reshape(self.shape) > 0.0
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
-        """Return them, or those of some nodes (M,), as NumPy has them."""
+        """Return the profiles, or those of some nodes (M,), as NumPy arrays."""
         views, count = self.shape
         chosen = np.arange(count) if nodes is None else nodes
         place = wholes(np.arange(views)[:, None] * count + chosen)
@@ -259,7 +260,7 @@ class Profiles:
         """Return the normal equations of all views together."""
 
         def terms(at: UInt32) -> Iterator[Float]:
-            """Give what a view adds: position by position (upper triangle), by radius, gradient, coverage."""
+            """Yield the sums of a view: position by position (upper triangle), by radius, gradient, coverage."""
             parts = [dr.gather(mi.Float, part, at) for part in self.across]
             names = [field.name for field in fields(HostProfiles)[1:]]
             scale, shift_2, shift_width, width_2, shift, width, shown, whole = (
@@ -277,26 +278,26 @@ class Profiles:
         return ResidualGradient(_symmetric(found[:, :10], _NODE), found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
     def light_equations(self) -> LightEquations:
-        """Return the normal equations of nodes and light, from lone profiles."""
-        of, many = self.light, len(LIGHT)
-        if of is None:
-            raise ValueError("these profiles were made without changes by the light")
+        """Return the normal equations of nodes and light parameters, from lone profiles."""
+        light, many = self.light, len(LIGHT)
+        if light is None:
+            raise ValueError("these profiles have no derivatives by the light parameters")
 
         def terms(at: UInt32) -> Iterator[Float]:
-            """Give what a view adds: products of x, y, z, radius and `LIGHT` by rows, gradient, then `by_light`."""
+            """Yield the sums of a view: products of x, y, z, radius and `LIGHT` by rows, gradient, then `by_light`."""
             read = partial(dr.gather, mi.Float, index=at)
             parts, scale, lone = [read(part) for part in self.across], read(self.scale), read(self.lone)
-            by_shift, by_width, by_radius = ([read(part) for part in group] for group in (of.by_shift, of.by_width, of.by_radius))
+            by_shift, by_width, by_radius = ([read(part) for part in group] for group in (light.by_shift, light.by_width, light.by_radius))
             for i in range(3):
                 yield from (lone * read(self.shift_2) * parts[i] * parts[j] for j in range(i, 3))
-                yield read(of.shift_radius) * parts[i]
+                yield read(light.shift_radius) * parts[i]
                 yield from (lone * part * parts[i] for part in by_shift)
-            yield read(of.radius_2)
+            yield read(light.radius_2)
             yield from by_radius
-            yield from (read(part) for part in of.light_2)
+            yield from (read(part) for part in light.light_2)
             yield from (lone * read(self.shift) * part for part in parts)
-            yield read(of.radius)
-            yield from (read(part) for part in of.light)
+            yield read(light.radius)
+            yield from (read(part) for part in light.light)
             yield from (part * along for along in parts for part in by_shift)
             yield from (part * scale for part in by_width)
 
@@ -307,7 +308,7 @@ class Profiles:
         return LightEquations(by_light, _symmetric(found[:, :products], np.triu_indices(size)), found[:, products : products + size])
 
     def _over_views(self, terms: Callable[[UInt32], Iterator[Float]], size: int) -> Array:
-        """Return sums (N, size) of what each view adds."""
+        """Return the sums (N, size) over the contributions of all views."""
         views, count = self.shape
         nodes = dr.opaque(mi.UInt32, count)
 
@@ -321,11 +322,11 @@ class Profiles:
 
 
 _NODE = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
-"""Rows and columns of the products of x, y, z and radius, in the order in which they are summed."""
+"""Rows and columns of the products of x, y, z and radius, in the order of summation."""
 
 
 def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Array:
-    """Return symmetric matrices (N, K, K) of products (N, P) in their rows and columns."""
+    """Return symmetric matrices (N, K, K) from products (N, P) with given rows and columns."""
     row, column = place
     size = int(column.max()) + 1
     found = np.empty((len(products), size, size))
@@ -341,14 +342,14 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
     drawn : Rendering
         The tubes.
     changes : Changes, optional
-        What changes with the light; without, nothing is told of it.
+        Derivatives by the light parameters; without them, no light equations are computed.
     every : bool
-        Every profile tells of the light, where those of lone roots are too few.
+        Whether all profiles are used for the light parameters, if those of lone roots are too few.
     """
     evidence, at = drawn.evidence, drawn.at
-    cut = Sections.of(evidence, drawn.tubes, at)
+    cut = Sections.cut(evidence, drawn.tubes, at)
     if cut is None:
-        return _arranged(at.shape, [dr.zeros(mi.Float, at.shape[0] * at.shape[1])] * _size(changes), changes)
+        return _assemble(at.shape, [dr.zeros(mi.Float, at.shape[0] * at.shape[1])] * _size(changes), changes)
     sigma = float(np.sqrt(evidence.blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
 
@@ -364,14 +365,14 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
             shift += layer.height * (g_minus - g_plus)
             width += layer.by_width * (g_plus + g_minus) + layer.by_height * box
         c = dr.minimum(c, FULLEST)
-        visible = dr.minimum(passing / (1 - c), 1.0)  # what the others leave of it
+        visible = dr.minimum(passing / (1 - c), 1.0)  # fraction that the other tubes leave visible
         shift, width = shift * visible, width * visible
         terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c)
         about = dr.square(dr.maximum(d, 0.0)), passing, 1 - c
-        of_light = () if changes is None else _of_light(cut, o, changes, shift, width, d)
+        of_light = () if changes is None else _light_terms(cut, o, changes, shift, width, d)
         return k + 1, *(total + term for total, term in zip(sums, (*terms, *about, *of_light), strict=True))
 
-    many = _size(changes) - 5  # beside direction, scale and lone
+    many = _size(changes) - 5  # without direction, scale and lone
     begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(many + 3))
     sums = list(dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:])
     uncovered, passing, passing_alone = sums[7:10]
@@ -382,12 +383,12 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
     factors = [weight] * 5 + [step] * 2 + [weight] * of_all + [weight * alone] * (many - 7 - of_all)
     summed = [total * factor for total, factor in zip(sums[:7] + sums[10:], factors if changes else factors[:7], strict=True)]
     found = [cut.spread(part) for part in (*cut.across, cut.scale, alone, *summed)]
-    dr.eval(found)  # one by one, each would look at all profiles anew
-    return _arranged(cut.shape, found, changes)
+    dr.eval(found)  # evaluated together, to traverse the profiles once
+    return _assemble(cut.shape, found, changes)
 
 
-def _of_light(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
-    """Give what a sample at an offset says of the light: the products of `LightProfiles`, in its order."""
+def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
+    """Yield the contributions of a sample at an offset to `LightProfiles`, in the order of its fields."""
     (radius,) = cut.read(o, changes.radius)
     radius *= cut.scale / cut.half_px  # by mm
     light = [cut.read(o, changes.light[k])[0] if k in changes.light else mi.Float(0.0) for k in range(len(LIGHT))]
@@ -400,13 +401,13 @@ def _of_light(cut: Sections, o: Float, changes: Changes, shift: Float, width: Fl
 
 
 def _size(changes: Changes | None) -> int:
-    """Return how many numbers a profile has."""
+    """Return the number of values per profile."""
     many = len(LIGHT)
     return 12 if changes is None else 12 + 4 * many + 3 + many * (many + 1) // 2
 
 
-def _arranged(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
-    """Put the numbers of all profiles in their places."""
+def _assemble(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
+    """Assemble the profiles from the values."""
     x, y, z, scale, lone, shift_2, shift_width, width_2, shift, width, shown, whole, *rest = parts
     across, many = mi.Vector3f(x, y, z), len(LIGHT)
     light = None
@@ -422,15 +423,15 @@ def _arranged(shape: tuple[int, int], parts: list[Float], changes: Changes | Non
 def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
     """Return the squared difference (V, N), px, integrated over both edges of every node.
 
-    Not a number where a view has none.
+    The result is NaN where a view does not show the node.
 
     Parameters
     ----------
     tubes, difference : Tubes, Float
-        About whose nodes, and what which tubes leave (`Rendering`).
+        The tubes, and the residual coverage of a rendering (`Rendering`).
     """
     at = evidence.project(tubes.centre_mm)
-    cut = Sections.of(evidence, tubes, at)
+    cut = Sections.cut(evidence, tubes, at)
     whole = np.full(at.shape, np.nan)
     if cut is not None:
         total = dr.zeros(mi.Float, cut.count)

@@ -1,4 +1,4 @@
-"""Roots as tubes: nodes with positions and radii, strung on branches that form a tree."""
+"""Roots as tubes: nodes with positions and radii on branches that form a tree."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Index = NDArray[np.int64]
 SPACING_MM = 0.6
 """Distance between the nodes of a branch."""
 TANGENT_NODES = 4
-"""The tangent of a branch is taken over so many nodes."""
+"""Number of nodes over which the tangent of a branch is computed."""
 SMOOTH_MM = 0.4
-"""Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
-_FEW = 16  # nodes near a path's beginning, among which one that came before it is sought first
-_OBLIQUE = 3.0  # times as far from a parent's axis to where a lateral comes out of it as straight away, at most: 20 degrees
-_STUB_MM = 0.7  # a little more than the distance between nodes
+"""Standard deviation of the Gaussian that smooths the steps between cells in a traced path."""
+_FEW = 16  # nearest nodes tested first for one that precedes a path
+_OBLIQUE = 3.0  # maximum ratio of path to straight distance from a parent's axis to a lateral: 20 degrees
+_STUB_MM = 0.7  # slightly more than the node spacing
 
 
 @dataclass(frozen=True)
 class Tubes:
     """A tree of tubes.
 
-    A branch lists its nodes from its beginning to its tip. The first node of every branch but the first belongs to its
-    parent: there it leaves the parent's centre line, with its own radius that of its second node.
+    A branch lists its nodes from its base to its tip. The first node of every branch except the first belongs to the
+    parent: there the branch leaves the parent's centre line, with the radius of its own second node.
     """
 
     centre_mm: Array
@@ -41,27 +41,27 @@ class Tubes:
     radius_mm: Array
     """(N,)"""
     branches: tuple[Index, ...]
-    """Node numbers; parents before children."""
+    """Node indices of each branch; parents before children."""
 
     @property
     def segments(self) -> Index:
-        """Return the pairs of nodes (S, 2) that a tube joins."""
-        line, first, _ = self.strung
+        """Return the pairs of nodes (S, 2) joined by a segment."""
+        line, first, _ = self.flattened
         follows = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[follows - 1], line[follows]], axis=1)
 
     @property
     def segment_neighbours(self) -> Index:
-        """Return the nodes (S, 2) of a branch before each segment and after it; its own begin or end where none is."""
-        line, first, last = self.strung
+        """Return the nodes (S, 2) of a branch before and after each segment; the segment's own end if there is none."""
+        line, first, last = self.flattened
         place = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[np.maximum(place - 2, first[place])], line[np.minimum(place + 1, last[place])]], axis=1)
 
     @property
     def segment_radii(self) -> tuple[Array, Array]:
-        """Return the radii (S,) with which each segment begins and ends.
+        """Return the radii (S,) at both ends of each segment.
 
-        A branch's first one is as thick as its second node.
+        The first segment of a branch begins with the radius of its second node.
         """
         a, b = self.segments.T
         begin, end = self.radius_mm[a], self.radius_mm[b]
@@ -70,12 +70,12 @@ class Tubes:
         return begin, end
 
     def own(self, branch: int) -> Index:
-        """Return the nodes (n,) of a branch that are not its parent's."""
+        """Return the nodes (n,) of a branch without its parent's."""
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
 
     @property
-    def strung(self) -> tuple[Index, Index, Index]:
-        """Return the nodes (M,) of all branches in a row, and where in it each one's branch begins and ends (M,)."""
+    def flattened(self) -> tuple[Index, Index, Index]:
+        """Return the concatenated nodes (M,) of all branches, and the bounds (M,), (M,) of each node's branch."""
         count = np.array([len(branch) for branch in self.branches])
         end = np.cumsum(count)
         return np.concatenate(self.branches), np.repeat(end - count, count), np.repeat(end - 1, count)
@@ -90,7 +90,7 @@ class Tubes:
 
     @property
     def ends(self) -> tuple[Index, ...]:
-        """Return the nodes (n,) of each branch's end: from where its last lateral leaves, or its base, to its tip."""
+        """Return the nodes (n,) of each branch's end: from its last lateral, or its base, to its tip."""
         bearing = np.zeros(len(self.radius_mm), bool)
         bearing[[nodes[0] for nodes in self.branches[1:]]] = True
         last = (int(np.flatnonzero(bearing[self.own(k)]).max(initial=-1)) + (k > 0) for k in range(len(self.branches)))
@@ -99,7 +99,7 @@ class Tubes:
     @property
     def tangents(self) -> Array:
         """Return unit vectors (N, 3) along the branches, towards their tips."""
-        line, first, last = self.strung
+        line, first, last = self.flattened
         place = np.arange(len(line))
         slope = self.centre_mm[line[np.minimum(place + 1, last)]] - self.centre_mm[line[np.maximum(place - 1, first)]]
         own = (place > first) | (first == 0)
@@ -121,15 +121,15 @@ class Tubes:
         return math.fsum(polyline.length_mm(self.centre_mm[b]) for b in self.branches)
 
     def keep(self, stays: NDArray[np.bool_]) -> Tubes:
-        """Keep nodes (N,) as `staying` chose them."""
+        """Keep the nodes (N,) of a mask returned by `prune_mask`."""
         number = np.cumsum(stays) - 1
         kept = [branch[stays[branch]] for k, branch in enumerate(self.branches) if stays[self.own(k)].any()]
         return Tubes(self.centre_mm[stays], self.radius_mm[stays], tuple(number[branch] for branch in kept))
 
-    def staying(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Tell the nodes (N,) that stay where branches are cut back from their tips.
+    def prune_mask(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the mask (N,) of nodes that remain after branches are cut back from their tips.
 
-        Cut away are the nodes ``gone`` (N,) beyond the last one that is not, or that bears a branch that stays.
+        The nodes ``gone`` (N,) beyond the last one to keep are removed, unless they bear a remaining branch.
         """
         stays = ~gone
         for k in range(len(self.branches) - 1, -1, -1):  # children before parents
@@ -141,10 +141,10 @@ class Tubes:
                 stays[self.branches[k][0]] = True
         return stays
 
-    def without_detours(self, gone: NDArray[np.bool_]) -> Tubes:
-        """Hang branches on the nearest earlier tube where their first nodes are ``gone`` (N,) and go a long way round.
+    def cut_detours(self, gone: NDArray[np.bool_]) -> Tubes:
+        """Attach branches to the nearest earlier tube if their first nodes are ``gone`` (N,) and make a long detour.
 
-        The nodes of the detours stay, in no branch.
+        The nodes of the detours remain, without a branch.
         """
         owner, branches = self.owner, list(self.branches)
         bears = np.zeros(len(owner), bool)
@@ -163,8 +163,8 @@ class Tubes:
         return replace(self, branches=tuple(branches))
 
 
-def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
-    """Smooth paths and string nodes evenly on them.
+def place_nodes(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
+    """Smooth paths and place evenly spaced nodes on them.
 
     Parameters
     ----------
@@ -173,8 +173,8 @@ def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
     radius_mm : sequence of float64 array
         Radii (n,) at these points.
     """
-    strung = [_even(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
-    strung[1:] = [(points[1:], thickness[1:]) for points, thickness in strung[1:]]  # the first is the parent's
+    strung = [_resample(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
+    strung[1:] = [(points[1:], thickness[1:]) for points, thickness in strung[1:]]  # the first node belongs to the parent
     centre, radius = (np.concatenate(part) for part in zip(*strung, strict=True))
     first = np.concatenate([[0], np.cumsum([len(points) for points, _ in strung])])
     parents = _nearest_before(centre, np.array([path[0] for path in paths]), first[:-1])
@@ -187,13 +187,13 @@ def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
     near = cKDTree(centre).query(points, k=min(_FEW, len(centre)))[1].reshape(len(points), -1)
     allowed = near < count[:, None]
     found = np.where(allowed.any(axis=1), near[np.arange(len(near)), allowed.argmax(axis=1)], 0)
-    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all that are near come later
+    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all near ones come later
         found[k] = np.linalg.norm(centre[: count[k]] - points[k], axis=1).argmin()
     return np.asarray(found, np.int64)
 
 
-def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
-    """Hang further paths on a tree, with nodes strung on them; a path that begins at a tip lengthens that branch.
+def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
+    """Attach paths to a tree, with nodes placed on them; a path that begins at a tip extends that branch.
 
     Parameters
     ----------
@@ -202,12 +202,12 @@ def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parent
     radius_mm : sequence of float64 array
         Radii (n,) at these points.
     parents : sequence of int
-        The node of the tree that each begins at; -1: the nearest of the new branches before it.
+        Node of the tree at which each begins; -1 for the nearest node of the preceding new branches.
     """
     centres, radii, branches, count = [tree.centre_mm], [tree.radius_mm], list(tree.branches), len(tree.radius_mm)
     tips = {int(nodes[-1]): k for k, nodes in enumerate(branches)}
     for path, radius, parent in zip(paths, radius_mm, parents, strict=True):
-        points, thickness = _even(path, radius)
+        points, thickness = _resample(path, radius)
         if parent < 0:
             new = np.concatenate(centres[1:])
             parent = len(tree.radius_mm) + int(cKDTree(new).query(path[0])[1])
@@ -223,8 +223,8 @@ def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parent
     return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
 
 
-def _even(path: Array, radius: Array) -> tuple[Array, Array]:
-    """Smooth a path, its ends held, and place nodes on it."""
+def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
+    """Smooth a path with fixed ends, and place nodes on it."""
     step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1))) if len(path) > 1 else 1.0
     pad = len(path) - 1
     mirrored = np.concatenate([2 * path[:1] - path[:0:-1], path, 2 * path[-1:] - path[-2::-1]])
@@ -235,15 +235,15 @@ def _even(path: Array, radius: Array) -> tuple[Array, Array]:
     return points, np.interp(at, along, radius)
 
 
-def without_stubs(tubes: Tubes) -> Tubes:
-    """Let branches go on in the child that leaves where they end: no root ends where a lateral leaves it.
+def merge_stubs(tubes: Tubes) -> Tubes:
+    """Continue branches in the child that leaves at their end: no root ends where a lateral leaves it.
 
-    Of several children the one that bends least is chosen; what goes on beyond them for less than a node's distance is
-    dropped.
+    Of several children, the one with the smallest bend is chosen; a remainder beyond them shorter than the node spacing
+    is removed.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
-    children = children_of(branches, owner)
+    children = list_children(branches, owner)
     for k in sorted(children, reverse=True):  # children before parents
         line = tubes.branches[k]
         starts = np.array([int(np.flatnonzero(line == tubes.branches[j][0])[0]) for j in children[k]])
@@ -263,14 +263,14 @@ def without_stubs(tubes: Tubes) -> Tubes:
     return Tubes(centre, tubes.radius_mm, tuple(nodes for nodes in branches if nodes is not None)).keep(used)
 
 
-def without_gaps(tubes: Tubes) -> Tubes:
-    """Put nodes into segments that are much longer than the others."""
+def fill_gaps(tubes: Tubes) -> Tubes:
+    """Insert nodes into segments that are much longer than the others."""
     centres, radii, branches, count = [tubes.centre_mm], [tubes.radius_mm], list(tubes.branches), len(tubes.radius_mm)
     for k, nodes in enumerate(branches):
         way = np.diff(tubes.centre_mm[nodes], axis=0)
         parts = np.maximum(np.round(np.linalg.norm(way, axis=1) / SPACING_MM), 1).astype(np.int64)
         if k > 0:
-            parts[0] = 1  # what lies between a parent's centre line and its flank shows nothing
+            parts[0] = 1  # the part between the parent's centre line and its flank is not visible
         line, radius = [nodes[:1]], tubes.radii(k)
         for i in range(len(parts)):
             share = np.arange(1, parts[i]) / parts[i]
@@ -282,12 +282,12 @@ def without_gaps(tubes: Tubes) -> Tubes:
     return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
 
 
-def from_axes(tubes: Tubes) -> Tubes:
-    """Let laterals leave their parents' axes where their tangents point to.
+def trim_inside_parents(tubes: Tubes) -> Tubes:
+    """Move the bases of laterals to the points of their parents' axes that their tangents point to.
 
-    What runs on inside the parent, unseen, is dropped.
+    The hidden part of a lateral within its parent is removed.
 
-    A path to the axis of a thick root runs along inside of it, as no picture says where it should not.
+    A path to the axis of a thick root may run along inside it, as no picture constrains it there.
     """
     centre, radius = tubes.centre_mm, tubes.radius_mm
     branches, used, instead = list(tubes.branches), np.ones(len(radius), bool), np.arange(len(radius))
@@ -311,13 +311,13 @@ def from_axes(tubes: Tubes) -> Tubes:
     return Tubes(centre, radius, tuple(branches)).keep(used)
 
 
-def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
+def with_geometry(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
     """Return tubes with other centres (N, 3) and radii (N,)."""
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
 
 
 def owners(branches: Sequence[Index | None], count: int) -> Index:
-    """Return the branch (N,) that each of ``count`` nodes belongs to, -1 where it is in none; some may be gone."""
+    """Return the branch (N,) that each of ``count`` nodes belongs to, -1 for none; branches may be None."""
     owner = np.full(count, -1)
     for k, nodes in enumerate(branches):
         if nodes is not None:
@@ -325,15 +325,15 @@ def owners(branches: Sequence[Index | None], count: int) -> Index:
     return owner
 
 
-def above(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
-    """Return a branch, that on which it hangs, and so on to the first (0).
+def ancestors(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
+    """Return a branch, its parent, and so on to the first branch (0).
 
-    It ends before 0 where a parent is gone, or in a circle.
+    The list ends before 0 if a parent is missing, or in a cycle.
 
     Parameters
     ----------
     owner : Index
-        (N,) branch of each node, -1 where it is in none.
+        (N,) branch of each node, -1 for none.
     """
     found: list[int] = []
     while branch >= 0 and branch not in found and (nodes := branches[branch]) is not None:
@@ -342,8 +342,8 @@ def above(branches: Sequence[Index | None], owner: Index, branch: int) -> list[i
     return found
 
 
-def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
-    """Return the branches that hang on each branch that bears any.
+def list_children(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
+    """Return the children of each branch that has any.
 
     Parameters
     ----------
@@ -357,15 +357,15 @@ def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, lis
     return children
 
 
-def hanging_order(branches: Sequence[Index | None], count: int) -> list[int]:
-    """Return the numbers (K,) of branches that hang, by their parents, on the first, parents before children.
+def parents_first(branches: Sequence[Index | None], count: int) -> list[int]:
+    """Return the indices (K,) of branches connected to the first, parents before children.
 
     Parameters
     ----------
     count : int
         Number of nodes.
     """
-    children = children_of(branches, owners(branches, count))
+    children = list_children(branches, owners(branches, count))
     order, waiting = [], deque([0])
     while waiting:
         order.append(waiting.popleft())

@@ -1,1 +1,1 @@
-"""How far a volume can be trusted: an error budget of causes measured on the scan itself."""
+"""Error budget of a volume, with causes of uncertainty that are measured on the scan itself."""

@@ -1,9 +1,9 @@
-"""What cameras that were found without markers leave open.
+"""Uncertainty of a volume due to cameras calibrated without markers.
 
-With another scale everything is as much larger, its volume by three times the share. A view that is turned or lifted
-by too much moves its outlines: what lies r from the axis by r times the angle, sideways at the azimuths where it is
-near or far and not at all where it is beside, on average by r / sqrt(2). A hull is cut by whichever view is worst, so
-that it becomes smaller by a view's whole error; it becomes larger only by what all views have in common.
+An error of the scale changes the volume by three times the relative error. A view with an error of azimuth or vertical
+shift displaces its outlines: a point at the distance r from the axis moves by r times the angle, laterally where it is
+near or far and not at all where it is beside the axis, on average by r / sqrt(2). A hull is the intersection of all
+views, so that it becomes smaller by a view's whole error; it becomes larger only by the error common to all views.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 
-def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_px: float) -> tuple[Term, ...]:
-    """Return the terms of cameras without markers; none where markers or a person gave the cameras.
+def camera_terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_px: float) -> tuple[Term, ...]:
+    """Return the terms of cameras without markers; none if the cameras are from markers or given.
 
     Parameters
     ----------
     known : BareUncertainty or None
-        How well the cameras are known.
+        Uncertainty of the cameras.
     leaves : Leaves
         The shape.
     views : int
-        How many see it.
+        Number of views.
     mm3_per_px : float
-        By how much the shape grows for every pixel that its outlines are moved out.
+        Increase of the shape per pixel that its outlines are moved out.
     """
     if known is None:
         return ()
@@ -38,17 +38,17 @@ def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_
     off_mm = math.hypot(known.azimuth_rad * _distance_mm(leaves) / math.sqrt(2.0), known.lift_mm)
     moved = NINETY * off_mm / known.mm_per_px * mm3_per_px
     return (
-        Term.even("scale", scale, "the scale is that of the canister's diameter, which a person measured"),
+        Term.symmetric("scale", scale, "the scale depends on the measured diameter of the canister"),
         Term(
             name="cameras",
             less_mm3=moved / math.sqrt(views),
             more_mm3=moved,
-            why="without markers the views' angles and heights are known only as far as the roots tell them",
+            why="without markers, the angles and heights of the views are estimated from the roots only",
         ),
     )
 
 
 def _distance_mm(leaves: Leaves) -> float:
     """Return the root mean square distance of a shape from the axis."""
-    middle, weight = leaves.middles_mm, leaves.filled
+    middle, weight = leaves.middles_mm, leaves.filled_volume
     return float(np.sqrt((weight * (middle[:, 0] ** 2 + middle[:, 1] ** 2)).sum() / max(float(weight.sum()), 1e-9)))

@@ -1,10 +1,9 @@
-"""How far a volume can be trusted: an error budget, term by term, and what it says as a whole.
+"""Error budget of a volume: terms, 90 % interval and verdict.
 
-Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms come from
-different causes, so they add up in quadrature, each side by itself. What a term has on one side only (a root that
-nobody saw makes the volume larger) is expected to be half of it: that half adds up as it is, only the other half is
-chance (GUM, JCGM 100:2008, F.2.4.5, of a bias that is not corrected). A term that stands alone reaches as far as it
-says.
+Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms have different
+causes and add up in quadrature, separately for each side. A one-sided term (an undetected root only makes the volume
+larger) has an expected value of half its width: that half is added linearly, and only the other half is random (GUM,
+JCGM 100:2008, F.2.4.5, of a bias that is not corrected). A single term therefore contributes its full width.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from rhizotwin.recon.uncertainty import checks
 from rhizotwin.scenes.said import between_ml
 
 NINETY = 1.645
-"""90 % of a normal distribution lies within this many standard deviations."""
+"""Half-width of the 90 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,20 +26,20 @@ class Term:
 
     name: str
     less_mm3: float
-    """The true volume may be this much smaller for this cause."""
+    """Amount by which the true volume may be smaller for this cause."""
     more_mm3: float
     why: str
-    """Where it comes from, in words."""
+    """Description of the cause."""
 
     @staticmethod
-    def even(name: str, half_mm3: float, why: str) -> Term:
-        """Return a cause that may make the volume as much smaller as larger."""
+    def symmetric(name: str, half_mm3: float, why: str) -> Term:
+        """Return a term of equal width on both sides."""
         return Term(name=name, less_mm3=half_mm3, more_mm3=half_mm3, why=why)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Volume:
-    """A volume with what is known of its error."""
+    """A volume with its uncertainty."""
 
     mm3: float
     interval_mm3: tuple[float, float]
@@ -48,31 +47,31 @@ class Volume:
     bounds_mm3: tuple[float, float]
     """Smallest and largest volume that the silhouettes allow."""
     trusted: bool
-    """Whether the scan can give a volume."""
+    """Whether the volume is trusted."""
     verdict: str
-    """One sentence: what the volume is worth."""
+    """Reliability of the volume, in one sentence."""
     terms: tuple[Term, ...]
     """Causes of uncertainty."""
 
-    def distrusted(self, reasons: Sequence[str]) -> Volume:
-        """Return the same volume, not trusted for more reasons."""
+    def distrust(self, reasons: Sequence[str]) -> Volume:
+        """Return the same volume, not trusted for additional reasons."""
         before = "" if self.trusted else self.verdict.removeprefix(checks.NO_VOLUME)
         return replace(self, trusted=False, verdict=checks.verdict([*([before] if before else []), *reasons]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """What is known of a volume's error."""
+    """Error budget of a volume."""
 
     volume_mm3: float
     terms: tuple[Term, ...]
     views: int
     unexplained: float = 0.0
-    """Share of the covered area that the shape does not explain."""
+    """Fraction of the covered area that the shape does not explain."""
     fill: float = 0.0
-    """Share of the root zone's picture that thin roots cover; 0 for shapes without them."""
+    """Fraction of the root zone's picture that thin roots cover; 0 for shapes without thin roots."""
     trust: TrustSettings = field(default_factory=TrustSettings)
-    """When the volume is not trusted."""
+    """Limits for the volume to be trusted."""
 
     @property
     def interval_mm3(self) -> tuple[float, float]:
@@ -83,35 +82,35 @@ class Budget:
 
     @property
     def objections(self) -> tuple[str, ...]:
-        """Return why the scan cannot give a volume; empty where it can."""
+        """Return the reasons for which the volume is not trusted; empty if it is."""
         if not self.terms:
-            return ("this method states no cause of uncertainty, so that its volume is not assessed",)
+            return ("this method gives no uncertainty, so that its volume is not assessed",)
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
             found.append(f"only {self.views} views were used, and false roots cannot be ruled out with fewer than {trust.least_views}")
         if self.unexplained > trust.unexplained[1]:
-            found.append(f"the shape leaves {100.0 * self.unexplained:.0f} % of what the pictures show unexplained")
+            found.append(f"the shape does not explain {100.0 * self.unexplained:.0f} % of the coverage in the pictures")
         if self.fill > trust.fill[1]:
-            found.append(f"thin roots cover {100.0 * self.fill:.0f} % of the root zone's picture, so that no view tells them from gaps")
+            found.append(f"thin roots cover {100.0 * self.fill:.0f} % of the root zone's picture, so that no view separates them from gaps")
         under, over = (reach > trust.widest * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
         if under or over:
             worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))
             found.append(
-                f"the 90 % interval reaches from {between_ml(low, high)}, farther than {100.0 * trust.widest:.0f} % to one side, "
-                f"most of all for this reason: {worst.why}"
+                f"the 90 % interval, {between_ml(low, high)}, extends more than {100.0 * trust.widest:.0f} % to one side, "
+                f"mainly for this reason: {worst.why}"
             )
         return tuple(found)
 
     @property
     def verdict(self) -> str:
-        """Return one sentence: what the volume is worth."""
+        """Return the reliability of the volume, in one sentence."""
         if self.objections:
             return checks.verdict(self.objections)
         low, high = self.interval_mm3
         return f"with 90 % confidence the true volume is {between_ml(low, high)}"
 
     def volume(self, bounds_mm3: tuple[float, float]) -> Volume:
-        """Return the volume, and how far it can be trusted."""
+        """Return the volume with its interval and verdict."""
         return Volume(
             mm3=self.volume_mm3,
             interval_mm3=self.interval_mm3,
@@ -123,6 +122,6 @@ class Budget:
 
 
 def _reach(terms: Sequence[tuple[float, float]]) -> float:
-    """Return how far terms reach together to one side, of half-widths to this side and to the other."""
+    """Return the combined half-width on one side, from half-widths on this side and on the other."""
     expected = [0.5 * max(this - other, 0.0) for this, other in terms]
     return math.fsum(expected) + math.hypot(*(this - half for (this, _), half in zip(terms, expected, strict=True)))

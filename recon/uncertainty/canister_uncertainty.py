@@ -1,9 +1,8 @@
-"""What canister and tank as bought leave open: through another wall or index the pictures show another volume.
+"""Uncertainty of a volume due to dimensions and refractive indices of canister and tank as bought.
 
-Where pictures of points in the water are taken through one canister and read through another, each point is found
-elsewhere: where it agrees best with all views (one Gauss-Newton step, as the shifts are small). How a small cube about
-a point is stretched by that, the determinant of the map, is how its volume is misread; the mean over the shape is the
-error.
+If pictures taken through one canister are reconstructed with another, each point is found elsewhere: at the position
+that agrees best with all views (one Gauss-Newton step, as the shifts are small). The determinant of this map is the
+relative volume of a small cube about the point; its mean over the shape is the error.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.optics.cameras import View, known_tank, project_inner
+from rhizotwin.recon.optics.cameras import View, project_inner, tank_pose
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.scenes.frames import from_rotvec, rotation_z
@@ -26,38 +25,38 @@ from rhizotwin.scenes.model import Tank
 Array = NDArray[np.float64]
 
 WALL, N_WALL, RADIUS = 0.1, 0.002, 0.01
-"""Cast acrylic tube is sold within these: share of its wall, index (1.489 to 1.493), share of its radius."""
+"""Tolerances of cast acrylic tube: relative wall thickness, refractive index (1.489 to 1.493), relative radius."""
 EVENLY = 0.9
-"""What lies evenly within its limits is within this part of them in nine of ten."""
+"""A uniformly distributed quantity is within this fraction of its limits with a probability of 90 %."""
 EDGES = 0.001
-"""Share of the radius to which the canister's edges tell it, where they are seen: 0.323 mm were found for 0.300."""
+"""Relative accuracy of the radius from the canister's edges, if visible: 0.323 mm was measured for 0.300 mm."""
 TANK_WALL, TANK_FRONT_MM, LIQUID, TURN_DEG, LEAN_DEG = 0.1, 1.0, 0.001, 2.0, 0.3
-"""Of a tank: share of its wall as acrylic sheet is sold, how far off it stands that was placed with a ruler (mm), index
-of its water within ten degrees and a gram of salts, how far it is turned that was set by eye (deg), and how far its
-front leans that was glued at a right angle (half a millimetre over 100) and set with a level."""
+"""Tolerances of a tank: relative wall thickness of acrylic sheet, position measured with a ruler (mm), index of its
+water within ten degrees and a gram of salts, rotation set by eye (deg), and tilt of a front glued at a right angle
+(half a millimetre over 100) and set with a level."""
 POINTS, VIEWS = 100, 12
-"""Of the shape and of the turn that are looked at: the map is smooth."""
+"""Number of points of the shape and of views that are evaluated: the map is smooth."""
 CUBE_MM = 1.0
-"""Edge of the cubes: far smaller than the map's bend."""
+"""Edge of the cubes, far smaller than the scale on which the map varies."""
 STEP_MM = 1e-3
-"""Of the differences that give a pixel's gradient: double precision leaves it right to 1e-6."""
+"""Step of the difference quotients of a pixel's gradient, accurate to 1e-6 in double precision."""
 
 
-def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, edges: CanisterPose | None) -> Term:
-    """Return the term of a canister, and a tank about it, that are not as drawn.
+def canister_term(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, edges: CanisterPose | None) -> Term:
+    """Return the term of a canister, and of its tank, that differ from the drawing.
 
     Parameters
     ----------
     views : sequence of View
-        Of the scan.
+        Views of the scan.
     optics : Optics
         The canister as drawn.
     leaves : Leaves
         The shape.
     volume_mm3 : float
-        Its volume.
+        Volume of the shape.
     edges : CanisterPose or None
-        What its edges told; None where they were not seen.
+        Pose from the canister's edges; None if they were not visible.
     """
     o, radius_excess_mm = optics, None if edges is None else edges.radius_excess_mm
     wall_mm = o.outer_radius_mm - o.inner_radius_mm
@@ -68,44 +67,44 @@ def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: 
         "the index of its wall": replace(o, n_wall=o.n_wall + EVENLY * N_WALL),
         "its radius": replace(o, outer_radius_mm=o.outer_radius_mm + sign * off_mm, inner_radius_mm=o.inner_radius_mm + sign * off_mm),
     }
-    others |= {} if o.tank is None else _tanks(o, o.tank)
+    others |= {} if o.tank is None else _tank_tolerances(o, o.tank)
     points = _points(leaves)
     shares = {name: abs(misread(views, o, other, points)) for name, other in others.items()}
     if o.tank is not None:
         sigma_deg = TURN_DEG if edges is None else edges.tank_sigma_deg
-        moved = {"is turned": rotation_z(np.deg2rad(NINETY * sigma_deg))}
-        moved["leans"] = from_rotvec(np.deg2rad([0.0, EVENLY * LEAN_DEG, 0.0]), np.zeros(3))
-        for how, turn in moved.items():
-            others_seen = [replace(view, cam_from_tank=known_tank(view) @ turn) for view in views]
-            shares[f"how its tank {how}"] = abs(misread(views, o, o, points, others_seen))
+        moved = {"the rotation of its tank": rotation_z(np.deg2rad(NINETY * sigma_deg))}
+        moved["the tilt of its tank"] = from_rotvec(np.deg2rad([0.0, EVENLY * LEAN_DEG, 0.0]), np.zeros(3))
+        for name, turn in moved.items():
+            others_seen = [replace(view, cam_from_tank=tank_pose(view) @ turn) for view in views]
+            shares[name] = abs(misread(views, o, o, points, others_seen))
     half = math.hypot(*shares.values()) * volume_mm3
     worst = max(shares, key=lambda name: shares[name])
-    return Term.even("canister", half, f"the canister may differ from its drawing, most of all in {worst}")
+    return Term.symmetric("canister", half, f"the canister may differ from its drawing, mainly in {worst}")
 
 
-def _tanks(o: Optics, tank: Tank) -> dict[str, Optics]:
-    """Return what a tank may be instead."""
+def _tank_tolerances(o: Optics, tank: Tank) -> dict[str, Optics]:
+    """Return alternative optics within the tolerances of a tank."""
     changed = {
         "the walls of its tank": replace(tank, wall_mm=tank.wall_mm * (1.0 + EVENLY * TANK_WALL)),
-        "where its tank stands": replace(tank, front_mm=tank.front_mm + EVENLY * TANK_FRONT_MM),
+        "the position of its tank": replace(tank, front_mm=tank.front_mm + EVENLY * TANK_FRONT_MM),
         "the liquid of its tank": replace(tank, n_liquid=tank.n_liquid + EVENLY * LIQUID),
     }
     return {name: replace(o, tank=other) for name, other in changed.items()}
 
 
 def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array, true_views: Sequence[View] | None = None) -> float:
-    """Return by which share a volume is found too large where pictures were taken through another canister.
+    """Return the relative excess of a volume if pictures were taken through another canister than assumed.
 
     Parameters
     ----------
     views : sequence of View
-        Of the scan; some are looked at.
+        Views of the scan, of which a subset is used.
     believed, true : Optics
-        What the pictures are read with, and what they were taken through.
+        Assumed and actual optics.
     points_mm : (N, 3) float64
-        Where the volume is, canister frame.
+        Points of the volume, canister frame.
     true_views : sequence of View, optional
-        How the pictures were taken, where that differs, too.
+        Actual views, if they differ.
     """
     step = max(1, len(views) // VIEWS)
     some = list(zip(views, views if true_views is None else true_views, strict=True))[::step]
@@ -113,12 +112,12 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     found = corners + _shifts(some, believed, true, corners)
     ends = found.reshape(3, 2, len(points_mm), 3)
     edges = ((ends[:, 1] - ends[:, 0]) / CUBE_MM).transpose(1, 0, 2)
-    told = np.isfinite(edges).all(axis=(1, 2))
-    return float(np.linalg.det(edges[told]).mean() - 1.0) if told.any() else 0.0
+    valid = np.isfinite(edges).all(axis=(1, 2))
+    return float(np.linalg.det(edges[valid]).mean() - 1.0) if valid.any() else 0.0
 
 
 def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, points_mm: Array) -> Array:
-    """Return how far (N, 3) from where they are points are found; NaN where too few views see one."""
+    """Return the displacements (N, 3) of points in the reconstruction; NaN if too few views show a point."""
     count = len(points_mm)
     normal, side, votes = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count, int)
     steps_mm = np.concatenate([points_mm, *(points_mm + STEP_MM * axis for axis in np.eye(3))])
@@ -126,16 +125,16 @@ def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, 
         here, *ahead = project_inner(view, believed, steps_mm).reshape(4, count, 2)
         gradient = np.stack([(px - here) / STEP_MM for px in ahead], axis=-1)  # (N, 2, 3)
         away = project_inner(true_view, true, points_mm) - here
-        seen = np.isfinite(gradient).all(axis=(1, 2)) & np.isfinite(away).all(axis=1)
-        normal[seen] += np.einsum("nki,nkj->nij", gradient[seen], gradient[seen])
-        side[seen] += np.einsum("nki,nk->ni", gradient[seen], away[seen])
-        votes += seen
+        visible = np.isfinite(gradient).all(axis=(1, 2)) & np.isfinite(away).all(axis=1)
+        normal[visible] += np.einsum("nki,nkj->nij", gradient[visible], gradient[visible])
+        side[visible] += np.einsum("nki,nk->ni", gradient[visible], away[visible])
+        votes += visible
     shift, enough = np.full((count, 3), np.nan), votes >= 3
     shift[enough] = np.linalg.solve(normal[enough], side[enough][:, :, None])[:, :, 0]
     return shift
 
 
 def _points(leaves: Leaves) -> Array:
-    """Return places (N, 3) of the shape, evenly by volume."""
-    weight = np.cumsum(leaves.filled)
-    return leaves.some(np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])).middles_mm
+    """Return points (N, 3) of the shape, uniform by volume."""
+    weight = np.cumsum(leaves.filled_volume)
+    return leaves.select(np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])).middles_mm

@@ -1,10 +1,7 @@
-"""What a scan must pass before its volume is trusted.
+"""Checks that a scan must pass for its volume to be trusted.
 
-Checks of the pictures themselves, that do not lean on what was made of them.
-
-Each check compares one measured number with limits that come from what it would do to a volume, and says in one
-sentence what was found, and in another what to do about it. One that fails takes the trust away; one that is only so-so
-is said.
+Each check compares one measured number with limits derived from its effect on a volume. It states the finding and the
+advice in one sentence each. A check in the state "bad" makes the volume not trusted; "fair" is only reported.
 """
 
 from collections.abc import Sequence
@@ -12,59 +9,59 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 NO_VOLUME = "this scan cannot give a volume: "
-"""How every such verdict begins."""
+"""Prefix of every such verdict."""
 
-State = Literal["good", "fair", "bad", "untold"]
+State = Literal["good", "fair", "bad", "unknown"]
 Name = Literal[
     "scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight", "resolution", "corrections"
 ]
 Limits = tuple[float, float]
-"""Beyond which a number is fair, and bad; where the first is larger, below which."""
+"""Limits above which a number is fair, and bad; below which, if the first is larger."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """One number of the roots with what is known of its error."""
+    """A number of the roots with its uncertainty."""
 
     name: str
-    """Of the trait: total_length_mm, tips or mean_diameter_mm."""
+    """Name of the trait: total_length_mm, tips or mean_diameter_mm."""
     value: float
     interval: tuple[float, float]
     """90 % interval."""
     trusted: bool
     verdict: str
-    """One sentence: what the number is worth."""
+    """Reliability of the number, in one sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One light of the traffic light."""
+    """Result of one check."""
 
     name: Name
     state: State
-    """``bad``: the volume is not to be trusted; ``untold``: the pictures do not show it."""
+    """``bad``: the volume is not trusted; ``unknown``: the pictures do not show it."""
     value: float | None
-    """What was measured; None where nothing was."""
+    """Measured value; None if it could not be measured."""
     unit: str
     fair: float | None
-    """Beyond this the state is fair (below it for numbers that should be large)."""
+    """Limit above which the state is fair (below which, for numbers that should be large)."""
     bad: float | None
-    """Beyond this it is bad."""
+    """Limit above which it is bad."""
     found: str
-    """What was found, by how much: one sentence."""
+    """Finding with its amount, in one sentence."""
     advice: str
-    """What to do: one sentence; empty where all is well."""
+    """Advice, in one sentence; empty if the state is good."""
 
 
-def failed(checks: Sequence[Check]) -> tuple[str, ...]:
-    """Return a sentence for each check that takes the trust away."""
+def failure_reasons(checks: Sequence[Check]) -> tuple[str, ...]:
+    """Return a sentence for each check in the state "bad"."""
     return tuple(f"{check.found} ({check.advice})" if check.advice else check.found for check in checks if check.state == "bad")
 
 
-def explained(checks: Sequence[Check]) -> tuple[Check, ...]:
-    """Return checks in which coarse pictures are named as the cause of what follows from them.
+def name_cause(checks: Sequence[Check]) -> tuple[Check, ...]:
+    """Return checks with low resolution named as the cause of its consequences.
 
-    Where roots are too thin in the pictures, views disagree and roots seem to move though nothing moved.
+    If roots are too thin in the pictures, views disagree, and static roots appear to move.
     """
     thin = next((check for check in checks if check.name == "resolution" and check.state in ("fair", "bad")), None)
     if thin is None:
@@ -78,89 +75,89 @@ def explained(checks: Sequence[Check]) -> tuple[Check, ...]:
 
 
 def verdict(lost: Sequence[str]) -> str:
-    """Say that a scan gives no volume, and why."""
+    """Return the verdict of a scan without a trusted volume, from the reasons."""
     return NO_VOLUME + "; ".join(lost)
 
 
-def stated(name: Name, state: State, value: float | None, unit: str, limits: Limits | None, found: str, advice: str = "") -> Check:
-    """Return a check whose state is known.
+def make_check(name: Name, state: State, value: float | None, unit: str, limits: Limits | None, found: str, advice: str = "") -> Check:
+    """Return a check with a given state.
 
     Parameters
     ----------
     name, state : Name, State
-        Of the check.
+        Name and state of the check.
     value, unit : (float or None), str
-        What was measured; None where nothing was.
+        Measured value, None if not measured, and its unit.
     limits : Limits or None
-        Fair and bad.
+        Limits for fair and bad.
     found : str
-        What was found, by how much: one sentence.
+        Finding with its amount, in one sentence.
     advice : str
-        What to do: one sentence.
+        Advice, in one sentence.
 
     Returns
     -------
     Check
-        As given.
+        The check.
     """
     fair, bad = (None, None) if limits is None else limits
     return Check(name=name, state=state, value=value, unit=unit, fair=fair, bad=bad, found=found, advice=advice)
 
 
-def judged(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
-    """Return a check of a number against its limits; a good one needs no advice.
+def judge(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
+    """Return a check of a number against its limits; advice is omitted if the state is good.
 
     Parameters
     ----------
     name : Name
-        Of the check.
+        Name of the check.
     value, unit : float, str
-        What was measured.
+        Measured value and its unit.
     limits : Limits
-        Fair and bad.
+        Limits for fair and bad.
     found : str
-        What was found, by how much: one sentence.
+        Finding with its amount, in one sentence.
     advice : str
-        What to do: one sentence.
+        Advice, in one sentence.
 
     Returns
     -------
     Check
-        Good, fair or bad.
+        In the state good, fair or bad.
     """
-    state = state_of(value, *limits)
-    return stated(name, state, value, unit, limits, found, "" if state == "good" else advice)
+    state = classify(value, *limits)
+    return make_check(name, state, value, unit, limits, found, "" if state == "good" else advice)
 
 
-def foremost(*made: Check) -> Check:
+def first_problem(*made: Check) -> Check:
     """Return the first check that is not good, or else the last."""
     return next((check for check in made if check.state != "good"), made[-1])
 
 
-def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
-    """Return a check of what the pictures do not show.
+def make_unknown(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
+    """Return a check of a quantity that the pictures do not show.
 
     Parameters
     ----------
     name : Name
-        Of the check.
+        Name of the check.
     found : str
-        Why they do not: one sentence.
+        Reason, in one sentence.
     advice : str
-        What to do: one sentence.
+        Advice, in one sentence.
     unit, limits : str, (Limits or None)
-        Of what would have been measured.
+        Unit and limits of the quantity.
 
     Returns
     -------
     Check
-        With the state ``untold``.
+        In the state ``unknown``.
     """
-    return stated(name, "untold", None, unit, limits, found, advice)
+    return make_check(name, "unknown", None, unit, limits, found, advice)
 
 
-def state_of(value: float, fair: float, bad: float) -> State:
-    """Compare a number that should be small with its limits; with ``fair`` above ``bad``, one that should be large."""
+def classify(value: float, fair: float, bad: float) -> State:
+    """Classify a number that should be small by its limits; if ``fair`` is above ``bad``, one that should be large."""
     if fair > bad:
         value, fair, bad = -value, -fair, -bad
     return "bad" if value > bad else "fair" if value > fair else "good"

@@ -1,4 +1,4 @@
-"""The top of a taproot that hides behind the net pot, and its extrapolation."""
+"""Extrapolation of a taproot behind the net pot, where it is hidden."""
 
 from __future__ import annotations
 
@@ -16,60 +16,60 @@ from rhizotwin.scenes.said import between_ml
 Array = NDArray[np.float64]
 
 _LEAST_MM = 1.0
-"""A shorter gap is the sampling of the centre line."""
+"""Minimum length of a gap; a shorter one is due to the sampling of the centre line."""
 _STEP_MM = 0.25
-"""Sections are compared at places so far apart: a few of the centre line's points."""
+"""Spacing of the sections that are compared: a few points of the centre line."""
 _WINDOW = 5
-"""The section is compared with itself over so many times the hidden length."""
+"""Length over which sections are compared, in multiples of the hidden length."""
 _LEAST_COSINE = 0.3
-"""A root that leaves the net pot flatter than this (73 degrees) is no longer for it."""
+"""Minimum cosine with the vertical (73 degrees); a flatter root is not extrapolated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenTop:
-    """What taproots may have where no view looks, between where they are first seen and the net pot's grid."""
+    """Estimate of the hidden parts of taproots, between their first visible points and the grid of the net pot."""
 
     length_mm: float
-    """At most."""
+    """Maximum hidden length."""
     share: float
-    """Of the taproots' length, with what may be hidden."""
+    """Fraction of the taproots' total length, including the hidden parts."""
     volume_mm3: float
-    """If the taproots go on as they begin."""
+    """Volume of the hidden parts if the taproots continue with their initial section."""
     interval_mm3: tuple[float, float]
-    """90 % interval: over the hidden length the section differs as much as it does over equal lengths below."""
+    """90 % interval: the section varies over the hidden length as much as over equal lengths below."""
 
     def warning(self, *, is_added: bool) -> str:
-        """Say what may be hidden, what shows it, and whether its extrapolation is part of the volume."""
+        """Return the warning about hidden parts, with advice, and whether their extrapolation is part of the volume."""
         return (
-            f"up to {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) may hide behind the net pot, where "
-            "too few views look: a ring that looks down past the rim does, such as height_mm = 10, tilt_deg = 8; going on as it "
-            f"begins, the taproot has {between_ml(*self.interval_mm3)} more there, "
+            f"up to {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) may be hidden behind the net pot, "
+            "where too few views look; add a ring that looks down past the rim, such as height_mm = 10, tilt_deg = 8; if the taproot "
+            f"continues with the same thickness, the volume of the hidden part is {between_ml(*self.interval_mm3)}, "
             f"{'which is added to the volume' if is_added else 'which hull.extrapolate_taproot = true adds'}"
         )
 
     @property
     def term(self) -> Term:
-        """Return what the extrapolation leaves open."""
+        """Return the uncertainty of the extrapolation."""
         low, high = self.interval_mm3
         return Term(
             name="taproot extrapolated",
             less_mm3=self.volume_mm3 - low,
             more_mm3=high - self.volume_mm3,
-            why="the top of the taproot is extrapolated, not seen",
+            why="the top of the taproot is hidden and extrapolated",
         )
 
 
-def find(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | None:
-    """Return what the net pot may hide of the taproots; None where they are seen from the top.
+def estimate_hidden(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | None:
+    """Estimate the hidden parts of the taproots; return None if they are visible from the top.
 
     Parameters
     ----------
     roots : sequence of Root
-        Those without parents, canister frame.
+        Roots without parents, canister frame.
     gap_mm : (R,) sequence of float
-        Height over which each may go on above its first point (`sight.gaps_mm`).
+        Height over which each may continue above its first point (`occlusion.gaps_mm`).
     """
-    parts = [part for root, gap in zip(roots, gap_mm, strict=True) if (part := _extrapolated(root, float(gap))) is not None]
+    parts = [part for root, gap in zip(roots, gap_mm, strict=True) if (part := _extrapolate(root, float(gap))) is not None]
     if not parts:
         return None
     length, volume, sigma = (np.array(column) for column in zip(*parts, strict=True))
@@ -80,8 +80,8 @@ def find(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | 
     return HiddenTop(length_mm=hidden, share=hidden / (hidden + seen_mm), volume_mm3=total, interval_mm3=interval)
 
 
-def _extrapolated(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
-    """Return length, volume and its standard deviation of the hidden top of a root; None where it has none."""
+def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
+    """Return length, volume and its standard deviation of the hidden top of a root; None if it has none."""
     if gap_mm <= _LEAST_MM:
         return None
     way = polyline.way_mm(root.points_mm)

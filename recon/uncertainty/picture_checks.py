@@ -1,6 +1,6 @@
-"""The checks of the scan and its pictures.
+"""Checks of the scan and its pictures.
 
-Finished, exposed, linear, sharp, with markers and a canister that are where they should be.
+They cover completeness, exposure, linearity, sharpness, markers, canister, resolution and views.
 """
 
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from rhizotwin.recon.calibration.curve import MOST_BEND
 from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.pictures import CurveFound
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, State, foremost, judged, stated, untold
+from rhizotwin.recon.uncertainty.checks import Check, State, first_problem, judge, make_check, make_unknown
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Scene
 
 
-def of_scan(origin: dict[str, Any], frames: Sequence[Frame]) -> Check:
-    """Check that the pictures are those of a finished scan, and pictures at all."""
+def check_scan(origin: dict[str, Any], frames: Sequence[Frame]) -> Check:
+    """Check that the pictures are those of a finished scan, and not sketches."""
     twin = (origin.get("settings") or {}).get("twin") or {}
     planned = origin.get("planned_views")
     state: State = "good"
-    found, advice = f"the scan has all of its {len(frames)} pictures", ""
+    found, advice = f"the scan is complete ({len(frames)} pictures)", ""
     if twin.get("fidelity") == "sketch":
-        state, found = "bad", "the pictures are the twin's sketches, which show markers and no water"
+        state, found = "bad", "the pictures are sketches of the twin, which show markers but no water"
         advice = "scan with --fidelity render"
     elif origin.get("complete") is False:
         of = f" of {planned}" if planned else ""
@@ -34,132 +34,132 @@ def of_scan(origin: dict[str, Any], frames: Sequence[Frame]) -> Check:
         advice = "finish it with scan --resume"
     elif unchecked := [str(event.get("text")) for event in origin.get("log") or [] if event.get("event") == "unchecked"]:
         state, found = "fair", unchecked[-1]
-        advice = "light and focus the strip, so that the markers prove the angles"
-    return stated("scan", state, float(len(frames)), "pictures", None, found, advice)
+        advice = "illuminate and focus the strip, so that the markers confirm the angles"
+    return make_check("scan", state, float(len(frames)), "pictures", None, found, advice)
 
 
-def of_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the panel is bright, not clipped, and equally exposed."""
+def check_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the panel is bright, not clipped, and uniformly exposed."""
     if found is None or not np.isfinite(found.level).any():
-        said = "no bare panel is seen beside the canister, so that the pictures' exposure cannot be told"
-        return untold("exposure", said, "use a panel wider than the canister, or fix the exposure")
+        finding = "no empty panel is visible beside the canister, so that the exposure could not be measured"
+        return make_unknown("exposure", finding, "use a panel wider than the canister, or fix the exposure")
     clipped, level, wander = float(found.clipped.max()), float(np.nanmin(found.level)), found.wander
-    full = f"{100.0 * clipped:.3g} % of the panel are at full scale in the worst picture"
+    full = f"{100.0 * clipped:.3g} % of the panel is at full scale in the worst picture"
     dim = f"the panel reaches only {100.0 * level:.2g} % of full scale"
-    said = f"the exposure wanders by {100.0 * wander:.2g} % from picture to picture, which was divided out"
+    finding = f"the exposure varies by {100.0 * wander:.2g} % between pictures, which was corrected"
     uneven, bands = float(found.uneven.max(initial=0.0)), found.bands
-    patchy = f"the panel's brightness wanders by {100.0 * uneven:.2g} % from place to place and picture to picture"
-    evened = f"the panel's brightness wanders by {100.0 * bands:.2g} % within a picture, which was divided out row by row"
+    patchy = f"the brightness of the panel varies by {100.0 * uneven:.2g} % across the panel and between pictures"
+    evened = f"the brightness of the panel varies by {100.0 * bands:.2g} % within a picture, which was corrected row by row"
     lamp = "use a lamp on direct current, and keep shadows off the panel"
-    return foremost(
-        judged("exposure", clipped, "share", trust.clipped, full, "expose less: the panel at 0.8 of full scale"),
-        judged("exposure", level, "share", trust.dim, dim, "expose longer: the panel at 0.8 of full scale"),
-        judged("exposure", uneven, "share", trust.uneven, patchy, lamp),
-        judged("exposure", bands, "share", trust.wander, evened, lamp),
-        judged("exposure", wander, "share", trust.wander, said, "set exposure and gain by hand"),
+    return first_problem(
+        judge("exposure", clipped, "share", trust.clipped, full, "reduce the exposure, so that the panel is at 0.8 of full scale"),
+        judge("exposure", level, "share", trust.dim, dim, "increase the exposure, so that the panel is at 0.8 of full scale"),
+        judge("exposure", uneven, "share", trust.uneven, patchy, lamp),
+        judge("exposure", bands, "share", trust.wander, evened, lamp),
+        judge("exposure", wander, "share", trust.wander, finding, "set exposure and gain manually"),
     )
 
 
-def of_curve(found: CurveFound | None) -> Check:
-    """Check that edges have the greys that light makes."""
+def check_curve(found: CurveFound | None) -> Check:
+    """Check that the pictures are linear in light, from the grey levels at the edges of the markers."""
     if found is None or found.bend is None:
-        said = "too few markers were measured to tell whether the pictures' numbers are light"
-        return untold("curve", said, "state the camera's transfer in the scene, or calibrate it")
-    advice = "state the right transfer in the scene's camera; rhizotwin calibrate transfer measures it"
+        finding = "too few markers were measured to test whether the pictures are linear in light"
+        return make_unknown("curve", finding, "set the camera's transfer in the scene, or calibrate it")
+    advice = "set the correct transfer of the camera in the scene; rhizotwin calibrate transfer measures it"
     bend, limits = abs(found.bend), (0.5 * MOST_BEND, MOST_BEND)
-    said = f"greys of the markers' edges are off by {100.0 * found.bend:.1f} % of the contrast, read by {found.curve.name}"
+    finding = f"greys at the marker edges deviate by {100.0 * found.bend:.1f} % of the contrast, with the curve {found.curve.name}"
     if bend > MOST_BEND:
-        return judged("curve", bend, "share", limits, said, advice)
+        return judge("curve", bend, "share", limits, finding, advice)
     if not found.is_known:
-        said = f"the pictures follow no curve that was stated or is known; {found.curve.name} was taken in its place"
-        return stated("curve", "bad", bend, "share", limits, said, advice)
+        finding = f"the pictures match neither the stated nor a known curve; {found.curve.name} was used instead"
+        return make_check("curve", "bad", bend, "share", limits, finding, advice)
     if not found.curve.same(found.stated):
-        said = f"the stated curve, {found.stated.name}, is wrong: the pictures were read by {found.curve.name}, as the markers' edges tell"
-        return stated("curve", "fair", bend, "share", limits, said, advice)
-    return judged("curve", bend, "share", limits, said, advice)
+        finding = f"the stated curve, {found.stated.name}, contradicts the marker edges: the pictures were read with {found.curve.name}"
+        return make_check("curve", "fair", bend, "share", limits, finding, advice)
+    return judge("curve", bend, "share", limits, finding, advice)
 
 
-def of_sharpness(blur_px: float | None, refocus_px: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the markers are sharp, and alike in all pictures."""
+def check_sharpness(blur_px: float | None, refocus_px: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the markers are sharp, and equally sharp in all pictures."""
     if blur_px is None:
-        return untold("sharpness", "no markers were measured to tell the blur", unit="px", limits=trust.blur_px)
-    advice = "focus on the canister's axis, close the lens's opening, or let the table come to rest"
-    sharp = judged("sharpness", blur_px, "px", trust.blur_px, f"edges are blurred by {blur_px:.2f} px", advice)
+        return make_unknown("sharpness", "no markers were measured, so that the blur is unknown", unit="px", limits=trust.blur_px)
+    advice = "focus on the canister's axis, stop down the lens, or wait longer after each step of the table"
+    sharp = judge("sharpness", blur_px, "px", trust.blur_px, f"edges are blurred by {blur_px:.2f} px", advice)
     if refocus_px is None:
         return sharp
-    said = f"some pictures are blurred by {refocus_px:.2f} px more than others"
-    return foremost(
-        judged("sharpness", refocus_px, "px", trust.refocus_px, said, "focus once, by hand, and let the table come to rest"), sharp
+    finding = f"some pictures are blurred by {refocus_px:.2f} px more than others"
+    return first_problem(
+        judge("sharpness", refocus_px, "px", trust.refocus_px, finding, "focus once, manually, and wait longer after each step"), sharp
     )
 
 
-def of_markers(inset_px: float | None, corners_px: float | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the markers are as large as they were printed, and where the cameras put them."""
+def check_markers(inset_px: float | None, corners_px: float | None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check the size of the markers and their reprojection error."""
     if inset_px is None or corners_px is None:
-        return untold("markers", "the cameras were given: no markers were measured", unit="px", limits=trust.inset_px)
-    apart = f"the markers' corners lie {corners_px:.2f} px from where the cameras put them"
-    scene = "check strip, net pot and lens in the scene; print the strip to scale and put it on without a gap"
+        return make_unknown("markers", "the cameras were given: no markers were measured", unit="px", limits=trust.inset_px)
+    apart = f"the reprojection error of the marker corners is {corners_px:.2f} px"
+    scene = "check strip, net pot and lens in the scene; print the strip to scale and attach it without a gap"
     larger = "larger" if inset_px > 0 else "smaller"
-    said = f"the markers look {abs(inset_px):.3f} px {larger} on each side than they were printed"
-    advice = "state the camera's transfer, switch its sharpening off, and measure the print with a ruler"
-    return foremost(
-        judged("markers", corners_px, "px", trust.corners_px, apart, scene),
-        judged("markers", abs(inset_px), "px", trust.inset_px, said, advice),
+    finding = f"the markers appear {abs(inset_px):.3f} px {larger} on each side than printed"
+    advice = "set the camera's transfer, switch off its sharpening, and measure the print with a ruler"
+    return first_problem(
+        judge("markers", corners_px, "px", trust.corners_px, apart, scene),
+        judge("markers", abs(inset_px), "px", trust.inset_px, finding, advice),
     )
 
 
-def of_canister(pose: CanisterPose | None, scene: Scene, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the canister's edges fit its drawing; in a tank they must be seen, as nothing else tells its turn."""
+def check_canister(pose: CanisterPose | None, scene: Scene, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check the canister's edges against its drawing; in a tank they must be visible, to determine its rotation."""
     canister = scene.canister
     if pose is None and scene.tank is not None:
-        said = "the canister's edges are not seen in the tank, and nothing else tells how it is turned: a degree moves outlines by 0.4 mm"
-        return stated(
-            "canister", "bad", None, "mm", trust.edge_mm, said, "scan without the tank, or with a panel that leaves the edges dark"
+        finding = "the canister's edges are not visible in the tank, so that its rotation is unknown: one degree moves outlines by 0.4 mm"
+        return make_check(
+            "canister", "bad", None, "mm", trust.edge_mm, finding, "scan without the tank, or with a panel that leaves the edges dark"
         )
     if pose is None:
-        said = "the canister's edges are not seen before the panel, so that its radius and place are those of the drawing"
-        return untold("canister", said, "use a panel wider than the canister", unit="mm", limits=trust.edge_mm)
+        finding = "the canister's edges are not visible in front of the panel, so that its radius and position are those of the drawing"
+        return make_unknown("canister", finding, "use a panel wider than the canister", unit="mm", limits=trust.edge_mm)
     share = abs(pose.radius_excess_mm) / canister.outer_radius_mm
-    other = f"the canister's edges lie {pose.radius_excess_mm:+.2f} mm from its drawing"
-    measure = "measure its outer diameter (and its wall) with callipers and put them into the scene"
-    oval = f"the canister is an oval whose radius is {pose.oval_mm:.2f} mm larger one way and smaller across"
-    said = f"the canister's edges lie {pose.after_mm:.3f} mm (median) about a circle, {pose.oval_mm:.2f} mm of oval taken off"
-    return foremost(
-        judged("canister", share, "share", trust.radius_share, other, measure),
-        judged("canister", pose.oval_mm, "mm", trust.oval_mm, oval, "take another tube, or stiffen it with a ring"),
-        judged("canister", pose.after_mm, "mm", trust.edge_mm, said, "the tube is out of shape: take another"),
+    other = f"the radius of the canister's edges differs from its drawing by {pose.radius_excess_mm:+.2f} mm"
+    measure = "measure its outer diameter (and its wall) with callipers and enter them in the scene"
+    oval = f"the canister is oval: its radius varies by +-{pose.oval_mm:.2f} mm"
+    finding = f"the canister's edges deviate by {pose.after_mm:.3f} mm (median) from an oval of +-{pose.oval_mm:.2f} mm"
+    return first_problem(
+        judge("canister", share, "share", trust.radius_share, other, measure),
+        judge("canister", pose.oval_mm, "mm", trust.oval_mm, oval, "use another tube, or stiffen it with a ring"),
+        judge("canister", pose.after_mm, "mm", trust.edge_mm, finding, "the tube is deformed: use another"),
     )
 
 
-def of_resolution(width_px: float | None, image_wh: tuple[int, int], trust: TrustSettings = TrustSettings()) -> Check:
+def check_resolution(width_px: float | None, image_wh: tuple[int, int], trust: TrustSettings = TrustSettings()) -> Check:
     """Check that roots are wide enough in the pictures.
 
     Parameters
     ----------
     width_px : float or None
-        Of thin roots (`root_width.thin_width_px`); None where there are no lines.
+        Width of thin roots (`root_width.thin_width_px`); None if there are no lines.
     image_wh : (int, int)
         Size of the pictures.
     trust : TrustSettings
         The limits.
     """
     if width_px is None:
-        return untold("resolution", "no roots were found as lines in the pictures", unit="px")
-    said = f"a quarter of the roots' length is thinner than {width_px:.1f} px"
+        return make_unknown("resolution", "no roots were found in the pictures", unit="px")
+    finding = f"a quarter of the roots' length is thinner than {width_px:.1f} px"
     enough = round(image_wh[0] / max(width_px, 1e-6), -1)
-    advice = f"take pictures of at least {enough:.0f} pixels across, in which it is a pixel wide, or stand nearer"
-    return judged("resolution", width_px, "px", trust.resolution_px, said, advice)
+    advice = f"take pictures at least {enough:.0f} pixels wide, in which these roots are a pixel wide, or move the camera nearer"
+    return judge("resolution", width_px, "px", trust.resolution_px, finding, advice)
 
 
-def of_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the views are enough and go all the way round.
+def check_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that there are enough views, all around.
 
     Parameters
     ----------
     azimuth_deg : (V,) float64 array
-        Of the cameras about the canister, of the views that are used.
+        Azimuths of the used cameras about the canister.
     pictures : int
-        All that were taken.
+        Number of all pictures.
     trust : TrustSettings
         The limits.
     """
@@ -167,8 +167,8 @@ def of_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, 
     order = np.sort(np.mod(np.asarray(azimuth_deg, np.float64), 360.0))
     gap_deg = float(np.max(np.diff(np.append(order, order[0] + 360.0)))) if used else 360.0
     lost = f"{pictures - used} of {pictures} pictures could not be used"
-    said = f"{used} views, the largest step between neighbours {gap_deg:.0f} degrees"
-    return foremost(
-        judged("views", out, "share", trust.left_out, lost, "see why each was left out, and take them again"),
-        judged("views", gap_deg, "deg", trust.gap_deg, said, "take more views, evenly round the turn"),
+    finding = f"{used} views, with a largest step of {gap_deg:.0f} degrees between neighbours"
+    return first_problem(
+        judge("views", out, "share", trust.left_out, lost, "check why each was left out, and take them again"),
+        judge("views", gap_deg, "deg", trust.gap_deg, finding, "take more views, evenly spaced around the turn"),
     )

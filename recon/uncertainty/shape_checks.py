@@ -1,70 +1,68 @@
-"""The checks of what the pictures show of roots and canister together.
+"""Checks of roots and canister in the pictures.
 
-Motion, dirt, and whether the views agree and see.
+They cover motion, dirt, and agreement and visibility of the views.
 """
 
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, foremost, judged, state_of, stated, untold
+from rhizotwin.recon.uncertainty.checks import Check, classify, first_problem, judge, make_check, make_unknown
 
 
-def of_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the roots stood still from picture to picture."""
+def check_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the roots did not move from picture to picture."""
     if sway_mm is None:
-        return untold("motion", "no thin roots were found that could tell whether they moved", unit="mm")
-    said = f"roots lie {sway_mm:.3f} mm (root mean square) from where all pictures together put them"
-    return judged("motion", sway_mm, "mm", trust.sway_mm, said, "wait longer after each step of the table, and turn it more gently")
+        return make_unknown("motion", "no thin roots were found, so that their motion could not be measured", unit="mm")
+    finding = f"the roots deviate by {sway_mm:.3f} mm (root mean square) from their mean positions"
+    return judge("motion", sway_mm, "mm", trust.sway_mm, finding, "wait longer after each step of the table, and rotate it more gently")
 
 
-def of_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that wall and water are clear enough to look through.
+def check_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that wall and water are clear.
 
     Parameters
     ----------
     share : float or None
-        Of the wall, that is fouled.
+        Fraction of the wall that is fouled.
     spread : float or None
-        Of the light, that is spread about roots (`halo.spread`).
+        Fraction of light that is scattered about roots (`scattered_light.scattered_fraction`).
     trust : TrustSettings
         The limits.
     """
     made = []
     if spread is not None:
-        said = (
-            f"{100.0 * abs(spread):.1f} % of what roots take of the light is missing beside them{' (or too bright)' if spread < 0 else ''}"
-        )
-        advice = "change the water, clean the lens, and switch off what sharpens pictures or evens out their tones"
-        made.append(judged("dirt", abs(spread), "share", trust.spread, said, advice))
+        finding = f"beside roots, light is {'increased' if spread < 0 else 'reduced'} by {100.0 * abs(spread):.1f} % of what they absorb"
+        advice = "change the water, clean the lens, and switch off sharpening and tone mapping in the camera"
+        made.append(judge("dirt", abs(spread), "share", trust.spread, finding, advice))
     if share is None:
-        made.append(untold("dirt", "too few views to tell dirt on the wall from roots", unit="share"))
+        made.append(make_unknown("dirt", "too few views to separate dirt on the wall from roots", unit="share"))
     else:
-        said = f"films, bubbles and glare lie on {100.0 * share:.1f} % of what is seen of the wall"
-        made.append(judged("dirt", share, "share", trust.dirt, said, "clean the canister inside and outside, and knock the bubbles off"))
-    return foremost(*made)
+        finding = f"films, bubbles and glare cover {100.0 * share:.1f} % of the visible wall"
+        made.append(judge("dirt", share, "share", trust.dirt, finding, "clean the canister inside and outside, and remove the bubbles"))
+    return first_problem(*made)
 
 
-def of_sight(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the views agree, that the shape explains them, and that they see past the roots.
+def check_agreement(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the views agree, that the shape explains them, and that roots are not too dense.
 
-    The worst of them is told.
+    The worst of these is reported.
 
     Parameters
     ----------
     missed : float
-        Share of what the pictures show that the hull of all views leaves out.
+        Fraction of the coverage that the hull of all views does not explain.
     unexplained, fill : float
-        As in `Budget`.
+        See `Budget`.
     trust : TrustSettings
         The limits.
     """
     agree = "check strip, canister and water in the scene, and that nothing moved"
-    crowded = "take more pixels and a second ring, or a younger plant"
+    crowded = "use a higher resolution and a second ring, or a younger plant"
     rows = [
-        (missed, trust.missed, f"the views disagree about {100.0 * missed:.1f} % of what they show", agree),
-        (unexplained, trust.unexplained, f"the shape leaves {100.0 * unexplained:.1f} % of what the pictures show unexplained", agree),
+        (missed, trust.missed, f"the views disagree on {100.0 * missed:.1f} % of their coverage", agree),
+        (unexplained, trust.unexplained, f"the shape does not explain {100.0 * unexplained:.1f} % of the coverage in the pictures", agree),
         (fill, trust.fill, f"thin roots cover {100.0 * fill:.0f} % of the root zone's picture", crowded),
     ]
     value, limits, found, advice = max(rows, key=lambda row: row[0] / row[1][1])
-    if state_of(value, *limits) == "good":
-        found = f"the views agree: {100.0 * missed:.1f} % of what they show is left out by the hull of all"
-        return stated("sight", "good", missed, "share", trust.missed, found)
-    return judged("sight", value, "share", limits, found, advice)
+    if classify(value, *limits) == "good":
+        found = f"the views agree: the hull of all views excludes {100.0 * missed:.1f} % of their coverage"
+        return make_check("sight", "good", missed, "share", trust.missed, found)
+    return judge("sight", value, "share", limits, found, advice)

@@ -1,4 +1,4 @@
-"""What the silhouettes leave open about taproot, hypocotyl and solid bodies."""
+"""Uncertainty of the volume of taproot, hypocotyl and solid bodies, from the silhouettes."""
 
 from __future__ import annotations
 
@@ -15,98 +15,100 @@ from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
-from rhizotwin.recon.hull.parsimony import Trimmed
-from rhizotwin.recon.hull.spheres import Spheres, in_common_mm3
+from rhizotwin.recon.hull.spheres import Spheres, shared_volume_mm3
+from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
 
 _OUTLINE_PX, _OUTLINE_BINARY_PX = 0.1, 0.25
-"""An outline may be this far off (90 %): bands of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their
-direction. Of a binary silhouette nobody knows what was asked of a pixel: whether any, half or all of it be covered.
-These are half a pixel apart, and half of that is 90 % of what lies between, nearly."""
+"""90 % half-width of an outline's position: bands of 1 to 3 px are reconstructed with 0.97 to 1.02 of their width, in
+any direction. For a binary silhouette the threshold is unknown (any, half or full coverage of a pixel); the extremes
+are half a pixel apart, and half of that is almost the 90 % half-width."""
 _ABSENT = 0.1
-"""What no picture needs is taken to be absent; at 90 % confidence, a tenth of it may be there, if the shape is round as
-roots are. The hull that pictures need beside the round parts tells how far it is not: as a share of all hull beside
-them, what is needed is what may be there of the rest, too. (Of a comb's square bar, which few views look along, all
-that was taken away was there, and 69 % of the comb's hull beside round parts is needed; 17 % of a print's.)"""
+"""Fraction of the removed hull that may be present with 90 % confidence, if the shape is round like roots. The hull
+kept outside the spheres shows how far it is not: its share of all hull outside the spheres is also used as the fraction
+of the removed part. (For the square bar of a comb, along which few views look, all that was removed was present, and 69
+% of the comb's hull outside the spheres is kept; 17 % of a print's.)"""
 _LEAST_PX, _LEAST_BINARY_PX = 0.2, 0.4
-"""A sphere is as large as the one outline allows that allows least. Of some hundred (24 to 40 views, in each of which a
-ball's outline passes a handful of places with errors of their own) with 0.1 px at 90 %, the least lies 2.5 to 3.3
-standard deviations inside: 0.15 to 0.2 px. Exact pictures of a ball of 10 mm beside the axis, 24 of 400 x 300: 0.16 px
-seen, its spheres 2.6 to 4.8 % too small by volume, its hull 1.1 to 1.4 %. Binary silhouettes know an outline to the
-pixel: 0.29 px of noise, of which the blur leaves 0.12; seen are 0.35 to 0.4 px (rods of 2 mm, a torus; 36 of 500 x
-500)."""
+"""Inward bias of a sphere's radius, which is that of the most restrictive outline. Among some hundred outlines (24 to
+40 views, in each of which a ball's outline passes a handful of places with independent errors) with 0.1 px at 90 %, the
+minimum lies 2.5 to 3.3 standard deviations inside: 0.15 to 0.2 px. Exact pictures of a ball of 10 mm beside the axis,
+24 of 400 x 300, give 0.16 px; the spheres are 2.6 to 4.8 % too small by volume, the hull 1.1 to 1.4 %. Binary
+silhouettes determine an outline to the pixel: 0.29 px of noise, of which the blur leaves 0.12; measured are 0.35 to 0.4
+px (rods of 2 mm, a torus; 36 of 500 x 500)."""
 _COARSER = 4
-"""The hull of half the views is carved with nodes this much larger: only its excess is wanted."""
+"""Factor on the node size for the hull of half the views, of which only the relative excess is used."""
 _MUCH_KEPT = 0.05
-"""With less untrimmed hull than this share of the volume its excess is no concern."""
+"""Minimum fraction of untrimmed hull for which its excess is computed."""
 _BY_AREA = 1.5
-"""Relative change of a solid's volume by that of its pictures' area: volumes grow with the third power of the size."""
+"""Relative change of a solid's volume per relative change of its area in the pictures: volume has the third power of
+the size, area the second."""
 _INDEX = 0.002
-"""An index wrong by 0.001 (salts, ten degrees) changes a volume by less than this share."""
+"""90 % half-width of the relative volume due to the refractive index: less than this for an error of 0.001 (salts, ten
+degrees)."""
 
 
-def estimate(
-    bank: ViewBank, hull: Hull, part: Leaves, solids: Trimmed, *, slack_px: float, half_excess: float, missed: float, binary: bool
+def estimate_terms(
+    bank: ViewBank, hull: Hull, part: Leaves, solids: TrimmedHull, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
     """Return the terms of solids.
 
     Parameters
     ----------
     part, solids : Leaves, Trimmed
-        The part of the hull about them, and that trimmed.
+        The part of the hull about them, and its trimmed form.
     slack_px : float
-        By how much outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
+        Amount by which outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     half_excess : float
-        By how much the hull grows when half of the views carve it, as a share.
+        Relative growth of the hull when half of the views carve it.
     missed : float
-        Share of what some views show before which no part of the hull stands.
+        Fraction of the coverage that no part of the hull explains.
     binary : bool
-        Whether the silhouettes tell an outline to the pixel only.
+        Whether the silhouettes determine an outline to the pixel only.
     """
     thick_mm3, kept = solids.leaves.volume_mm3(), solids.kept_mm3
     by_px = mm3_per_px(hull, slack_px=slack_px) * thick_mm3 / hull.leaves.volume_mm3()
     outline_px, least_px = (_OUTLINE_BINARY_PX, _LEAST_BINARY_PX) if binary else (_OUTLINE_PX, _LEAST_PX)
     outline, removed = outline_px * by_px, max(0.0, part.volume_mm3() - thick_mm3)
-    beside = min(_beside_spheres(bank, part, solids, least_px), removed) if removed > 0.0 else 0.0
+    beside = min(_unconstrained_mm3(bank, part, solids, least_px), removed) if removed > 0.0 else 0.0
     absent = max(_ABSENT, kept / max(kept + removed, 1e-9))
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
     return (
-        Term.even("outlines", outline, f"outlines of thick parts are known to {outline_px:g} of a pixel"),
+        Term.symmetric("outlines", outline, f"the outlines of thick parts are uncertain by {outline_px:g} px"),
         Term(
             name="trimmed away",
             less_mm3=0.0,
             more_mm3=beside + absent * (removed - beside),
-            why="parts of the hull that no picture needs may be there all the same, most of all next to the outlines",
+            why="parts of the hull that the silhouettes do not require may be present, mainly next to the outlines",
         ),
         Term(
             name="views disagree",
             less_mm3=0.0,
             more_mm3=_BY_AREA * missed * thick_mm3,
-            why="some views show what others exclude: where cameras or edges are wrong, the hull of all views is too small",
+            why="some views show parts that others exclude: with errors of cameras or edges, the hull of all views is too small",
         ),
         Term(
             name="untrimmed hull",
             less_mm3=kept * excess,
             more_mm3=0.0,
-            why="parts of the shape are hull that could not be trimmed, too large where too few views bound it",
+            why="parts of the shape are untrimmed hull, which is too large where too few views bound it",
         ),
     )
 
 
-def _beside_spheres(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: float) -> float:
-    """Return how much of a hull (mm3) lies beside thick parts' spheres where outlines cannot tell what is there.
+def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_px: float) -> float:
+    """Return the volume of a hull (mm3) outside thick parts' spheres where outlines do not constrain it.
 
-    That is what lies within some pixels of them, and what spheres would fill that few views bound.
+    It is the volume within some pixels of the spheres, and inside spheres that few views bound.
     """
     leaves = thick.leaves
     if not len(leaves.size) or not len(thick.spheres.radius_mm):
         return 0.0
     reach_mm = leaves.grid.size_mm * float(leaves.size.max())
-    tree = cKDTree(leaves.middles_mm, balanced_tree=False, compact_nodes=False)  # made in a third of the time, asked seldom
-    spheres, doubtful = (_some(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
+    tree = cKDTree(leaves.middles_mm, balanced_tree=False, compact_nodes=False)  # built in a third of the time, and rarely queried
+    spheres, doubtful = (_select(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
     if not len(spheres.radius_mm):
         return 0.0
     wider = Spheres(
@@ -117,39 +119,39 @@ def _beside_spheres(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: floa
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
     half_mm = 0.5 * part.grid.size_mm * part.size[:, None]
     middle = part.middles_mm
-    near = part.some(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
-    return in_common_mm3(wider, near) - in_common_mm3(spheres, near)
+    near = part.select(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
+    return shared_volume_mm3(wider, near) - shared_volume_mm3(spheres, near)
 
 
-def _some(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
-    """Return chosen spheres (N,)."""
+def _select(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
+    """Return a subset of spheres (N,)."""
     return Spheres(spheres.centre_mm[chosen], spheres.radius_mm[chosen])
 
 
 def _px_a_mm(bank: ViewBank, spheres: Spheres) -> float:
-    """Return px/mm at the largest sphere, the median of the views that see it."""
+    """Return the scale at the largest sphere, px/mm, as the median over the views that show it."""
     middle = np.repeat(spheres.centre_mm[[int(spheres.radius_mm.argmax())]], bank.count, axis=0)
     p = projection.project(bank, dr.arange(mi.UInt32, bank.count), device.points(middle), mi.Bool(True))
-    scale, seen = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.seen)
-    return float(np.median(scale[seen] if seen.any() else scale))
+    scale, visible = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.visible)
+    return float(np.median(scale[visible] if visible.any() else scale))
 
 
 def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
-    """Return by how much a hull grows for every pixel that its outlines are moved out."""
+    """Return the growth of a hull per pixel that its outlines are moved out."""
     return (hull.moved_out_mm3 - hull.moved_in_mm3) / (2.0 * slack_px)
 
 
-def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: Trimmed, water: Water) -> float:
-    """Return by how much a hull grows, as a share, when every other view carves it; 0 where little of it is kept.
+def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: TrimmedHull, water: Water) -> float:
+    """Return the relative growth of a hull when every other view carves it; 0 if little untrimmed hull is kept.
 
-    A flat face that no view looks along is bounded by the two views beside: its excess goes with one over the number of
-    views, so that what half of the views add is what all of them have too much. (Round bodies' goes with its square: a
-    third of that.)
+    A flat face that no view looks along is bounded by the two adjacent views: its excess is inversely proportional to
+    the number of views, so that the growth with half of the views equals the excess with all. (The excess of round
+    bodies is inversely proportional to the square: a third of that.)
 
     Parameters
     ----------
     frames : sequence of int
-        Number of each view's frame, which rise round the turn.
+        Frame number of each view, ascending around the turn.
     """
     if thick.kept_mm3 <= _MUCH_KEPT * thick.leaves.volume_mm3():
         return 0.0
@@ -160,16 +162,16 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     every_other = every_second(frames)
     volumes = [
         carve.carve(some, outlines, grid, water).leaves.volume_mm3()
-        for some, outlines in ((bank, maps), (bank.chosen(every_other), maps.of_views(every_other)))
+        for some, outlines in ((bank, maps), (bank.select(every_other), maps.select_views(every_other)))
     ]
     return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
 
 
 def every_second(frames: Sequence[int]) -> list[int]:
-    """Return the places, rising, of every other frame in the order of their numbers."""
+    """Return the indices, ascending, of every other frame in the order of their numbers."""
     return sorted(np.argsort(frames)[::2].tolist())
 
 
-def water(volume_mm3: float) -> Term:
-    """Return what the water's index leaves open: what a thermometer or the pictures do not tell."""
-    return Term.even("water", _INDEX * volume_mm3, "the water's index may differ from the one that was used")
+def water_term(volume_mm3: float) -> Term:
+    """Return the term of the water's refractive index, which is neither measured nor estimated."""
+    return Term.symmetric("water", _INDEX * volume_mm3, "the refractive index of the water may differ from the value used")

@@ -1,4 +1,4 @@
-"""What the pictures leave open about tubes: how far their volume can be wrong, cause by cause."""
+"""Uncertainty of the tubes' volume, cause by cause."""
 
 from __future__ import annotations
 
@@ -23,36 +23,33 @@ from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 Array = NDArray[np.float64]
 
-UNTOLD = 0.25
-"""Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as
-much."""
+NO_DATA = 0.25
+"""Prior relative standard deviation of a radius without data: the scatter of roots of one order."""
 EXPLAINED = 0.03
-"""Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
+"""Minimum coverage by the tubes of pixels that they explain, together with a margin of two pixels."""
 _INSIDE = 0.3
-"""Coverage above this is taken for the inside of a root when its width is measured to a pixel or two."""
+"""Minimum coverage inside a root when its width is measured to a pixel or two."""
 _FLAT, _FLAT_PX = 0.1, 0.1
-"""A section is flat where its half-width changes from view to view by more than this share, and more than this."""
+"""Minimum variation of a flat section's half-width from view to view, relative and in pixels."""
 _FLATTEST = 0.26
-"""Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r
-/ (3 pi)."""
+"""Maximum flatness, that of two equal touching roots: their half-width is r + r |cos|, on average r (1 + 2 / pi), with
+the second harmonic 4 r / (3 pi)."""
 _HAIRS_KNOWN = 0.5
-"""Hairs of radish are a tenth to half a millimetre long: what they take is known to half of what those of the middle
-do."""
+"""Relative uncertainty of absorption by hairs, due to their length of 0.1 to 0.5 mm."""
 _OVAL = 0.01
-"""Share of a thick root's volume that a circle of its mean width has too much, at most: of an ellipse whose axes are as
-6 to 7, and of a regular polygon with 18 sides (a section has less area than the circle of its perimeter)."""
+"""Maximum relative excess of a thick root's volume computed from a circle of its mean width: that of an ellipse with
+axes 6 to 7, and of a regular polygon with 18 sides (a section has less area than the circle of its perimeter)."""
 _FLAT_NODES = 5
-"""Nodes along which a section is taken to be alike: 3 mm."""
+"""Number of nodes over which a section is assumed constant: 3 mm."""
 _LEAST_FREE = 0.1
-"""Share of the root zone beside the tubes that is taken to be free at least, where what they hide is estimated from
-what they leave."""
+"""Minimum free fraction of the root zone outside the tubes, for the estimate of roots that the tubes hide."""
 _ZONE = (0.02, 0.98)
 """Quantiles of the covered pixels' rows and columns that bound the root zone."""
 
 
 @dataclass(frozen=True)
 class TubeUncertainty:
-    """Terms of the budget, and what the verdict looks at."""
+    """Terms of the budget, and quantities of the verdict."""
 
     terms: tuple[Term, ...]
     unexplained: float
@@ -60,82 +57,82 @@ class TubeUncertainty:
 
 
 def estimate(system: RootSystem) -> TubeUncertainty:
-    """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
-    tubes, drawn = system.tubes, system.drawn
+    """Compare the pictures with the fitted tubes, and convert the residuals to volumes."""
+    tubes, drawn = system.tubes, system.rendering
     found = tube_profiles.profiles(drawn, root_light.changes(drawn, np.diag(system.attenuation.covariance) > 0.0))
     profiles, equations = found.host(), found.light_equations()
-    by_light = tube_fit.followed(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
-    gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
-    wish = _wishes(tubes, profiles, gain)
+    by_light = tube_fit.node_response(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
+    gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # derivative of the volume by the radius
+    wish = _view_contributions(tubes, profiles, gain)
     total = float(wish.sum())
-    rest = _Rest.of(system.seen, drawn.passing, drawn.difference, system.px_a_mm)
+    rest = _Residual.compute(system.evidence, drawn.passing, drawn.difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
-    untold = _untold(tubes, profiles, gain, rest.variance)
+    hidden = _hidden_radii(tubes, profiles, gain, rest.variance)
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
     flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
     ends = float(0.5 * gain @ (tubes.radius_mm * system.uncertain))
     oval = _OVAL * float(0.5 * gain @ (tubes.radius_mm * system.thick))
     terms = (
-        Term.even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
-        Term.even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
-        _signed(
+        Term.symmetric("radii, view against view", views, "the views disagree on the radii of the tubes (noise, poses, backlight)"),
+        Term.symmetric(
+            "radii, hidden", hidden, "some roots are hidden by others in most views, so that their radii are hardly constrained"
+        ),
+        _one_sided(
             "radii, residual gradient",
             total,
-            "the fit stops where the pictures still ask for other radii, against the smoothness of branches",
+            "the smoothness of branches keeps the radii from fully matching the pictures",
         ),
-        _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
+        _one_sided("area", balance, "the area covered by the tubes differs from that in the pictures"),
         *_light(system, gain @ by_light),
-        Term.even("uncertain ends", ends, "ends whose tips others hide may be no roots"),
-        Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
-        Term(
-            name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are taken to be round, and have less volume where they are not"
-        ),
+        Term.symmetric("uncertain ends", ends, "ends whose tips are hidden by others may not be roots"),
+        Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots appear flat, and may be two roots side by side"),
+        Term(name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are assumed round, and have less volume where they are not"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeUncertainty(terms, rest.unexplained, rest.fill)
 
 
 def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
-    """Return what attenuation, blur and hairs leave open, of which the volume changes by ``by_light`` (L,).
+    """Return the terms of attenuation, blur and hairs, by which the volume changes by ``by_light`` (L,).
 
-    Roots follow them along the valley in which they absorb as much light.
+    Radii follow these parameters along the valley of equal absorption.
     """
-    attenuation, seen = system.attenuation, system.seen
+    attenuation, evidence = system.attenuation, system.evidence
     half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
-    if seen.mu_per_mm is None:
-        terms = [Term.even("radii, blur", half, "radii depend on the pictures' blur")]
+    if evidence.mu_per_mm is None:
+        terms = [Term.symmetric("radii, blur", half, "radii depend on the pictures' blur")]
         if attenuation.rival_per_mm is not None:
-            more = _volume_change(system, replace(seen, mu_per_mm=attenuation.rival_per_mm))
-            why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
+            more = _volume_change(system, replace(evidence, mu_per_mm=attenuation.rival_per_mm))
+            why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque roots explain the pictures almost as well"
             terms.append(Term(name="translucency", less_mm3=0.0, more_mm3=more, why=why))
         if attenuation.hairs == "maybe":
-            change = _volume_change(system, replace(seen, hairs=1.0))
-            terms.append(_signed("hairs", change, "the pictures do not tell whether hairs stand about the roots"))
+            change = _volume_change(system, replace(evidence, hairs=1.0))
+            terms.append(_one_sided("hairs", change, "the pictures do not show whether the roots have hairs"))
         return tuple(terms)
-    why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * attenuation.sigma:.0f} % only"
-    terms = [Term.even("translucency", half, why)]
+    why = f"the roots are translucent, and their attenuation is only known to {100.0 * attenuation.sigma:.0f} %"
+    terms = [Term.symmetric("translucency", half, why)]
     if attenuation.hairs != "none":
-        why = "hairs stand about the roots, and what they take of the light depends on their length, which is known to a half"
-        terms.append(Term.even("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * seen.hairs), why))
+        why = "the roots have hairs, whose absorption depends on their length, which is only known to 50 %"
+        terms.append(Term.symmetric("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * evidence.hairs), why))
     return tuple(terms)
 
 
 def _volume_change(system: RootSystem, other: Evidence) -> float:
-    """Return by how much the volume would change with other light that is kept back alike."""
-    tubes = root_light.with_light_kept(system.tubes, system.solid, system.seen, other)
+    """Return the change of the volume with other light parameters at equal absorption."""
+    tubes = root_light.match_absorption(system.tubes, system.solid, system.evidence, other)
     return float(np.pi * (np.square(tubes.radius_mm) - np.square(system.tubes.radius_mm)) @ _lengths(tubes))
 
 
-def _signed(name: str, change_mm3: float, why: str) -> Term:
+def _one_sided(name: str, change_mm3: float, why: str) -> Term:
     return Term(name=name, less_mm3=max(0.0, -change_mm3), more_mm3=max(0.0, change_mm3), why=why)
 
 
 def _lengths(tubes: Tubes) -> Array:
-    """Return the length of tube (N,) that each node stands for.
+    """Return the length of tube (N,) that belongs to each node.
 
-    Half of every segment at it, a branch's first segment its second node's.
+    It is half of every segment at the node; the first segment of a branch belongs to the second node.
     """
     half = np.zeros(len(tubes.radius_mm))
     for k, nodes in enumerate(tubes.branches):
@@ -146,14 +143,14 @@ def _lengths(tubes: Tubes) -> Array:
 
 
 def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
-    """Return by how much (N,) of its size the half-width of each node's section changes from view to view.
+    """Return the relative variation (N,) of the half-width of each node's section from view to view.
 
-    0 where it is round.
+    It is 0 for round sections.
 
-    The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike
-    along a few nodes. Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of
-    radius r, drawn as a round one, have the flatness `_FLATTEST` and 0.75 of that one's volume: what is lost if a root
-    is two is its flatness.
+    The half-widths in the views, w + u S u across the direction u, are fitted with a symmetric tensor S, constant over
+    a few nodes. Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of radius
+    r, modelled as a round one, have the flatness `_FLATTEST` and 0.75 of that one's volume: the relative volume error
+    of a double root is its flatness.
     """
     unit = profiles.across / np.maximum(profiles.scale, 1e-9)[..., None]
     x, y, z = np.moveaxis(unit, -1, 0)
@@ -174,66 +171,65 @@ def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
     return np.where((share > _FLAT) & (harmonic * px_a_mm > _FLAT_PX), np.minimum(share, _FLATTEST), 0.0)
 
 
-def _wishes(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
-    """Return by how much each view (V,) alone would change the volume.
+def _view_contributions(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
+    """Return the change of the volume that each view (V,) alone would cause.
 
-    Its part of one more Gauss-Newton step of all radii.
+    It is the view's contribution to one more Gauss-Newton step of all radii.
 
-    With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the
-    sandwich (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common,
-    such as its pose.
+    With the fit's equations H dr = g, where g is a sum over views, a view's contribution is gain . H^-1 g_v. The
+    scatter of the views is the sandwich (jackknife) estimate of the volume's standard deviation, valid also for errors
+    common to a view, such as its pose.
     """
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
-    weight: Array = spsolve((sparse.diags(_told(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
+    weight: Array = spsolve((sparse.diags(_radius_curvature(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
     return np.asarray((profiles.width * profiles.scale) @ weight)
 
 
-def _told(profiles: HostProfiles) -> Array:
+def _radius_curvature(profiles: HostProfiles) -> Array:
     """Return the curvature (N,) by the radii."""
     return np.asarray((profiles.width_2 * profiles.scale**2).sum(axis=0))
 
 
-def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
-    """Return the volume's 90 % half-width where pictures hardly tell the radii.
+def _hidden_radii(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
+    """Return the 90 % half-width of the volume where pictures hardly constrain the radii.
 
-    Alike along a branch, independent between branches.
+    Errors are equal along a branch, and independent between branches.
     """
-    told = _told(profiles) / max(variance, 1e-9)
-    sigma = 1.0 / np.sqrt(told + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
+    curvature = _radius_curvature(profiles) / max(variance, 1e-9)
+    sigma = 1.0 / np.sqrt(curvature + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
     owner = tubes.owner
     return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
 
 
 @dataclass(frozen=True)
-class _Rest:
-    """What is left of the pictures when the tubes are taken away."""
+class _Residual:
+    """Residuals of the pictures after subtraction of the tubes."""
 
     variance: float
-    """Of the difference beside the tubes, a pixel."""
+    """Variance of the difference at the tubes, per pixel."""
     balance: float
-    """Difference beside the tubes over the area they cover."""
+    """Difference at the tubes relative to the area they cover."""
     missing_px3: float
-    """Volume of what covers the pictures far from tubes, as large as it would be if tubes hid none of it, in cubes of a
-    pixel's edge.
+    """Volume of coverage far from tubes, corrected for the part that tubes hide, in cubic pixels.
 
     A root's volume is its covered area times a quarter of pi times its width."""
     unexplained: float
-    """Covered area far from tubes over all covered area."""
+    """Covered area far from tubes relative to all covered area."""
     fill: float
 
     @staticmethod
-    def of(seen: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Rest:
-        """Look at all views, one after the other: together they would fill the memory."""
-        (width, height), count = seen.image_wh, seen.bank.count
-        pictures = [picture.numpy().reshape(count, height, width) for picture in (seen.seen, passing, difference)]
+    def compute(evidence: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Residual:
+        """Evaluate all views, one after the other, to limit memory."""
+        (width, height), count = evidence.image_wh, evidence.bank.count
+        pictures = [picture.numpy().reshape(count, height, width) for picture in (evidence.usable, passing, difference)]
         views = [
-            _RestOfView.of(seen, silhouette, known > 0, 1.0 - free, left.astype(np.float32), px_a_mm)
-            for silhouette, known, free, left in zip(seen.silhouettes, *pictures, strict=True)
+            _ViewResidual.compute(evidence, silhouette, known > 0, 1.0 - free, left.astype(np.float32), px_a_mm)
+            for silhouette, known, free, left in zip(evidence.silhouettes, *pictures, strict=True)
         ]
         area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
         beyond = max(0.0, sum(view.beyond for view in views))
         fills, missing = ([view.fill for view in views if view.has_roots], [view.missing_px3 for view in views if view.has_roots])
-        return _Rest(
+        return _Residual(
             variance=sum(view.square for view in views) / max(pixels, 1),
             balance=sum(view.balance for view in views) / max(area, 1.0),
             missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
@@ -243,60 +239,60 @@ class _Rest:
 
 
 @dataclass(frozen=True)
-class _RestOfView:
-    """What one view has of it, areas in pixels."""
+class _ViewResidual:
+    """Residuals of one view, areas in pixels."""
 
     area: float
-    """Covered by the tubes."""
+    """Area covered by the tubes."""
     hidden: float
-    """Covered where nothing is known beside taproot and hypocotyl."""
+    """Area covered by taproot, hypocotyl and solids, where tubes are masked."""
     pixels: int
-    """On the tubes and two pixels about them."""
+    """Number of pixels on the tubes and within two pixels of them."""
     square: float
-    """Squared difference there, and ..."""
+    """Sum of the squared difference there."""
     balance: float
-    """... the difference itself."""
+    """Sum of the difference there."""
     beyond: float
-    """Difference elsewhere."""
+    """Sum of the difference elsewhere."""
     has_roots: bool
     fill: float = 0.0
     missing_px3: float = 0.0
 
     @staticmethod
-    def of(seen: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _RestOfView:
-        """Compare a picture with tubes.
+    def compute(evidence: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _ViewResidual:
+        """Compare a picture with the tubes.
 
         Parameters
         ----------
         known : (H, W) bool array
-            Where the picture tells of them.
+            Mask of usable pixels.
         drawn, left : (H, W) float32 array
-            Coverage by the tubes, and what they leave.
+            Coverage by the tubes, and the residual.
         """
         drawn = drawn * known
         near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         far = left * ~near
-        if seen.has_opacity:  # what does not stand out from the noise is none
+        if evidence.has_opacity:  # ignore values at the noise level
             far *= picture.coverage > 0.0
-        rest = _RestOfView(
+        rest = _ViewResidual(
             area=float(drawn.sum(dtype=np.float64)),
-            hidden=float((picture.coverage * picture.seen * ~known).sum(dtype=np.float64)),
+            hidden=float((picture.coverage * picture.usable * ~known).sum(dtype=np.float64)),
             pixels=int(near.sum()),
             square=float(np.square(left[near]).sum(dtype=np.float64)),
             balance=float(left[near].sum(dtype=np.float64)),
             beyond=float(far.sum(dtype=np.float64)),
             has_roots=False,
         )
-        rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
+        rows, columns = np.nonzero((picture.coverage > 0.5) & picture.usable)
         if not len(rows):
             return rest
         (top, bottom), (first, last) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
         zone = np.s_[top : bottom + 1, first : last + 1]
         inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
         width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
-        if seen.mu_per_mm is None:
+        if evidence.mu_per_mm is None:
             volume = 0.25 * np.pi * float((far * width_px).sum(dtype=np.float64))
-        else:  # faint roots absorb light by their volume
-            volume = rest.beyond * px_a_mm / seen.mu_per_mm
+        else:  # absorption of faint roots is proportional to their volume
+            volume = rest.beyond * px_a_mm / evidence.mu_per_mm
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
         return replace(rest, has_roots=True, fill=float(np.where(known, picture.coverage, 0.0)[zone].mean()), missing_px3=missing)

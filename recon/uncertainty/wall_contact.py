@@ -1,48 +1,47 @@
-"""What lies flat on the canister's wall: tape, a label or dirt turns with the canister as a root does, and is none."""
+"""Uncertainty due to flat objects on the canister's wall: tape, labels or dirt, which rotate with it like roots."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.leaves import Leaves, even, evenly
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.uncertainty.budget import Term
 
 _ROUND = 1.9
-"""Volume in the third shell under the wall over that in the first, of a round root that touches it along a line. Its
-section at a depth d is about as wide as the square root of d: 2.4 for wide ones, 1.9 for a radius of three shells. A
-ball's grows faster: by 5."""
+"""Ratio of the volumes in the third and the first shell under the wall, for a round root that touches it along a line.
+Its section at a depth d is about as wide as the square root of d: 2.4 for wide ones, 1.9 for a radius of three shells.
+For a ball the ratio is 5."""
 
 
 def wall_contact(thick: Leaves, water: Water) -> Term:
-    """Return what a shape may have too much where it lies flat on the wall.
+    """Return the term of flat parts of a shape on the wall.
 
-    A root is round and touches the wall along a line, so that its section at a depth d under the wall grows from
-    nothing; what sticks to the wall has all of its area there at once. The first and the third of three shells, each
-    as thick as a finest node, hold `V1 = F + r` and `V3 = F + q r`: of what is flat the same, of what is round `q`
-    times as much. What an area on the wall hides from the views is at most the wedge from there to the axis.
+    A round root touches the wall along a line, so that its section at a depth d under the wall grows from zero; an
+    object on the wall has its full area there. The first and the third of three shells, each as thick as a finest node,
+    contain `V1 = F + r` and `V3 = F + q r`: the flat part F is equal in both, the round part r grows by the factor `q`.
+    An area on the wall hides at most the wedge from there to the axis.
 
     Parameters
     ----------
     thick : Leaves
-        What is thick of the shape: thin roots are tubes, and round.
+        Solids and thick roots of the shape; thin roots are round tubes.
     water : Water
-        In the canister.
+        Water in the canister.
     """
     cell_mm = thick.grid.size_mm
     middle = thick.middles_mm
     reach_mm = np.hypot(middle[:, 0], middle[:, 1]) + thick.size * cell_mm / np.sqrt(2.0)
-    near = thick.some(reach_mm > water.radius_mm - 3.0 * cell_mm)
-    index = even(near.index, near.size)
+    near = thick.select(reach_mm > water.radius_mm - 3.0 * cell_mm)
+    index = to_unit_cubes(near.index, near.size)
     middle = np.asarray(near.grid.origin_mm) + (index + 0.5) * cell_mm
     depth_mm = water.radius_mm - np.hypot(middle[:, 0], middle[:, 1])
     shell = np.clip(depth_mm // cell_mm, 0, 3).astype(int)
-    area_mm2 = np.bincount(shell, evenly(near.occupancy, near.size), 4) * cell_mm**2
+    area_mm2 = np.bincount(shell, spread_values(near.occupancy, near.size), 4) * cell_mm**2
     flat_mm2 = float(np.clip((_ROUND * area_mm2[0] - area_mm2[2]) / (_ROUND - 1.0), 0.0, area_mm2[0]))
     return Term(
         name="wall_contact",
         less_mm3=min(thick.volume_mm3(), 0.5 * flat_mm2 * water.radius_mm),
         more_mm3=0.0,
-        why="a part lies flat on the canister's wall, as tape, a label or dirt does and no root: clean the wall, and take off "
-        "what sticks to it",
+        why="a part lies flat on the canister's wall, like tape, a label or dirt: clean the wall, and remove attached objects",
     )

@@ -54,7 +54,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
     UserError
         If no cameras can be found in the pictures.
     """
-    from rhizotwin.recon.calibration.curve import read_by_edges
+    from rhizotwin.recon.calibration.curve import verify_curve
     from rhizotwin.recon.calibration.find_cameras import find_cameras
     from rhizotwin.recon.coverage.measure import measure_coverage
     from rhizotwin.recon.pictures import read_pictures
@@ -62,7 +62,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
     dataset = load_dataset(dataset_folder)
     shutil.copytree(dataset_folder, goal, ignore=shutil.ignore_patterns("truth", ".*"))
     monitor = Monitor()
-    pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
+    pictures = verify_curve(read_pictures(dataset, monitor=monitor), monitor=monitor)
     found = find_cameras(pictures, monitor=monitor)
     found, coverage = measure_coverage(pictures, found, monitor=monitor)
     files = [frame.file for frame in pictures.frames]

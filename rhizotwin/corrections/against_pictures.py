@@ -14,7 +14,7 @@ from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.budget import Term
-from rhizotwin.recon.uncertainty.checks import Check, foremost, judged
+from rhizotwin.recon.uncertainty.checks import Check, first_problem, judge
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files
@@ -43,9 +43,9 @@ class Comparison:
         lacking = f"the corrections leave {100.0 * self.missed:.1f} % of what a picture shows unexplained"
         beyond = f"the corrections put {100.0 * self.surplus:.1f} % of the shape where the pictures show nothing"
         advice = "look at the corrected shape over the pictures with 'rhizotwin view', and undo what is wrong"
-        return foremost(
-            judged("corrections", self.missed, "share", trust.missed, lacking, advice),
-            judged("corrections", self.surplus, "share", trust.missed, beyond, advice),
+        return first_problem(
+            judge("corrections", self.missed, "share", trust.missed, lacking, advice),
+            judge("corrections", self.surplus, "share", trust.missed, beyond, advice),
         )
 
     def term(self, before_mm3: float, after_mm3: float) -> Term:
@@ -88,7 +88,7 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
     if not known:
         raise UserError(f"{session.folder} has no silhouettes")
     some = [known[k] for k in carve.spread(len(known))[:_VIEWS]]
-    bank = ViewBank.of([cameras.views[k] for k in some], cameras.optics)
+    bank = ViewBank.pack([cameras.views[k] for k in some], cameras.optics)
     silhouettes = [kept[cameras.files[k]] for k in some]
 
     def agree(low: NDArray[np.integer], size: NDArray[np.integer], volume_mm3: Array) -> tuple[Array, float]:

@@ -26,7 +26,7 @@ class Cameras:
         """Gather the cameras of a result, with lens and water as the reconstruction found them."""
         rig = summary.get("rig") or {}
         camera = dataset.scene.camera.as_pinhole().focused(rig.get("focal_scale") or 1.0)
-        optics = Optics.of(dataset.scene)
+        optics = Optics.from_scene(dataset.scene)
         if rig.get("n_water"):
             optics = replace(optics, n_water=rig["n_water"])
         known = {frame.file for frame in dataset.frames}

@@ -20,7 +20,7 @@ from rhizotwin.recon.results import by_plant, dividing, result_traits
 from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Budget, Term
-from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failed, verdict
+from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failure_reasons, verdict
 from rhizotwin.scenes import atomic, rsml, subject
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
@@ -136,7 +136,7 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
             terms.append(found.term(before_mm3, after_mm3))
             check = found.check()
             checked.append(asdict(check))
-            lost += failed([check])
+            lost += failure_reasons([check])
     budget = Budget(volume_mm3=after_mm3, terms=tuple(terms), views=sum(view["used"] for view in old["views"]))
     if old["volume_trusted"]:
         lost += budget.objections
@@ -158,7 +158,7 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
     where = str(session.folder / "result.json")
     known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.of_summary(session.summary, where)]
     grid_z_mm = max((float(root.points_mm[:, 2].max()) for root in session.roots), default=0.0)
-    planted = plants.keep(session.state.roots(), known, grid_z_mm=grid_z_mm)
+    planted = plants.check_assignment(session.state.roots(), known, grid_z_mm=grid_z_mm)
     if not planted.roots:
         return (), []
     low, high = summary["volume_interval_mm3"]

@@ -55,12 +55,12 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         missing = [file for file in cameras.files if file not in kept]
         if missing or not cameras.files:
             raise UserError(f"{result_folder} keeps no silhouette of {missing[0] if missing else 'any picture'}; reconstruct again")
-        seen = Evidence.of(ViewBank.of(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
+        seen = Evidence.from_silhouettes(ViewBank.pack(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
         thick_mm = result_traits.THICK_CELLS * float(summary["settings"].get("finest_mm", summary["voxel_mm"]))
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
-        fitted = tube_fit.fit(seen, tubes, fixed, steps=_STEPS, light=Prior.of(seen)).tubes
+        fitted = tube_fit.fit(seen, tubes, fixed, steps=_STEPS, light=Prior.from_evidence(seen)).tubes
         centre = np.where(fixed[:, None], tubes.centre_mm, fitted.centre_mm)
-        fitted = tube_shapes.moved(fitted, centre, np.where(fixed, tubes.radius_mm, fitted.radius_mm))
+        fitted = tube_shapes.with_geometry(fitted, centre, np.where(fixed, tubes.radius_mm, fitted.radius_mm))
         found = {}
         for k, number in enumerate(numbers):
             nodes = fitted.branches[k]

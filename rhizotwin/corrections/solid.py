@@ -144,7 +144,7 @@ class Solid:
         filled = filling.fill_each(tubes, spacing_mm)
         own = filled.branch >= len(near)
         point, branch = filled.point_mm[own], filled.branch[own]
-        inside, other, other_mm = filling.within(tubes, point, branch)
+        inside, other, other_mm = filling.find_inside(tubes, point, branch)
         earlier = other < branch[inside]
         self._parts.append(
             _Samples(
@@ -173,7 +173,7 @@ class Solid:
             from rhizotwin.recon.tubes import filling
 
             made = self._painted(alive, given=False) / room
-            volume += room * np.minimum(filling.levelled(made), 1.0 - volume / room)
+            volume += room * np.minimum(filling.limit_occupancy(made), 1.0 - volume / room)
         volume[: len(gone)][gone] = 0.0
         return volume
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from skimage.morphology import skeletonize
 
 from rhizotwin.recon.calibration.cameras import Camera, Cameras
-from rhizotwin.recon.calibration.curve import read_by_edges
+from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, signed_distance
@@ -97,7 +97,7 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     if dataset.sha256 and dataset.sha256 == found.dataset_sha256:
         raise UserError(f"{dataset.folder} is the dataset that the result was made from; give one with pictures that were not used")
-    pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
+    pictures = verify_curve(read_pictures(dataset, monitor=monitor), monitor=monitor)
     used = {camera.sha256: camera for camera in found.cameras if camera.sha256 and camera.used}
     cameras = find_cameras(pictures, monitor=monitor)
     same = {k: used[sha256] for k, frame in enumerate(pictures.frames) if (sha256 := content_of(dataset, frame)) in used}
@@ -162,7 +162,7 @@ class Compared:
 
 def compare(shape: Image, picture: Silhouette) -> Compared:
     """Compare what is drawn (H, W) with what a picture shows, where it tells something."""
-    shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.seen))
+    shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.usable))
     told = shown < UNSEEN_PX
     root, own = (shown > 0.0) & told, (made > 0.0) & told
     apart = np.abs(made - shown)[(_rim(root) | _rim(own)) & told]

@@ -112,7 +112,7 @@ def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, 
     errors: dict[str, tuple[float, float, float, float]] = {}
     for file, found in silhouettes.items():
         true = read_grey(picture_path(masks_folder, file), image_wh=image_wh)
-        errors[file] = mask_errors(found.coverage, true, found.seen)
+        errors[file] = mask_errors(found.coverage, true, found.usable)
     if not errors:
         return None
     middle = np.nanmedian(np.array(list(errors.values())), axis=0)

@@ -61,7 +61,7 @@ class Sketch:
     """Grows with the pictures of a scan."""
 
     def __init__(self, scene: Scene) -> None:
-        self._scene, self._optics = scene, Optics.of(scene)
+        self._scene, self._optics = scene, Optics.from_scene(scene)
         width = min(WIDEST_PX, scene.camera.image_wh[0])
         height = round(width * scene.camera.image_wh[1] / scene.camera.image_wh[0])
         self._camera = scene.camera.resized((width, height))

@@ -55,7 +55,7 @@ def test_a_circle_is_found_through_noise_and_a_ray_keeps_to_snell() -> None:
     middle, radius, away = thesis_figures.fit_circle(points)
     assert (*middle, radius) == pytest.approx((3.0, -2.0, 400.0), abs=0.2)
     assert away.std() == pytest.approx(0.2, rel=0.3)
-    optics = Optics.of(Scene())
+    optics = Optics.from_scene(Scene())
     for w in (-0.7, -0.2, 0.4, 0.9):
         camera, outer, entry, leave = thesis_figures.ray_path(optics, 400.0, w)
         radii = [optics.outer_radius_mm, optics.inner_radius_mm, optics.inner_radius_mm]

@@ -8,9 +8,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.lint import constants, docstrings, lengths
+from tests.lint import constants, dialect, docstrings, lengths
 
 ROOT = Path(__file__).resolve().parents[2]
+RULES = (constants, dialect, docstrings, lengths)
 FOLDERS = ("benchmarks", "recon", "rhizotwin", "rig", "scenes", "sim")
 
 
@@ -23,7 +24,7 @@ def sources() -> Iterator[Path]:
 def violations(file: str, source: str) -> list[str]:
     """Return the violations of one source file, named relative to the repository."""
     tree, lines = ast.parse(source), source.splitlines()
-    return [f"{file}:{line}: {message}" for rule in (constants, docstrings, lengths) for line, message in rule.check(file, tree, lines)]
+    return [f"{file}:{line}: {message}" for rule in RULES for line, message in rule.check(file, tree, lines)]
 
 
 def main() -> int:

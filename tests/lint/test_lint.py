@@ -37,6 +37,20 @@ SOURCES = [
     Source("no sections", "rig/a.py", "def c(x: int, y: int, z: int) -> tuple[int, int]:\n    'Add.'\n", (1, 1)),
     Source("sections not needed", "recon/a.py", "def c(x: int, y: int, z: int) -> tuple[int, int]:\n    'Add.'\n"),
     Source("numpydoc", "rig/a.py", documented("a : int|    How.|*b, c : (N,) array|    What.")),
+    Source(
+        "dialect in docstrings",
+        "recon/a.py",
+        '"""What roots hang on."""\nA = "told"\n"""Nobody tells."""\ndef f():\n    """Tell it."""\n',
+        (1, 3, 5),
+    ),
+    Source(
+        "dialect in messages",
+        "recon/a.py",
+        'def f():\n    raise ValueError(f"{f} is told")\ndef g(warn):\n    warn("hangs on")\n',
+        (2, 4),
+    ),
+    Source("dialect in a folder that is not rewritten yet", "recon/shoots/a.py", '"""What roots tell."""\n'),
+    Source("dialect in values", "recon/a.py", 'A = "told"\nB = dict(a="untold")\n'),
     Source("meaning in the place of the type", "rig/a.py", documented("a : (N,) where it is. Then.|b|    What.|c : int|    How."), (1, 1)),
 ]
 

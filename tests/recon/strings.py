@@ -40,28 +40,28 @@ TWIG = line((0.0, 0.0, -30.0), (9.0, 0.0, -42.0))
 
 
 def strung(*paths: np.ndarray, radius_mm: float = 0.2) -> tubes.Tubes:
-    return tubes.string(paths, [np.full(len(path), radius_mm) for path in paths])
+    return tubes.place_nodes(paths, [np.full(len(path), radius_mm) for path in paths])
 
 
 def blank(views: list[View], optics: Optics) -> Evidence:
     """Return pictures without roots, that show everything and whose opacity is known."""
     width, height = views[0].camera.image_wh
     dark = Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool), np.zeros((height, width), np.float32))
-    return Evidence.of(ViewBank.of(views, optics), [dark] * len(views))
+    return Evidence.from_silhouettes(ViewBank.pack(views, optics), [dark] * len(views))
 
 
 def blank_of(scene: Scene) -> Evidence:
-    return blank(views_of(scene), Optics.of(scene))
+    return blank(views_of(scene), Optics.from_scene(scene))
 
 
 def drawn(system: tubes.Tubes, empty: Evidence, *, noise: float = 0.0, opacity: bool = False, seed: int = 0) -> Evidence:
     """Return the coverage that tubes cast into empty pictures, or their opacity; noise with a standard deviation."""
     passing = tube_picture.transmittance(empty, system, empty.project(system.centre_mm))
-    pictures = 1.0 - np.array(passing).reshape(empty.bank.count, *empty.silhouettes[0].seen.shape)
+    pictures = 1.0 - np.array(passing).reshape(empty.bank.count, *empty.silhouettes[0].usable.shape)
     pictures = (pictures + np.random.default_rng(seed).normal(0.0, noise, pictures.shape)).astype(np.float32)
     everywhere = np.ones(pictures.shape[1:], bool)
     shown = [Silhouette(np.clip(one, 0.0, 1.0), everywhere, one) if opacity else Silhouette(one, everywhere) for one in pictures]
-    return Evidence.of(empty.bank, shown)
+    return Evidence.from_silhouettes(empty.bank, shown)
 
 
 SCENE = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=12),)))
@@ -69,7 +69,7 @@ SCENE = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(
 
 @cache
 def standing() -> Cameras:
-    return Cameras.given(views_of(SCENE), Optics.of(SCENE))
+    return Cameras.from_views(views_of(SCENE), Optics.from_scene(SCENE))
 
 
 @cache
@@ -92,7 +92,7 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, solids_mm: np.ndarray | None 
         margin_mm=0.6,
         px_a_mm=px_a_mm,
         attenuation=TubeAttenuation.opaque(),
-        seen=replace(pictured(found), blur_px=blur_px),
+        evidence=replace(pictured(found), blur_px=blur_px),
         cameras=standing(),
         uncertain=no_nodes,
     )

@@ -11,7 +11,7 @@ def test_two_reconstructions_do_not_mix() -> None:
         passes.begin()
         for _ in range(steps):
             passes.add("gauss_newton_steps")
-        return passes.counted()
+        return passes.get_counts()
 
     assert copy_context().run(run, 3) == {"gauss_newton_steps": 3, "renderings": 0, "carvings": 0}
     assert copy_context().run(run, 5)["gauss_newton_steps"] == 5

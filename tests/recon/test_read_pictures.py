@@ -31,10 +31,10 @@ def test_unread_pictures_are_named_with_their_reason(scan: Callable) -> None:
     assert found.warnings[0] == "images/view_003.png is left out: as chosen"
     cameras = Cameras(
         lens=found.dataset.scene.camera,
-        optics=Optics.of(found.dataset.scene),
+        optics=Optics.from_scene(found.dataset.scene),
         all=tuple(Camera(file=frame.file, ring=0, used=True) for frame in found.frames),
         order=(0, 1, 2, 3),
-    ).without({2: "it is dark"}, unread=found.left_out)
+    ).leave_out({2: "it is dark"}, unread=found.left_out)
     assert cameras.order == (0, 1, 3)
     assert [(camera.file[-5], camera.used) for camera in cameras.all] == [(k, k in "025") for k in "024531"]
 

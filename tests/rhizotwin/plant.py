@@ -71,7 +71,7 @@ def painted(found: tuple[Root, ...]) -> Leaves:
     filled = filling.fill(Tubes(np.concatenate([root.points_mm for root in found]), radius, branches), 0.05)
     origin = np.array([-80.0, -80.0, -160.0])
     at, number = np.unique(np.floor((filled.point_mm - origin) / VOXEL_MM).astype(np.int32), axis=0, return_inverse=True)
-    share = filling.levelled(np.bincount(number.ravel(), weights=filled.volume_mm3) / VOXEL_MM**3)
+    share = filling.limit_occupancy(np.bincount(number.ravel(), weights=filled.volume_mm3) / VOXEL_MM**3)
     return Leaves(low=at, size=np.ones(len(at), np.int32), occupancy=share.astype(np.float32), origin_mm=origin, voxel_mm=VOXEL_MM)
 
 
@@ -86,7 +86,7 @@ def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:
         ring = scene.plan.rings[0]
         level = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
         view = View(camera=camera, cam_from_canister=level @ plan.rig_from_table(scene, planned.table_deg))
-        coverage = drawn(view, Optics.of(scene), found)
+        coverage = drawn(view, Optics.from_scene(scene), found)
         file = f"images/view_{k:03d}.png"
         atomic.write_image(dataset / file, np.round(230.0 * (1.0 - coverage)).astype(np.uint8))
         pose = tuple(tuple(float(x) for x in row) for row in view.cam_from_canister)

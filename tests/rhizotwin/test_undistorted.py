@@ -26,14 +26,14 @@ def view() -> View:
 
 def test_without_refraction_the_pinhole_is_the_camera() -> None:
     air = replace(SCENE, canister=replace(SCENE.canister, n_wall=1.0), water=replace(SCENE.water, n_water=1.0))
-    distance_mm, left_px = best_distance_mm(view(), Optics.of(air), HEIGHTS_MM)
+    distance_mm, left_px = best_distance_mm(view(), Optics.from_scene(air), HEIGHTS_MM)
     assert distance_mm == pytest.approx(float(np.hypot(*view().centre_mm[:2])), abs=1.0)
     assert left_px < 0.01
 
 
 def test_points_of_the_plane_show_where_the_pinhole_sees_them() -> None:
     """Dots are drawn where refraction shows points of the plane, and looked for in the undistorted picture."""
-    optics = Optics.of(SCENE)
+    optics = Optics.from_scene(SCENE)
     distance_mm, left_px = best_distance_mm(view(), optics, HEIGHTS_MM)
     camera = VirtualCamera(view(), optics, distance_mm, HEIGHTS_MM)
     right = np.array([-np.sin(camera._azimuth_rad), np.cos(camera._azimuth_rad), 0.0])

@@ -54,7 +54,7 @@ def test_a_ball_is_seen_where_the_closed_form_says(case: Case) -> None:
     turned = frames.rotation_z(np.deg2rad(case.turn_deg))
     cam_from_tank = camera.cam_from_canister @ frames.invert(camera.rig_from_canister) @ turned
     view = View(camera=scene.camera, cam_from_canister=camera.cam_from_canister, cam_from_tank=cam_from_tank)
-    expected, seen, _ = project_through_tank(view, Optics.of(scene), np.array([case.centre_mm]))
+    expected, seen, _ = project_through_tank(view, Optics.from_scene(scene), np.array([case.centre_mm]))
     assert seen.all()
     part = magnify(scene, expected[0], 100.0, 160)
     _, coverage = Renderer(part, draw_world(part, seed=4), ball(case.centre_mm, 0.1), samples=4).view(case.view)

@@ -138,7 +138,7 @@ def test_pictures_without_backlight(dataset: Path, tmp_path: Path, command: Comm
         pixels[76:] = 0
         write_image(picture(dataset, k), pixels)
     change_manifest(dataset, lambda _: None)
-    command.fails("reconstruct", dataset, "-o", tmp_path / "result", *FAST, named=["view_000.png", "nothing of the water", "backlight"])
+    command.fails("reconstruct", dataset, "-o", tmp_path / "result", *FAST, named=["view_000.png", "does not show the water", "backlight"])
     nothing_left(tmp_path, "dataset")
 
 

@@ -108,7 +108,7 @@ def test_the_poses_put_points_where_the_pictures_have_them():
     ("change", "sentence"),
     [
         (lambda drawn: (drawn[:5], SCENE, TABLE_DEG[:5]), "too few"),
-        (lambda drawn: ([drawn[0]] * 30, SCENE, TABLE_DEG), "slips or stands still"),
+        (lambda drawn: ([drawn[0]] * 30, SCENE, TABLE_DEG), "slips or does not move"),
         (lambda drawn: ([np.where(picture > 250, picture, 0) for picture in drawn], SCENE, TABLE_DEG), "edges"),
         (lambda drawn: ([picture[60:] for picture in drawn], SCENE, TABLE_DEG), "surface"),
         (lambda drawn: (drawn, replace(SCENE, camera=Camera()), TABLE_DEG), "telecentric"),

@@ -41,12 +41,12 @@ def markers_of(true: Curve, read: Curve) -> list[Markers]:
 
 
 def test_the_right_curve_leaves_no_bend_and_a_wrong_one_that_of_half_way() -> None:
-    bend, count = curve.bend_of(markers_of(transfer.power(1.8), transfer.power(1.8)))
+    bend, count = curve.median_bend(markers_of(transfer.power(1.8), transfer.power(1.8)))
     assert count == 18
     assert bend == pytest.approx(0.0, abs=0.005)
     dark, half, white = SRGB.number(np.array([0.04, 0.27, 0.5]))
     expected = (half - 0.5 * (dark + white)) / (white - dark)
-    assert curve.bend_of(markers_of(SRGB, LINEAR))[0] == pytest.approx(expected, abs=0.03)  # greys beyond half-way bend otherwise
+    assert curve.median_bend(markers_of(SRGB, LINEAR))[0] == pytest.approx(expected, abs=0.03)  # greys beyond half-way bend otherwise
 
 
 @pytest.mark.parametrize(

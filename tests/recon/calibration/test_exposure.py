@@ -33,12 +33,12 @@ def pictures(level: float = 0.6, width: float = 1.0) -> list[np.ndarray]:
 
 
 def measured(images: list[np.ndarray]) -> exposure.Exposures:
-    return exposure.measure(images, views(len(images)), [(0, 0)] * len(images), Optics.of(SCENE), SCENE)
+    return exposure.measure(images, views(len(images)), [(0, 0)] * len(images), Optics.from_scene(SCENE), SCENE)
 
 
 def test_each_picture_s_exposure_is_found() -> None:
     found = measured(pictures())
-    assert found.told
+    assert found.measured
     np.testing.assert_allclose(found.gain / found.gain[0], GAINS / GAINS[0], rtol=0.002)
     assert found.wander == pytest.approx(np.std(GAINS), rel=0.05)
     assert not found.clipped.any()

@@ -29,9 +29,9 @@ def test_silhouettes_made_in_air_show_what_lies_under_the_rim(tmp_path: Path, n_
     cameras = find_cameras(Pictures(dataset=dataset, frames=listed, images=()), monitor=Monitor())
     top = np.array([0.0, 0.0, scene.net_pot.grid_z_mm - 1.0])
     found = projection.project(
-        ViewBank.of(cameras.views, cameras.optics), mi.UInt32(np.arange(5)), mi.Point3f(*map(mi.Float, top)), mi.Bool([True] * 5)
+        ViewBank.pack(cameras.views, cameras.optics), mi.UInt32(np.arange(5)), mi.Point3f(*map(mi.Float, top)), mi.Bool([True] * 5)
     )
-    assert np.array(found.seen).tolist() == [top_seen] * 5
+    assert np.array(found.visible).tolist() == [top_seen] * 5
     if n_water == 1.0 and top_seen:
         focal, middle = np.array(scene.camera.focal_px), np.array(scene.camera.principal_px)
         for k, pose in enumerate(poses):

@@ -16,5 +16,5 @@ Turn = tuple[dict[int, cameras.View], Optics, dict[int, np.ndarray]]
 def turn() -> Turn:
     """Return cameras round a canister, its optics, and what of the water each sees."""
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=24),)))
-    optics, views = Optics.of(scene), dict(enumerate(views_of(scene)))
+    optics, views = Optics.from_scene(scene), dict(enumerate(views_of(scene)))
     return views, optics, {k: background.water_mask(view, optics, scene) for k, view in views.items()}

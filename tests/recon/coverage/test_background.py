@@ -99,7 +99,7 @@ def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_p
 def masked(ring: Ring) -> tuple[Scene, cameras.View, refraction.Optics, np.ndarray]:
     """Return a scene of one ring, its first view, its optics, and where that view sees water."""
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(ring,)))
-    view, optics = views_of(scene)[0], refraction.Optics.of(scene)
+    view, optics = views_of(scene)[0], refraction.Optics.from_scene(scene)
     return scene, view, optics, background.water_mask(view, optics, scene)
 
 

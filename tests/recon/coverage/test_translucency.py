@@ -46,7 +46,7 @@ def test_opaque_roots_stay_opaque_and_show_their_own_brightness() -> None:
 def test_translucent_roots_get_the_width_they_have() -> None:
     diameters = (0.2, 0.3, 0.45, 0.8, 1.5, 2.2)
     opacity, coverage = picture(2.0, diameters)
-    found = translucency.covered(opacity, translucency.Attenuation(0.0, 2.0, 100), PX_A_MM)
+    found = translucency.translucent_coverage(opacity, translucency.Attenuation(0.0, 2.0, 100), PX_A_MM)
     for k in range(len(diameters)):
         part = np.s_[60, int(36.4 * k) : int(36.4 * k) + 40]
         assert found[part].sum() == pytest.approx(coverage[part].sum(), rel=0.1)
@@ -54,16 +54,18 @@ def test_translucent_roots_get_the_width_they_have() -> None:
 
 def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
     scene = Scene(camera=Camera().resized((400, 300)))
-    cameras = Cameras.given([View(camera=scene.camera, cam_from_canister=next(iter(plan.views(scene))).cam_from_rig)], Optics.of(scene))
+    cameras = Cameras.from_views(
+        [View(camera=scene.camera, cam_from_canister=next(iter(plan.views(scene))).cam_from_rig)], Optics.from_scene(scene)
+    )
     opacity, coverage = picture(2.0, (0.3, 0.45, 0.8, 1.5))
     mu_per_mm = 2.0 * measure._px_a_mm(cameras) / PX_A_MM  # the same picture at the camera's scale
     seen = np.ones(opacity.shape, bool)
     drawn = silhouettes.measure(opacity, seen)
     drawn = silhouettes.Silhouette(drawn.coverage, seen, opacity.astype(np.float16))
     before = Coverage(silhouettes={0: drawn}, attenuation=translucency.Attenuation(0.0, None, 0))
-    found = measure.with_attenuation(before, cameras, mu_per_mm, monitor=Monitor())
+    found = measure.remeasure_coverage(before, cameras, mu_per_mm, monitor=Monitor())
     assert drawn.coverage.sum() < 0.8 * coverage.sum()
     assert found.silhouettes[0].coverage.sum() == pytest.approx(coverage.sum(), rel=0.1)
-    assert measure.with_attenuation(found, cameras, 1.1 * mu_per_mm, monitor=Monitor()) is found
-    again = measure.with_attenuation(found, cameras, None, monitor=Monitor())
+    assert measure.remeasure_coverage(found, cameras, 1.1 * mu_per_mm, monitor=Monitor()) is found
+    again = measure.remeasure_coverage(found, cameras, None, monitor=Monitor())
     np.testing.assert_allclose(again.silhouettes[0].coverage, drawn.coverage, atol=2e-3)

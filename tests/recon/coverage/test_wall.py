@@ -24,14 +24,14 @@ def test_films_are_given_back_and_bubbles_are_not_seen_but_roots_on_the_wall_sta
     where = {k: wall.crossings(view, optics) for k, view in views.items()}
     depth = {k: sum(wall.look_up(film + things, where[k].column[side], where[k].row[side]) for side in (0, 1)) * seen[k] for k in views}
     opacity = {k: (1.0 - np.exp(-d)).astype(np.float32) for k, d in depth.items()}
-    found = wall.study(opacity, seen, where, optics, Monitor())
+    found = wall.detect_fouling(opacity, seen, where, optics, Monitor())
     assert found.film[44:48, 104:110] == pytest.approx(0.2, abs=0.02)
     assert found.bubbles[71, 201], "the bubble stands alone"
     assert not found.bubbles[:, 290:312].any(), "the root goes on"
     assert (found.film[30:110, 298:304] < 0.03).all(), "the root is no film"
     before = after = 0.0
     for k in views:
-        free, visible = wall.cleared(opacity[k], seen[k], where[k], found)
+        free, visible = wall.remove_fouling(opacity[k], seen[k], where[k], found)
         root = sum(wall.look_up(things, where[k].column[side], where[k].row[side]) for side in (0, 1))
         clear = seen[k] & visible & (root == 0)
         before, after = before + float(opacity[k][clear].sum()), after + float(np.abs(free[clear]).sum())

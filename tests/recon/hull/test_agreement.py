@@ -26,9 +26,9 @@ WRONG = 4
 @cache
 def scan() -> tuple[ViewBank, tuple[Silhouette, ...], Water]:
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=20),)))
-    optics, views = Optics.of(scene), exact_pictures.views_of(scene)
+    optics, views = Optics.from_scene(scene), exact_pictures.views_of(scene)
     return (
-        ViewBank.of(views, optics),
+        ViewBank.pack(views, optics),
         tuple(exact_pictures.drawn(view, optics, RODS) for view in views),
         Water(optics.inner_radius_mm, -8.0, -120.0),
     )
@@ -38,7 +38,7 @@ def spoilt(kind: str) -> list[Silhouette]:
     one = scan()[1][WRONG]
     coverage = one.coverage.copy()
     if kind == "mirrored":
-        coverage = np.where(one.seen, coverage[:, ::-1], 0.0).astype(np.float32)
+        coverage = np.where(one.usable, coverage[:, ::-1], 0.0).astype(np.float32)
     else:
         coverage[len(coverage) // 3 :] = {"bright below": 0.0, "dark below": 1.0}[kind]
     return [replace(one, coverage=coverage) if k == WRONG else right for k, right in enumerate(scan()[1])]
@@ -57,7 +57,7 @@ def test_one_wrong_view_is_found(kind: str) -> None:
 
 def test_of_many_wrong_views_none_is_named() -> None:
     bank, silhouettes, water = scan()
-    mirrored = [replace(one, coverage=one.coverage[:, ::-1] * one.seen) for one in silhouettes[:6]]
+    mirrored = [replace(one, coverage=one.coverage[:, ::-1] * one.usable) for one in silhouettes[:6]]
     assert agreement.find_wrong_views(bank, [*mirrored, *silhouettes[6:]], water) == []
 
 

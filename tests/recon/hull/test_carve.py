@@ -12,7 +12,7 @@ from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull
 from rhizotwin.recon.optics import projection, refraction
-from rhizotwin.recon.uncertainty import sight
+from rhizotwin.recon.uncertainty import occlusion
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull import exact_pictures
 
@@ -22,11 +22,11 @@ RADIUS_MM = 8.0
 @cache
 def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, DistanceMaps]:
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
-    optics = refraction.Optics.of(scene)
+    optics = refraction.Optics.from_scene(scene)
     views = exact_pictures.views_of(scene)
     sphere = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, (sphere,))) for view in views]
-    return projection.ViewBank.of(views, optics), DistanceMaps.of(np.stack(maps))
+    return projection.ViewBank.pack(views, optics), DistanceMaps.from_arrays(np.stack(maps))
 
 
 @cache
@@ -61,16 +61,18 @@ def test_a_ball_at_the_wall_survives_blind_directions() -> None:
 def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     """The pictures say nothing above some row; large nodes that the edge of the blind zone cuts are not blind as a whole."""
     bank, maps = seen_ball((0.0, 0.0, -50.0))
-    row = float(np.array(distance_maps.look(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
+    row = float(np.array(distance_maps.project_and_read(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
     values = np.array(maps.values).reshape(bank.count, 360, 480)
     values[:, : int(2 * row)] = np.inf
-    half = DistanceMaps.of(values)
+    half = DistanceMaps.from_arrays(values)
     grid = Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
     leaves = carve.carve(bank, half, grid, Water(73.0, -38.0, -62.0), min_votes=5).leaves
     z = np.arange(-50.0, -40.0, 0.05)
     point = mi.Point3f(0.2, 0.2, mi.Float(z))
-    votes = sum(np.array(distance_maps.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))
-    np.testing.assert_array_equal(sight._votes(bank, half, np.stack([np.full_like(z, 0.2), np.full_like(z, 0.2), z], axis=1)), votes)
+    votes = sum(
+        np.array(distance_maps.project_and_read(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count)
+    )
+    np.testing.assert_array_equal(occlusion._votes(bank, half, np.stack([np.full_like(z, 0.2), np.full_like(z, 0.2), z], axis=1)), votes)
     on_axis = np.floor((0.2 - leaves.grid.origin_mm[:2]) / 0.4)
     column = (leaves.index[:, :2] <= on_axis).all(axis=1) & (leaves.index[:, :2] + leaves.size[:, None] > on_axis).all(axis=1)
     top = leaves.grid.origin_mm[2] + 0.4 * (leaves.index[:, 2] + leaves.size)[column].max()

@@ -20,7 +20,7 @@ def drawn() -> np.ndarray:
 
 def test_halves_read_as_the_maps_they_were_made_of() -> None:
     values, rng = drawn(), np.random.default_rng(1)
-    maps, px = DistanceMaps.of(values), rng.uniform((0.5, 0.5), (28.5, 18.5), (500, 2))
+    maps, px = DistanceMaps.from_arrays(values), rng.uniform((0.5, 0.5), (28.5, 18.5), (500, 2))
     for view in range(SHAPE[0]):
         at = (px[:, ::-1].T + 0.5) * 2.0 - 0.5
         true = ndimage.map_coordinates(values[view].astype(np.float64), at, order=1)

@@ -37,5 +37,5 @@ def dense(some: Leaves) -> NDArray[np.float32]:
 def test_leaves_are_united_and_intersected_as_their_nodes_are() -> None:
     for seed in range(5):
         a, b = cut(2 * seed), cut(2 * seed + 1)
-        np.testing.assert_array_equal(dense(leaves.united(a, b)), np.maximum(dense(a), dense(b)))
-        np.testing.assert_array_equal(dense(leaves.common(a, b)), np.minimum(dense(a), dense(b)))
+        np.testing.assert_array_equal(dense(leaves.unite(a, b)), np.maximum(dense(a), dense(b)))
+        np.testing.assert_array_equal(dense(leaves.intersect(a, b)), np.minimum(dense(a), dense(b)))

@@ -7,10 +7,10 @@ import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import agreement
-from rhizotwin.recon.hull.boxes import Scattered
+from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import carve
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Hull, Leaves, even
+from rhizotwin.recon.hull.leaves import Hull, Leaves, to_unit_cubes
 from rhizotwin.recon.hull.regularised import regularise
 from rhizotwin.scenes.monitor import Monitor
 from tests.recon.hull.test_agreement import RODS, scan
@@ -20,7 +20,7 @@ SIZE_MM = 0.5
 
 def carved(silhouettes: list[Silhouette]) -> Hull:
     bank, _, water = scan()
-    maps = DistanceMaps.drawn(silhouettes, "outlines", Monitor.of(None))
+    maps = DistanceMaps.compute(silhouettes, "outlines", Monitor.of(None))
     return carve(bank, maps, water.grid(SIZE_MM), water, slack_px=2.0, ignore_blindness=True)
 
 
@@ -31,17 +31,17 @@ def shifted(px: int) -> list[Silhouette]:
 
 
 def strict(hull: Hull) -> Leaves:
-    return hull.leaves.some(hull.leaves.occupancy >= 0.5)
+    return hull.leaves.select(hull.leaves.occupancy >= 0.5)
 
 
 def parts(leaves: Leaves) -> int:
-    return int(Scattered.of(even(leaves.index, leaves.size)).parts().max()) + 1
+    return int(CellSet.from_cells(to_unit_cubes(leaves.index, leaves.size)).components().max()) + 1
 
 
 def found_share(leaves: Leaves) -> float:
     """Return the share of the rods' centre lines within a voxel of the shape."""
     lines = np.concatenate([np.linspace(a, b, 100) for a, b, _ in RODS])
-    middles = leaves.grid.origin_mm + (even(leaves.index, leaves.size) + 0.5) * SIZE_MM
+    middles = leaves.grid.origin_mm + (to_unit_cubes(leaves.index, leaves.size) + 0.5) * SIZE_MM
     return float(np.mean([np.linalg.norm(middles - point, axis=1).min() < 2.0 * SIZE_MM for point in lines]))
 
 
@@ -53,14 +53,14 @@ def test_parts_that_shifted_pictures_cut_are_joined_and_one_picture_is_covered()
     assert parts(after) == 1
     assert found_share(before) < 0.5
     assert found_share(after) > 0.8
-    reference = int(np.argmax([one.coverage[one.seen].sum() for one in silhouettes]))
+    reference = int(np.argmax([one.coverage[one.usable].sum() for one in silhouettes]))
     missed = [
-        agreement.missed_pixels(bank.chosen([reference]), silhouettes[reference], one.middles_mm, SIZE_MM * one.size.astype(float)).sum()
+        agreement.missed_pixels(bank.select([reference]), silhouettes[reference], one.middles_mm, SIZE_MM * one.size.astype(float)).sum()
         for one in (before, after)
     ]
     assert missed[1] < 0.1 * missed[0]
-    kept = {tuple(cell) for cell in even(before.index, before.size).tolist()}
-    assert kept <= {tuple(cell) for cell in even(after.index, after.size).tolist()}
+    kept = {tuple(cell) for cell in to_unit_cubes(before.index, before.size).tolist()}
+    assert kept <= {tuple(cell) for cell in to_unit_cubes(after.index, after.size).tolist()}
 
 
 def test_a_whole_shape_stays_nearly_as_it_is() -> None:
@@ -73,5 +73,5 @@ def test_a_whole_shape_stays_nearly_as_it_is() -> None:
 def test_nothing_to_mend_is_no_error() -> None:
     bank, silhouettes, _ = scan()
     hull = carved(list(silhouettes))
-    nothing = hull.leaves.some(np.zeros(len(hull.leaves.size), bool))
+    nothing = hull.leaves.select(np.zeros(len(hull.leaves.size), bool))
     assert len(regularise(bank, silhouettes, Hull(nothing, nothing.occupancy, 0.0, 0.0)).size) == 0

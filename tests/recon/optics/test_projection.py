@@ -21,27 +21,27 @@ def bank_and_view(n_wall: float = 1.49, n_water: float = 1.333, *, sways: bool =
     level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=2.0)
     aside = frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ frames.rotation_z(0.7)
     view = cameras.View(camera=LENS, cam_from_canister=aside, sway=(0.004, -0.003, 2e-4) if sways else cameras.STILL)
-    optics = refraction.Optics.of(Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water)))
-    return projection.ViewBank.of([cameras.View(camera=LENS, cam_from_canister=level), view], optics), view, optics
+    optics = refraction.Optics.from_scene(Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water)))
+    return projection.ViewBank.pack([cameras.View(camera=LENS, cam_from_canister=level), view], optics), view, optics
 
 
 def test_what_sways_is_seen_where_it_is() -> None:
     bank, view, optics = bank_and_view(sways=True)
     points = random_points(optics, 1000) * [0.8, 0.8, 1.0]
     found = in_kernel(bank, points)
-    seen = found["seen"]
-    still = cameras.project(replace(view, sway=cameras.STILL), optics, cameras.swayed(view, optics, points))[0][:, 0]
+    seen = found["visible"]
+    still = cameras.project(replace(view, sway=cameras.STILL), optics, cameras.apply_sway(view, optics, points))[0][:, 0]
     np.testing.assert_allclose(cameras.project(view, optics, points)[0][seen, 0], still[seen])
     assert np.abs(found["px"].T[seen] - still[seen]).max() < 1e-3
     deep = optics.water_z_mm - points[:, 2]
-    np.testing.assert_allclose(cameras.swayed(view, optics, points)[:, 0], points[:, 0] + deep * (0.004 - 2e-4 * points[:, 1]))
+    np.testing.assert_allclose(cameras.apply_sway(view, optics, points)[:, 0], points[:, 0] + deep * (0.004 - 2e-4 * points[:, 1]))
 
 
 def in_kernel(bank: projection.ViewBank, points: np.ndarray) -> dict[str, np.ndarray]:
     p = projection.project(
         bank, dr.full(mi.UInt32, 1, len(points)), mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points))
     )
-    return {name: np.array(getattr(p, name)) for name in ("px", "seen", "clear_mm", "du", "dv")}
+    return {name: np.array(getattr(p, name)) for name in ("px", "visible", "clear_mm", "du", "dv")}
 
 
 def random_points(optics: refraction.Optics, count: int) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_kernel_agrees_with_the_reference(n_wall: float, n_water: float) -> None
     points = random_points(optics, 4000)
     expected, count = cameras.project(view, optics, points)
     found = in_kernel(bank, points)
-    seen = found["seen"]
+    seen = found["visible"]
     assert (count[seen] == 1).all(), "the kernel uses a view only where the point has exactly one image"
     assert np.abs(found["px"].T[seen] - expected[seen, 0]).max() < 1e-3
     lost = (count == 1) & ~seen
@@ -74,7 +74,7 @@ def test_gradients_agree_with_finite_differences(sways: bool) -> None:
     for axis in range(3):
         shift = np.eye(3)[axis] * step
         (up, many_up), (down, many_down) = (cameras.project(view, optics, points + s * shift) for s in (1, -1))
-        good = found["seen"] & (many_up == 1) & (many_down == 1)
+        good = found["visible"] & (many_up == 1) & (many_down == 1)
         slope = (up[good, 0] - down[good, 0]) / (2 * step)
         np.testing.assert_allclose(found["du"][axis][good], slope[:, 0], atol=3e-3)
         np.testing.assert_allclose(found["dv"][axis][good], slope[:, 1], atol=3e-3)

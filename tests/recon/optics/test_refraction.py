@@ -32,7 +32,7 @@ def test_points_on_traced_rays_project_back_to_their_pixel(
     azimuth_deg: float, tilt_deg: float, n_water: float, n_wall: float, seed: int
 ) -> None:
     scene = Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water))
-    optics = refraction.Optics.of(scene)
+    optics = refraction.Optics.from_scene(scene)
     view = a_view(scene, azimuth_deg=azimuth_deg, tilt_deg=tilt_deg, height_mm=-42.0 + 8.0 * tilt_deg)
     rng = np.random.default_rng(seed)
     px, points = points_on_rays(view, optics, rng, 150)
@@ -48,7 +48,7 @@ def test_points_on_traced_rays_project_back_to_their_pixel(
 def test_seen_or_blind_agrees_with_a_dense_sweep_of_traced_rays() -> None:
     """Count the images of points by sweeping traced rays over the canister's width at each point's own height."""
     scene = Scene()
-    optics = refraction.Optics.of(scene)
+    optics = refraction.Optics.from_scene(scene)
     view = a_view(scene, azimuth_deg=20.0, tilt_deg=0.0, height_mm=-60.0)
     rng = np.random.default_rng(3)
     angle, radius = rng.uniform(-np.pi, np.pi, 300), optics.inner_radius_mm * np.sqrt(rng.uniform(0.3, 0.999, 300))
@@ -65,7 +65,7 @@ def test_with_indices_of_one_projection_is_the_pinhole() -> None:
     view = a_view(scene, azimuth_deg=77.0, tilt_deg=5.0, height_mm=-30.0)
     rng = np.random.default_rng(0)
     points = rng.uniform([-40, -40, -110], [40, 40, -20], (200, 3))
-    found, count = cameras.project(view, refraction.Optics.of(scene), points)
+    found, count = cameras.project(view, refraction.Optics.from_scene(scene), points)
     rotation = cv2.Rodrigues(view.cam_from_canister[:3, :3])[0]
     lens = cameras.matrix(scene.camera), np.array(LENS.distortion)
     expected = cv2.projectPoints(points, rotation, view.cam_from_canister[:3, 3], *lens)[0].reshape(-1, 2)

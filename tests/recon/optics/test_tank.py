@@ -30,7 +30,7 @@ def seen_from(rng: np.random.Generator, scene: Scene = SCENE) -> Seen:
     seat = frames.from_rotvec(rng.normal(0.0, 0.01, 3) * [1, 1, 0], rng.normal(0.0, 1.0, 3) * [1, 1, 0])
     canister_from_rig = frames.invert(frames.rotation_z(rng.uniform(-np.pi, np.pi)) @ seat)
     view = View(camera=LENS, cam_from_canister=cam_from_rig @ frames.invert(canister_from_rig), cam_from_tank=cam_from_rig)
-    return view, Optics.of(scene)
+    return view, Optics.from_scene(scene)
 
 
 def lines_in_canister(at: Seen, px: Array) -> tuple[WaterLine, Array]:
@@ -104,7 +104,7 @@ def test_points_come_back_to_their_pixels_and_the_jacobian_is_that_of_difference
 def in_kernel(at: Seen, points: Array) -> projection.Projected:
     """Project points in the fast kernel, as the second of two views."""
     other, _ = seen_from(np.random.default_rng(9))
-    bank = projection.ViewBank.of([other, at[0]], at[1])
+    bank = projection.ViewBank.pack([other, at[0]], at[1])
     view = dr.full(mi.UInt32, 1, len(points))
     return projection.project(bank, view, mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points)))
 
@@ -118,7 +118,7 @@ def test_the_kernel_agrees_with_the_reference(liquid: float) -> None:
         points = points.astype(np.float32).astype(np.float64)
         expected, seen, jacobian = cameras.project_through_tank(*at, points)
         found = in_kernel(at, points)
-        both = np.array(found.seen) & seen
+        both = np.array(found.visible) & seen
         radius = np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm
         assert both[radius < 0.95].all()
         off = np.abs(np.array(found.px).T - expected)
@@ -134,7 +134,7 @@ def test_the_kernel_sees_none_that_cannot_be_seen() -> None:
     angle, radius = rng.uniform(-np.pi, np.pi, 4000), 73.0 * np.sqrt(rng.uniform(0.0, 1.0, 4000))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-149.0, -8.0, 4000)], axis=1)
     found, (expected, seen, _) = in_kernel(at, points), cameras.project_through_tank(*at, points)
-    kernel = np.array(found.seen)
+    kernel = np.array(found.visible)
     assert not (kernel & ~seen).any()
     assert np.abs(np.array(found.px).T - expected)[kernel].max() < 1e-3
     assert (seen & ~kernel).mean() < 0.02, "only what is next to the wall beside the line of sight is given away"
@@ -144,4 +144,6 @@ def test_the_canister_is_seen_through_the_tank_up_to_the_liquid_s_surface() -> N
     level = frames.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0)
     view, points = View(camera=Camera(), cam_from_canister=level, cam_from_tank=level), np.array([[0.0, 0.0, -20.0], [0.0, 0.0, -100.0]])
     for level_mm, seen in ((Tank().level_mm, [True, True]), (-60.0, [False, True])):
-        assert cameras.project_through_tank(view, replace(Optics.of(SCENE), tank=Tank(level_mm=level_mm)), points)[1].tolist() == seen
+        assert (
+            cameras.project_through_tank(view, replace(Optics.from_scene(SCENE), tank=Tank(level_mm=level_mm)), points)[1].tolist() == seen
+        )

@@ -12,7 +12,7 @@ import trimesh
 from rhizotwin.experiment.measured import read_all
 from rhizotwin.recon.results import by_plant, dividing
 from rhizotwin.recon.results.parts import Leaves, Mesh
-from rhizotwin.recon.roots.plants import Planted
+from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
@@ -41,7 +41,7 @@ def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
     boxes = [trimesh.creation.box((1.0, 1.0, h)).apply_translation((x, 0.0, -10.0 - h / 2)) for x, h in ((-10, 20), (10, 40))]
     surface = Mesh.of(trimesh.util.concatenate(boxes))
     shape = dividing.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
-    return dividing.measure(shape, Planted(ROOTS, (False, is_open), ()), (A, B), WHOLE)
+    return dividing.measure(shape, PlantedRoots(ROOTS, (False, is_open), ()), (A, B), WHOLE)
 
 
 def test_every_part_is_of_the_plant_whose_root_is_nearest() -> None:
@@ -59,7 +59,7 @@ def test_what_may_be_anothers_is_in_the_intervals_of_both() -> None:
     assert a.volume_interval_mm3 == pytest.approx((18.0, 1.1 * 60.0))
     assert b.volume_interval_mm3 == pytest.approx((0.0, 44.0))
     assert b.open_mm == pytest.approx(40.0)
-    said = dividing.warnings(Planted(ROOTS, (False, True), ("C",)), (a, b))
+    said = dividing.warnings(PlantedRoots(ROOTS, (False, True), ("C",)), (a, b))
     assert "plant C" in said[0]
     assert "67 %" in said[1]
 

@@ -40,11 +40,11 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
     tops = crown.tops(scene)
     assert all(scene.net_pot.grid_z_mm < z < scene.net_pot.top_mm for _, _, z in tops)
     assert crown.tops(replace(scene, plants=(A,))) == ()
-    evidence = replace(Evidence.of(pictures[0].bank, drawn), tops_mm=tops)
-    tree = rooting.find(evidence, standing(), Water(35.0, GRID_MM, -60.0), None, monitor=Monitor())
+    evidence = replace(Evidence.from_silhouettes(pictures[0].bank, drawn), tops_mm=tops)
+    tree = rooting.find_tree(evidence, standing(), Water(35.0, GRID_MM, -60.0), None, monitor=Monitor())
     assert tree is not None
-    system = crown.without(rooting.settle(tree, monitor=Monitor()), GRID_MM)
-    given = plants.give(system.roots(), (A, B), grid_z_mm=GRID_MM)
+    system = crown.mark_hidden(rooting.finish_tree(tree, monitor=Monitor()), GRID_MM)
+    given = plants.assign(system.roots(), (A, B), grid_z_mm=GRID_MM)
     assert not given.missing
     for plant in (A, B):
         own = of_plant(given.roots, plant.plant)

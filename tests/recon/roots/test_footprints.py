@@ -20,7 +20,7 @@ def seen() -> Evidence:
     empty = blank_of(Scene(camera=Camera().resized((WIDTH, HEIGHT)), plan=CapturePlan(rings=(Ring(views=VIEWS),))))
     told, rng = np.ones((VIEWS, HEIGHT, WIDTH), bool), np.random.default_rng(5)
     told[1, :, : WIDTH // 2] = False
-    return Evidence.of(empty.bank, [Silhouette(rng.random((HEIGHT, WIDTH)).astype(np.float32), part) for part in told])
+    return Evidence.from_silhouettes(empty.bank, [Silhouette(rng.random((HEIGHT, WIDTH)).astype(np.float32), part) for part in told])
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +31,9 @@ def points_mm() -> np.ndarray:
 def reference(seen: Evidence, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return pixels (V, N, 2) and areas (V, N), 0 where nothing is told."""
     at = seen.project(points_mm)
-    told = np.array(seen.seen).reshape(VIEWS, HEIGHT, WIDTH) > 0
+    told = np.array(seen.usable).reshape(VIEWS, HEIGHT, WIDTH) > 0
     nearest = np.floor(at.px + 0.5).astype(int)
-    shown = at.seen & told[np.arange(VIEWS)[:, None], nearest[..., 1], nearest[..., 0]]
+    shown = at.visible & told[np.arange(VIEWS)[:, None], nearest[..., 1], nearest[..., 0]]
     return at.px, np.where(shown, np.linalg.norm(np.cross(at.du, at.dv), axis=-1), 0.0)
 
 
@@ -45,7 +45,7 @@ def shares(px: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def table_of(seen: Evidence, points_mm: np.ndarray) -> Table:
-    footprints = Footprints.of(seen, points_mm)
+    footprints = Footprints.project(seen, points_mm)
     return Table(footprints, Windows.around(footprints))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.roots import ghosts, proof
+from rhizotwin.recon.roots import ghosts, node_support
 from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tube_picture import Rendering
 from tests.recon.strings import TRUNK, line, pictured, strung
@@ -23,7 +23,7 @@ def test_an_end_is_uncertain_where_little_shows_much_is_left_and_another_root_is
     ):
         own = system.owner == branch
         visible, left = np.where(own, shown, 0.5), np.where(own, share, 0.02)
-        judged = ghosts.uncertain_ends(system, visible, proof.Proof(1.0 - left, left, left), np.zeros(len(own), bool))
+        judged = ghosts.find_uncertain_ends(system, visible, node_support.Support(1.0 - left, left, left), np.zeros(len(own), bool))
         np.testing.assert_array_equal(judged, own & expected)
 
 
@@ -34,10 +34,12 @@ def test_a_second_tube_of_a_root_and_a_detour_beside_one_explain_little():
     seen = pictured(strung(TRUNK, hanging(0.7), line((0.1, 0.0, -48.0), (12.0, 0.0, -52.0)), radius_mm=0.3))
     found = strung(TRUNK, hanging(0.7), hanging(0.1), hanging(-0.1, (12.0, 0.0, -52.0)), radius_mm=0.3)
     beside = found.centre_mm[:, 0] < 0.3
-    found = tubes.moved(found, found.centre_mm, np.where((found.owner >= 2) & beside, 0.1, 0.3))
-    unproven = ghosts.unproven(found, proof.find(Rendering.of(seen, found)), np.zeros(len(found.radius_mm), bool))
+    found = tubes.with_geometry(found, found.centre_mm, np.where((found.owner >= 2) & beside, 0.1, 0.3))
+    unproven = ghosts.find_unsupported_starts(
+        found, node_support.compute_support(Rendering.draw(seen, found)), np.zeros(len(found.radius_mm), bool)
+    )
     np.testing.assert_array_equal(unproven[found.owner < 3], found.owner[found.owner < 3] == 2)
-    detour, last = unproven[found.own(3)], found.without_detours(unproven)
+    detour, last = unproven[found.own(3)], found.cut_detours(unproven)
     assert 34 <= detour.sum() <= 48  # 24 mm of it, and what follows until it shows more
     assert not detour[48:].any()
     assert last.owner[last.branches[3][0]] == 1

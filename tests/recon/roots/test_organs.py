@@ -41,8 +41,8 @@ def test_a_cone_is_as_wide_as_its_core_and_a_lateral_on_it_stays_thin() -> None:
 def test_parts_without_a_root_are_solids() -> None:
     core = core_of(4.0, 3.0)
     tree, thick = organs.thicken(strung(line((6.0, 6.0, 23.5), (6.0, 6.0, 3.0))), core, PX_A_MM)
-    solids = organs.without_roots(core, tree, thick, PX_A_MM)
+    solids = organs.find_solids(core, tree, thick, PX_A_MM)
     assert solids.centre_mm[:, 0].min() > 11.0
     assert len(solids.index) == pytest.approx(np.pi * 3.0**2 * 24.0 / 3.0 / CELL_MM**3, rel=0.05)
-    assert organs.in_solids(strung(line((16.0, 6.0, 23.0), (16.0, 6.0, 10.0))), solids, 0.6).all()
-    assert not organs.in_solids(tree, solids, 0.6).any()
+    assert organs.find_solid_nodes(strung(line((16.0, 6.0, 23.0), (16.0, 6.0, 10.0))), solids, 0.6).all()
+    assert not organs.find_solid_nodes(tree, solids, 0.6).any()

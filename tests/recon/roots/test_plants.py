@@ -23,7 +23,7 @@ def test_a_tree_that_reaches_both_bases_is_divided_where_they_touch():
     tap_b = root([12, 0, -20], [12, 0, -11], diameters=(1.1, 1.2), parent=2, order=3)  # the upper half of B's taproot, upside down
     below = root([12, 0, -20], [12, 0, -50], diameters=(1.1, 0.4), parent=2, order=3)
     roots = [tap(A), of_a, up, tap_b, below]
-    given = plants.give(roots, (A, B), grid_z_mm=GRID_MM)
+    given = plants.assign(roots, (A, B), grid_z_mm=GRID_MM)
     assert not given.missing
     for plant, side in (("A", -1.0), ("B", 1.0)):
         own = of_plant(given.roots, plant)
@@ -38,11 +38,11 @@ def test_a_tree_that_reaches_both_bases_is_divided_where_they_touch():
 
 def test_a_torn_piece_goes_to_the_nearest_plant_and_is_open_between_two():
     near_a, between = root([-8, 0, -30], [-5, 0, -33]), root([0.2, 0, -30], [0.2, 0, -40])
-    given = plants.give([tap(A), tap(B), near_a, between], (A, B), grid_z_mm=GRID_MM)
+    given = plants.assign([tap(A), tap(B), near_a, between], (A, B), grid_z_mm=GRID_MM)
     assert [one.plant for one in given.roots] == ["A", "B", "A", given.roots[3].plant]
     assert given.open == (False, False, False, True)
 
 
 def test_one_named_plant_has_all_and_a_plant_without_a_base_is_missing():
-    assert {one.plant for one in plants.give([tap(A), tap(B)], (A,), grid_z_mm=GRID_MM).roots} == {"A"}
-    assert plants.give([tap(A)], (A, B), grid_z_mm=GRID_MM).missing == ("B",)
+    assert {one.plant for one in plants.assign([tap(A), tap(B)], (A,), grid_z_mm=GRID_MM).roots} == {"A"}
+    assert plants.assign([tap(A)], (A, B), grid_z_mm=GRID_MM).missing == ("B",)

@@ -27,7 +27,7 @@ def grown(name: str) -> Tubes:
     scene = load_scene(name)
     assert isinstance(scene.specimen, GrownSpecimen)
     roots = growth.grow(scene.specimen, canister=scene.canister, net_pot=scene.net_pot)
-    return tubes.string([root.points_mm for root in roots], [root.diameters_mm / 2.0 for root in roots])
+    return tubes.place_nodes([root.points_mm for root in roots], [root.diameters_mm / 2.0 for root in roots])
 
 
 def right(found: Tubes, kept: np.ndarray, true: Tubes) -> float:
@@ -46,7 +46,7 @@ def right(found: Tubes, kept: np.ndarray, true: Tubes) -> float:
 
 def hanging(true: Tubes, branches: list[Index]) -> Tubes | None:
     """Return the tree of the same nodes with other branches; None where some hang on themselves."""
-    order = tubes.hanging_order(branches, len(true.centre_mm))
+    order = tubes.parents_first(branches, len(true.centre_mm))
     return Tubes(true.centre_mm, true.radius_mm, tuple(branches[k] for k in order)) if len(order) == len(branches) else None
 
 

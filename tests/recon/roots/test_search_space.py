@@ -24,13 +24,13 @@ BALL = ((0.0, 0.0, -59.9), (0.0, 0.0, -60.1), 16.0)
 @cache
 def scan() -> tuple[Optics, list[View], tuple[Silhouette, ...]]:
     scene = Scene(camera=Camera().resized((320, 240)), plan=CapturePlan(rings=(Ring(views=12),)))
-    optics, views = Optics.of(scene), exact_pictures.views_of(scene)
+    optics, views = Optics.from_scene(scene), exact_pictures.views_of(scene)
     return optics, views, tuple(exact_pictures.drawn(view, optics, (BALL,)) for view in views)
 
 
 def core_volume_mm3(silhouettes: list[Silhouette]) -> float:
     optics, views, _ = scan()
-    seen = Evidence.of(ViewBank.of(views, optics), silhouettes)
+    seen = Evidence.from_silhouettes(ViewBank.pack(views, optics), silhouettes)
     water = Water(optics.inner_radius_mm, -8.0, -120.0)
     _, core = search_space.carve_cells(seen, water, search_space.px_a_mm(seen, water), monitor=Monitor.of(None))
     return len(core.index) * core.grid.size_mm**3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.roots.thick_lines import BURIED_MM, emerged
+from rhizotwin.recon.roots.thick_lines import BURIED_MM, trim_buried
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 from tests.recon.strings import line
@@ -19,7 +19,7 @@ LATERAL = root(line((0.0, 0.0, -20.0), (30.0, 0.0, -20.0), step=0.75), 0.6)
 
 def test_a_lateral_of_a_storage_root_begins_near_its_skin() -> None:
     second = root(line((1.5, 0.0, -20.0), (1.5, 30.0, -20.0), step=0.75), 0.5, parent=1)
-    _, found, of_lateral = emerged([TAPROOT, LATERAL, second])
+    _, found, of_lateral = trim_buried([TAPROOT, LATERAL, second])
     assert found.points_mm[0] == pytest.approx([6.0 - BURIED_MM, 0.0, -20.0], abs=0.05)
     assert found.points_mm[-1] == pytest.approx(LATERAL.points_mm[-1])
     assert polyline.length_mm(found.points_mm) == pytest.approx(25.0, abs=0.05)
@@ -38,4 +38,4 @@ def test_a_lateral_of_a_storage_root_begins_near_its_skin() -> None:
     ids=["a thin parent", "a thick lateral", "a root that never comes out"],
 )
 def test_where_nothing_has_swollen_laterals_begin_on_the_axis(parent: Root, lateral: Root) -> None:
-    assert emerged([parent, lateral]) == (parent, lateral)
+    assert trim_buried([parent, lateral]) == (parent, lateral)

@@ -22,15 +22,15 @@ def off(found: tubes.Tubes, true: tubes.Tubes) -> np.ndarray:
 def with_tips_moved(true: tubes.Tubes, by_mm: float) -> tubes.Tubes:
     centre = true.centre_mm.copy()
     for nodes in true.ends:
-        centre[nodes] = tips._stretched(centre[nodes], by_mm)
-    np.testing.assert_allclose(off(tubes.moved(true, centre, true.radius_mm), true), by_mm, atol=1e-6)
-    return tubes.moved(true, centre, true.radius_mm)
+        centre[nodes] = tips._stretch(centre[nodes], by_mm)
+    np.testing.assert_allclose(off(tubes.with_geometry(true, centre, true.radius_mm), true), by_mm, atol=1e-6)
+    return tubes.with_geometry(true, centre, true.radius_mm)
 
 
 @pytest.mark.parametrize(("radius_mm", "by_mm"), [(0.15, -0.8), (0.15, 0.8), (0.4, 0.0), (1.2, -0.8), (1.2, 0.8)])
 def test_tips_that_are_off_come_back(radius_mm: float, by_mm: float) -> None:
     true = strung(SHORT, SIDEWAYS, radius_mm=radius_mm)
-    found = tips.placed(pictured(true), with_tips_moved(true, by_mm), PX_A_MM)
+    found = tips.place_tips(pictured(true), with_tips_moved(true, by_mm), PX_A_MM)
     assert np.abs(off(found, true)).max() < (0.29 if by_mm else 1e-3)  # half of a pixel up and down
     bears = true.branches[1][0]
     np.testing.assert_array_equal(found.centre_mm[: bears + 1], true.centre_mm[: bears + 1])  # laterals stay where they leave

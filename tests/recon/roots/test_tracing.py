@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.leaves import Grid
-from rhizotwin.recon.roots import residue, tracing
+from rhizotwin.recon.roots import residual_search, tracing
 from rhizotwin.recon.roots.density import Cells, estimate
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.scenes.rsml import Root
@@ -50,7 +50,7 @@ def test_what_tubes_leave_unexplained_is_hung_on_them():
     found = tubes.Tubes(true.centre_mm[true.branches[0]], true.radius_mm[true.branches[0]], (true.branches[0],))
     near = cKDTree(np.concatenate([TRUNK, TWIG])).query(GRID.origin_mm + (INDEX + 0.5) * 0.4)[0] < 0.5
     passing = tube_picture.transmittance(seen, found, seen.project(found.centre_mm))
-    grown = residue.grow(seen, found, np.zeros(len(found.radius_mm), bool), cells(INDEX[near]), passing, 4.0)
+    grown = residual_search.add_missing_roots(seen, found, np.zeros(len(found.radius_mm), bool), cells(INDEX[near]), passing, 4.0)
     assert len(grown.branches) == 2
     assert np.linalg.norm(grown.centre_mm[grown.branches[1][-1]] - TWIG[-1]) < 0.8
     assert grown.branches[1][0] in found.branches[0]

@@ -22,7 +22,7 @@ def everything(grid: Grid) -> Leaves:
 
 def test_filled_volume_is_that_of_the_frustum():
     path = line((0.0, 0.0, -20.0), (6.0, 3.0, -40.0))
-    system = tubes.string([path], [np.linspace(0.4, 0.1, len(path))])
+    system = tubes.place_nodes([path], [np.linspace(0.4, 0.1, len(path))])
     length = float(np.linalg.norm(path[-1] - path[0]))
     filled = filling.fill(system, 0.05)
     expected = np.pi * length / 3.0 * (0.16 + 0.04 + 0.01) + half_ball(0.1)
@@ -35,10 +35,10 @@ def test_tubes_are_painted_beside_solids():
     solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
     path, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 4.0, -20.0), (4.0, 4.0, -40.0))
     water = everything(grid)
-    thin = tube_volume.paint(solid, at_rest(strung(path), px_a_mm=4.0, blur_px=0.3), water)
+    thin = tube_volume.combine(solid, at_rest(strung(path), px_a_mm=4.0, blur_px=0.3), water)
     assert thin.thick.volume_mm3() == pytest.approx(1.0)
     assert thin.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0 + half_ball(0.2), rel=0.01)
-    thick = tube_volume.paint(solid, at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0, blur_px=0.3), water)
+    thick = tube_volume.combine(solid, at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0, blur_px=0.3), water)
     assert thick.thick.volume_mm3() == pytest.approx(thick.leaves.volume_mm3())
     assert thick.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 20.0 + half_ball(1.0), rel=0.01)
 
@@ -49,16 +49,16 @@ def test_a_ball_on_a_rod_has_the_volume_of_its_cross_sections():
     path = line((0.0, 0.0, -18.0), (0.0, 0.0, -46.0))
     beyond = np.abs(path[:, 2] + 26.0)
     radius = np.maximum(np.sqrt(np.maximum(36.0 - beyond**2, 0.0)), 1.0)
-    system = at_rest(tubes.string([path], [radius]), px_a_mm=4.0)
+    system = at_rest(tubes.place_nodes([path], [radius]), px_a_mm=4.0)
     none = Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    painted = tube_volume.paint(none, system, everything(grid)).leaves
+    painted = tube_volume.combine(none, system, everything(grid)).leaves
     low, high = painted.middles_mm[:, 2].min(), -26.0 - 35.0**0.5
     discs = np.pi * np.trapezoid(np.square(radius), -path[:, 2]) + half_ball(1.0)
     assert painted.volume_mm3() == pytest.approx(discs, rel=0.02)
-    bulge = painted.some(painted.middles_mm[:, 2] < high - 0.5)
+    bulge = painted.select(painted.middles_mm[:, 2] < high - 0.5)
     assert bulge.volume_mm3() == pytest.approx(np.pi * (high - 0.5 - low - 1.0) + half_ball(1.0), rel=0.1)
     half = everything(grid)
-    left = tube_volume.paint(none, system, half.some(half.middles_mm[:, 0] < 0.0)).leaves
+    left = tube_volume.combine(none, system, half.select(half.middles_mm[:, 0] < 0.0)).leaves
     assert left.volume_mm3() == pytest.approx(0.5 * painted.volume_mm3(), rel=0.01)
 
 

@@ -79,5 +79,5 @@ def test_what_stands_before_the_pot_does_not_carve() -> None:
     found = shoot_silhouettes.of_ring([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)[0]
     covered = found.coverage > 0.5
     assert covered.sum() > 300
-    assert found.seen[covered].mean() < 0.7
-    assert not found.seen[250, 200]
+    assert found.usable[covered].mean() < 0.7
+    assert not found.usable[250, 200]

@@ -55,7 +55,7 @@ def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, ha
     radius = np.array([0.05, 0.1, 0.4, 2.0])
     light = translucent_tube.opaque_radius(radius, mu, hairs)
     assert not hairs or (light > translucent_tube.opaque_radius(radius, mu)).all()
-    np.testing.assert_allclose(translucent_tube.radius_of(light, mu, hairs), radius, rtol=1e-3)
+    np.testing.assert_allclose(translucent_tube.equivalent_radius(light, mu, hairs), radius, rtol=1e-3)
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.0])
@@ -63,10 +63,10 @@ def test_pictures_tell_whether_roots_have_hairs_which_are_not_counted_as_root(st
     """In pictures that are fine enough to show hairs: 0.2 mm a pixel."""
     sharp = blank_of(Scene(camera=Camera().resized((1200, 900)), plan=CapturePlan(rings=(Ring(views=6),))))
     true = replace(sharp, mu_per_mm=1.0, hairs=strength)
-    seen = replace(drawn(CROWD, true, noise=0.003, opacity=True).by_light(), mu_per_mm=1.0, hairs=0.5)
+    seen = replace(drawn(CROWD, true, noise=0.003, opacity=True).with_opacity(), mu_per_mm=1.0, hairs=0.5)
     fixed = np.zeros(len(CROWD.radius_mm), bool)
-    fit = tube_fit.fit(seen, root_light.with_light_kept(CROWD, fixed, true, seen), fixed, steps=10, light=Prior.of(seen))
-    found = tube_attenuation.described(TubeAttenuation.opaque(), fit)
+    fit = tube_fit.fit(seen, root_light.match_absorption(CROWD, fixed, true, seen), fixed, steps=10, light=Prior.from_evidence(seen))
+    found = tube_attenuation.update_attenuation(TubeAttenuation.opaque(), fit)
     assert found.hairs == ("there" if strength else "none")
     assert fit.evidence.hairs == pytest.approx(strength, abs=0.1)
     assert np.median(fit.tubes.radius_mm / CROWD.radius_mm) == pytest.approx(1.0, abs=0.02)

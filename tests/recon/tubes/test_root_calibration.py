@@ -11,8 +11,8 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.tubes import root_calibration, root_sway, sight_change, tube_fit, tubes
-from rhizotwin.recon.tubes.sight_change import QUANTITIES, SWAY, Quantity
+from rhizotwin.recon.tubes import rig_derivatives, root_calibration, root_sway, tube_fit, tubes
+from rhizotwin.recon.tubes.rig_derivatives import QUANTITIES, SWAY, Quantity
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull.exact_pictures import views_of
 from tests.recon.strings import blank, drawn
@@ -27,7 +27,7 @@ POINTS = np.array([[0.0, 0.0, -50.0], [20.0, 10.0, -30.0], [-35.0, 5.0, -90.0], 
 def rig() -> tuple[list[View], Optics]:
     lens = replace(Camera().resized((400, 300)), distortion=(-0.05, 0.02, 3e-4, -2e-4, 0.0))
     scene = Scene(camera=lens, plan=CapturePlan(rings=RINGS))
-    return views_of(scene), Optics.of(scene)
+    return views_of(scene), Optics.from_scene(scene)
 
 
 @cache
@@ -40,7 +40,7 @@ def system() -> tubes.Tubes:
         bend = turn + 0.3 * np.sin(out / 9.0)
         paths.append(np.stack([out * np.cos(bend), out * np.sin(bend), -25.0 - 40.0 * np.sqrt(out / 38.0) * rng.uniform(0.7, 1.2)], axis=1))
     trunk = np.linspace([0.0, 0.0, -20.0], [1.0, 1.0, -75.0], 90)
-    return tubes.string([trunk, *paths], [np.full(90, 0.3)] * 7)
+    return tubes.place_nodes([trunk, *paths], [np.full(90, 0.3)] * 7)
 
 
 def evidence(views: list[View], optics: Optics) -> Evidence:
@@ -61,11 +61,11 @@ def test_pictures_move_as_the_exact_projection_says(quantity: Quantity) -> None:
     view = views[9]
     px = cameras.project(view, optics, POINTS)[0][:, 0]
     step = 20.0 * quantity.step
-    above, below = (cameras.project(*quantity.changed((view, optics), side * step), POINTS)[0][:, 0] for side in (1.0, -1.0))
+    above, below = (cameras.project(*quantity.increase((view, optics), side * step), POINTS)[0][:, 0] for side in (1.0, -1.0))
     near = [[cameras.project(view, optics, POINTS + side * axis)[0][:, 0] for side in (0.01, -0.01)] for axis in np.eye(3)]
     gradient = np.stack([(ahead - behind) / 0.02 for ahead, behind in near], axis=-1)  # (N, 2, 3)
     for row in range(2):
-        found = sight_change.moves(view, optics, (quantity,), px, POINTS, gradient[:, row])[:, 0]
+        found = rig_derivatives.picture_derivatives(view, optics, (quantity,), px, POINTS, gradient[:, row])[:, 0]
         expected = (above - below)[:, row] / (2.0 * step)
         np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max() + 1e-3)
 
@@ -73,10 +73,10 @@ def test_pictures_move_as_the_exact_projection_says(quantity: Quantity) -> None:
 def test_a_wrong_index_is_found_from_the_roots() -> None:
     views, optics = rig()
     true = replace(optics, n_water=optics.n_water + 0.002)
-    seen = replace(evidence(views, true), bank=projection.ViewBank.of(views, optics))
+    seen = replace(evidence(views, true), bank=projection.ViewBank.pack(views, optics))
     free = np.zeros(len(system().radius_mm), bool)
     start = tube_fit.fit(seen, system(), free, steps=4).tubes
-    given = Cameras.given(views, optics, sure_rig(12))
+    given = Cameras.from_views(views, optics, sure_rig(12))
     _, _, cameras = root_calibration.calibrate(seen, given, start, free)
     found = cameras.roots
     assert found is not None
@@ -89,7 +89,7 @@ def test_a_wrong_index_is_found_from_the_roots() -> None:
 def test_a_right_index_stays_as_it_was_given() -> None:
     views, optics = rig()
     seen, free = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
-    given = Cameras.given(views, optics, sure_rig(12))
+    given = Cameras.from_views(views, optics, sure_rig(12))
     same, fitted, cameras = root_calibration.calibrate(seen, given, system(), free)
     found = cameras.roots
     assert found is not None
@@ -105,16 +105,16 @@ def test_swaying_roots_are_followed() -> None:
     rng = np.random.default_rng(5)
     truth = rng.normal(0.0, 0.006, (len(views), 3)) * [1.0, 1.0, 0.02]
     true = [replace(view, sway=(float(x), float(y), float(turn))) for view, (x, y, turn) in zip(views, truth, strict=True)]
-    seen = replace(evidence(true, optics), bank=projection.ViewBank.of(views, optics))
+    seen = replace(evidence(true, optics), bank=projection.ViewBank.pack(views, optics))
     fixed = np.zeros(len(system().radius_mm), bool)
     start = tube_fit.fit(seen, system(), fixed, steps=4).tubes
-    given = Cameras.given(views, optics, sure_rig(len(views)))
+    given = Cameras.from_views(views, optics, sure_rig(len(views)))
     followed, cameras, fitted = root_sway.follow(seen, given, start, fixed, px_a_mm=PX_A_MM)
-    exact = replace(seen, bank=projection.ViewBank.of(true, optics)).project(system().centre_mm)
+    exact = replace(seen, bank=projection.ViewBank.pack(true, optics)).project(system().centre_mm)
     still = seen.project(start.centre_mm)
 
     def off_px(at: np.ndarray) -> float:
-        away = np.where(exact.seen[..., None], at - exact.px, np.nan)
+        away = np.where(exact.visible[..., None], at - exact.px, np.nan)
         moves = away - np.nanmean(away, axis=0)  # a sway that all views share is none
         return float(np.sqrt(np.nanmean(np.square(moves))))
 
@@ -127,7 +127,7 @@ def test_swaying_roots_are_followed() -> None:
 def test_still_roots_stay() -> None:
     views, optics = rig()
     seen, fixed = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
-    given = Cameras.given(views, optics, sure_rig(len(views)))
+    given = Cameras.from_views(views, optics, sure_rig(len(views)))
     same, cameras, fitted = root_sway.follow(seen, given, system(), fixed, px_a_mm=PX_A_MM)
     assert same is seen
     assert cameras is given

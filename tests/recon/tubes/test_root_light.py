@@ -22,9 +22,9 @@ def test_columns_are_derivatives_of_the_picture(column: int, hairs: float) -> No
     """Along the column, the gradient of what a small change leaves is the change times the squared derivative."""
     system = straight((*SLANTED, 0.25))
     seen = replace(dark(), mu_per_mm=2.0, blur_px=0.4, hairs=hairs, index=1.02)
-    changed = root_light.with_light(seen, root_light.light_of(seen) + STEPS * np.eye(4)[column])
-    seen = replace(seen, coverage=drawn(system, changed, opacity=True).by_light().coverage)
-    now = Rendering.of(seen, system)
+    changed = root_light.with_light(seen, root_light.light_vector(seen) + STEPS * np.eye(4)[column])
+    seen = replace(seen, coverage=drawn(system, changed, opacity=True).with_opacity().coverage)
+    now = Rendering.draw(seen, system)
     found = tube_profiles.profiles(now, root_light.changes(now, np.arange(4) == column)).light_equations()
     inside = np.s_[3:-3]
     ratio = found.gradient[inside, 4 + column].sum() / found.lone[inside, 4 + column, 4 + column].sum()
@@ -35,9 +35,9 @@ def test_columns_are_derivatives_of_the_picture(column: int, hairs: float) -> No
 def test_the_fit_goes_down_the_valley_of_attenuation_and_blur(seed: int) -> None:
     """From twice the attenuation and half the blur, which look alike within some per cent."""
     true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
-    seen = replace(drawn(STAR, true, noise=0.005, opacity=True, seed=seed).by_light(), mu_per_mm=4.0, blur_px=0.2)
-    start = root_light.with_light_kept(STAR, ORGAN, true, seen)
-    bald = replace(Prior.of(seen), free=BALD)
+    seen = replace(drawn(STAR, true, noise=0.005, opacity=True, seed=seed).with_opacity(), mu_per_mm=4.0, blur_px=0.2)
+    start = root_light.match_absorption(STAR, ORGAN, true, seen)
+    bald = replace(Prior.from_evidence(seen), free=BALD)
     fit = tube_fit.fit(seen, start, ORGAN, steps=14, light=bald)
     assert fit.evidence.mu_per_mm == pytest.approx(2.0, rel=0.05)
     assert fit.evidence.blur_px == pytest.approx(0.4, abs=0.02)
@@ -46,8 +46,8 @@ def test_the_fit_goes_down_the_valley_of_attenuation_and_blur(seed: int) -> None
 
 @pytest.mark.parametrize(("mu", "translucent"), [(None, False), (2.0, True)])
 def test_pictures_tell_opaque_roots_from_translucent_ones(mu: float | None, translucent: bool) -> None:
-    pictures = pictured(STAR, mu).by_light()
-    start = root_light.with_light_kept(STAR, ORGAN, replace(pictures, mu_per_mm=mu), pictures)
+    pictures = pictured(STAR, mu).with_opacity()
+    start = root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=mu), pictures)
     attenuation, fit = tube_attenuation.find(pictures, start, ORGAN)
     assert (attenuation.mu_per_mm is not None) == translucent
     assert np.median(fit.tubes.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.08 if translucent else 0.02)
@@ -56,8 +56,8 @@ def test_pictures_tell_opaque_roots_from_translucent_ones(mu: float | None, tran
 def test_where_tubes_are_few_wide_roots_tell_the_attenuation(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (tube_attenuation, tube_fit):
         monkeypatch.setattr(module, "LEAST_LONE", 10**9)
-    pictures = pictured(STAR, 2.0).by_light()
-    start = root_light.with_light_kept(STAR, ORGAN, replace(pictures, mu_per_mm=2.0), pictures)
+    pictures = pictured(STAR, 2.0).with_opacity()
+    start = root_light.match_absorption(STAR, ORGAN, replace(pictures, mu_per_mm=2.0), pictures)
     assert tube_attenuation.find(pictures, start, ORGAN)[0].mu_per_mm is None
     attenuation, _ = tube_attenuation.find(pictures, start, ORGAN, 2.0)
     assert attenuation.mu_per_mm == pytest.approx(2.0, rel=0.1)
@@ -80,11 +80,11 @@ def test_the_covariance_is_the_scatter_over_noise() -> None:
     true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
     steps, sigmas = [], []
     for seed in range(8):
-        seen = replace(drawn(STAR, true, noise=0.02, opacity=True, seed=seed).by_light(), mu_per_mm=2.0, blur_px=0.4)
-        bald = replace(Prior.of(seen), free=BALD)
+        seen = replace(drawn(STAR, true, noise=0.02, opacity=True, seed=seed).with_opacity(), mu_per_mm=2.0, blur_px=0.4)
+        bald = replace(Prior.from_evidence(seen), free=BALD)
         fit = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald)
-        steps.append(root_light.light_of(fit.evidence)[:2] - root_light.light_of(seen)[:2])
+        steps.append(root_light.light_vector(fit.evidence)[:2] - root_light.light_vector(seen)[:2])
         assert fit.light is not None
-        sigmas.append(np.sqrt(np.diag(fit.light.covariance(root_light.light_of(seen), bald)))[:2])
+        sigmas.append(np.sqrt(np.diag(fit.light.covariance(root_light.light_vector(seen), bald)))[:2])
     assert np.abs(np.mean(steps, axis=0)).max() < 0.03
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(sigmas), axis=0)), np.std(steps, axis=0), rtol=0.6)

@@ -26,7 +26,7 @@ def dark() -> Evidence:
 
 def straight(*ends: tuple[tuple[float, float, float], tuple[float, float, float], float]) -> tubes.Tubes:
     """Return straight tubes from one point to another, each with a radius."""
-    return tubes.string([np.linspace(a, b, 100) for a, b, _ in ends], [np.full(100, radius) for *_, radius in ends])
+    return tubes.place_nodes([np.linspace(a, b, 100) for a, b, _ in ends], [np.full(100, radius) for *_, radius in ends])
 
 
 def pictured(system: tubes.Tubes, mu_per_mm: float | None) -> Evidence:
@@ -89,9 +89,9 @@ def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
 @pytest.mark.parametrize("mu", [None, 2.0])
 def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -> None:
     system = straight((*SLANTED, 0.25))
-    thicker = tubes.moved(system, system.centre_mm, system.radius_mm + 0.01)
-    seen = replace(drawn(thicker, replace(dark(), mu_per_mm=mu), opacity=True).by_light(), mu_per_mm=mu)
-    found = tube_profiles.profiles(Rendering.of(seen, system)).host()
+    thicker = tubes.with_geometry(system, system.centre_mm, system.radius_mm + 0.01)
+    seen = replace(drawn(thicker, replace(dark(), mu_per_mm=mu), opacity=True).with_opacity(), mu_per_mm=mu)
+    found = tube_profiles.profiles(Rendering.draw(seen, system)).host()
     inside = np.s_[:, 3:-3]
     ratio = found.width[inside].sum() / (found.width_2 * found.scale)[inside].sum()
     assert ratio == pytest.approx(0.01, rel=0.15)  # the slope is that of a Gaussian pixel

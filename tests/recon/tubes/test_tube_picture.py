@@ -13,7 +13,7 @@ from tests.recon.strings import line, pictured, strung
 
 def drawn_by_the_formula(system: tubes.Tubes, at: Nodes, view: int, blur_px: float) -> np.ndarray:
     """Return the optical depth (300, 400) of opaque tubes in one view, every segment over the whole picture."""
-    px, du, dv, seen = at.px[view], at.du[view], at.dv[view], at.seen[view]
+    px, du, dv, seen = at.px[view], at.du[view], at.dv[view], at.visible[view]
     u, v = np.meshgrid(np.arange(400.0), np.arange(300.0))
     sigma = np.hypot(blur_px, 12.0**-0.5) * np.sqrt(2.0)
     whole = np.zeros(u.shape)
@@ -70,11 +70,11 @@ def test_pictures_of_tubes_are_those_of_the_formula(blur_px: float, view: int) -
     ways = [((-20.0, 0.0, -30.0), (20.0, 0.0, -30.0)), ((0.0, 0.0, -25.0), (0.0, 0.0, -29.0)), ((3.0, 4.0, -30.0), (-15.0, 9.0, -44.0))]
     beyond = [((8.0, -6.0, -80.0), (8.0, -6.0, -130.0)), ((0.0, 0.0, 30.0), (1.0, 0.0, -30.0))]
     system = strung(*(line(*ends) for ends in (*ways, *beyond, bent)))
-    system = tubes.moved(system, system.centre_mm, np.linspace(0.1, 0.7, len(system.radius_mm)))
+    system = tubes.with_geometry(system, system.centre_mm, np.linspace(0.1, 0.7, len(system.radius_mm)))
     seen = pictured(system)
     at = seen.project(system.centre_mm)
     found = np.array(tube_picture.transmittance(replace(seen, blur_px=blur_px), system, at)).reshape(seen.bank.count, 300, 400)
-    assert not at.seen.all()
+    assert not at.visible.all()
     whole = drawn_by_the_formula(system, at, view, blur_px)
     np.testing.assert_allclose(found[view], np.exp(-whole), atol=1.5e-3)  # tails under 1e-4 are left out
     assert 1.0 - np.exp(-whole).min() > 0.9
@@ -86,7 +86,7 @@ def test_a_wide_tube_that_zigzags_is_fitted_straight(radius_mm: float) -> None:
     truth = strung(line((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0)), radius_mm=radius_mm)
     seen = pictured(truth)
     aside = np.cross(truth.tangents, [0.0, 0.0, 0.03]) * (-1.0) ** np.arange(len(truth.radius_mm))[:, None]
-    start = tubes.moved(truth, truth.centre_mm + aside, 0.97 * truth.radius_mm)
+    start = tubes.with_geometry(truth, truth.centre_mm + aside, 0.97 * truth.radius_mm)
     found = tube_fit.fit(seen, start, np.zeros(len(aside), bool), steps=12).tubes
     off = found.centre_mm - truth.centre_mm
     off -= (off * truth.tangents).sum(axis=1, keepdims=True) * truth.tangents

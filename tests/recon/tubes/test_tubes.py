@@ -29,7 +29,7 @@ def test_fit_finds_moved_and_swollen_tubes_again():
     seen = pictured(true)
     rng = np.random.default_rng(3)
     wave = 0.15 * np.sin(np.arange(len(true.radius_mm)) / 4.0)[:, None] * rng.normal(size=3)
-    start = tubes.moved(true, true.centre_mm + wave, np.full(len(true.radius_mm), 0.15))
+    start = tubes.with_geometry(true, true.centre_mm + wave, np.full(len(true.radius_mm), 0.15))
     fit = tube_fit.fit(seen, start, np.zeros(len(true.radius_mm), bool), steps=15)
     fitted, residual = fit.tubes, fit.residual
     inner = slice(3, -3)
@@ -46,7 +46,7 @@ def test_radii_of_tubes_that_share_pixels_do_not_swing():
     """Two roots that run through each other, begun too thin: whole steps swung by an eighth of their area."""
     true = strung(*(line((x, y, -20.0), (-x, -y, -40.0)) for x, y in ((0.2, 0.3), (0.3, -0.3))), radius_mm=0.25)
     seen, fixed = pictured(true), np.zeros(len(true.radius_mm), bool)
-    found, areas = tubes.moved(true, true.centre_mm, 0.85 * true.radius_mm), []
+    found, areas = tubes.with_geometry(true, true.centre_mm, 0.85 * true.radius_mm), []
     for _ in range(12):
         found = tube_fit.fit(seen, found, fixed, steps=1).tubes
         areas.append(np.square(found.radius_mm / 0.25).mean())
@@ -59,8 +59,8 @@ def test_a_lateral_leaves_its_parents_axis_where_its_course_points_to():
     parent = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
     inner, outer = line((0.0, 0.0, -25.0), (1.2, 0.0, -33.0)), line((1.2, 0.0, -33.0), (12.0, 0.0, -33.0))
     course = np.concatenate([inner, outer[1:]])
-    system = tubes.string([parent, course], [np.full(len(parent), 1.5), np.full(len(course), 0.3)])
-    found = tubes.from_axes(system)
+    system = tubes.place_nodes([parent, course], [np.full(len(parent), 1.5), np.full(len(course), 0.3)])
+    found = tubes.trim_inside_parents(system)
     np.testing.assert_allclose(found.centre_mm[found.branches[1][0]], (0.0, 0.0, -33.0), atol=0.7)
     assert system.length_mm > 30.0 + 17.5
     assert found.length_mm == pytest.approx(30.0 + 12.0, abs=0.7)
@@ -68,7 +68,7 @@ def test_a_lateral_leaves_its_parents_axis_where_its_course_points_to():
 
 def test_a_tube_that_no_view_sees_has_no_say():
     seen, system = pictured(strung(TRUNK)), strung(TRUNK)
-    away = tubes.moved(system, system.centre_mm + np.array([0.0, 0.0, 500.0]), system.radius_mm)
-    drawn = Rendering.of(seen, away)
+    away = tubes.with_geometry(system, system.centre_mm + np.array([0.0, 0.0, 500.0]), system.radius_mm)
+    drawn = Rendering.draw(seen, away)
     assert (np.array(drawn.passing) == 1.0).all()
     assert not tube_profiles.profiles(drawn).residual_gradient().hessian.any()

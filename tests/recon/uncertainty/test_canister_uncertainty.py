@@ -13,7 +13,7 @@ from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from tests.recon.hull.exact_pictures import views_of
 
 SCENE = Scene(plan=CapturePlan(rings=(Ring(views=5),)))
-BELIEVED, VIEWS = Optics.of(SCENE), views_of(SCENE)
+BELIEVED, VIEWS = Optics.from_scene(SCENE), views_of(SCENE)
 OTHERS = {
     "wall": replace(BELIEVED, inner_radius_mm=BELIEVED.inner_radius_mm - 0.3),
     "radius": replace(BELIEVED, outer_radius_mm=BELIEVED.outer_radius_mm + 0.7, inner_radius_mm=BELIEVED.inner_radius_mm + 0.7),

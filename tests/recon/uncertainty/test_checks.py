@@ -9,8 +9,8 @@ from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.pictures import CurveFound
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import Budget, Term
-from rhizotwin.recon.uncertainty.picture_checks import of_canister, of_curve, of_exposure, of_scan, of_sharpness, of_views
-from rhizotwin.recon.uncertainty.shape_checks import of_dirt, of_motion, of_sight
+from rhizotwin.recon.uncertainty.picture_checks import check_canister, check_curve, check_exposure, check_scan, check_sharpness, check_views
+from rhizotwin.recon.uncertainty.shape_checks import check_agreement, check_dirt, check_motion
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Scene, Tank
@@ -20,41 +20,41 @@ FRAMES = [Frame(file=f"images/{k}.png", sha256="") for k in range(3)]
 
 
 def curve(used: Curve, bend: float | None, stated: Curve = LINEAR) -> checks.Check:
-    return of_curve(CurveFound(curve=used, stated=stated, bend=bend, stated_bend=bend, markers=30))
+    return check_curve(CurveFound(curve=used, stated=stated, bend=bend, stated_bend=bend, markers=30))
 
 
 def exposed(*gain: float, clipped: float = 0.0, level: float = 0.7, uneven: float = 0.0) -> checks.Check:
     each = {name: np.full(len(gain), value) for name, value in {"clipped": clipped, "level": level, "uneven": uneven}.items()}
-    return of_exposure(Exposures(gain=np.array(gain), told=True, **each))
+    return check_exposure(Exposures(gain=np.array(gain), measured=True, **each))
 
 
 CHECKS: dict[str, tuple[Callable[[], checks.Check], str, str]] = {
-    "scan, finished": (lambda: of_scan({"complete": True, "planned_views": 3}, FRAMES), "good", "all of its 3"),
-    "scan, stopped": (lambda: of_scan({"complete": False, "planned_views": 40}, FRAMES), "bad", "stopped after 3 of 40"),
-    "scan, sketch": (lambda: of_scan({"complete": True, "settings": {"twin": {"fidelity": "sketch"}}}, FRAMES), "bad", "sketches"),
+    "scan, finished": (lambda: check_scan({"complete": True, "planned_views": 3}, FRAMES), "good", "complete (3 pictures)"),
+    "scan, stopped": (lambda: check_scan({"complete": False, "planned_views": 40}, FRAMES), "bad", "stopped after 3 of 40"),
+    "scan, sketch": (lambda: check_scan({"complete": True, "settings": {"twin": {"fidelity": "sketch"}}}, FRAMES), "bad", "sketches"),
     "curve, as stated": (lambda: curve(LINEAR, 0.001), "good", ""),
     "curve, corrected": (lambda: curve(SRGB, 0.001), "fair", ""),
     "curve, unknown gamma": (lambda: curve(transfer.power(1.5), 0.001), "bad", ""),
-    "curve, no markers": (lambda: curve(LINEAR, None), "untold", ""),
+    "curve, no markers": (lambda: curve(LINEAR, None), "unknown", ""),
     "exposure, wanders": (lambda: exposed(0.9, 1.1), "fair", "10 %"),
-    "exposure, clipped": (lambda: exposed(1.0, 1.0, clipped=0.1), "bad", "10 % of the panel are at full scale"),
+    "exposure, clipped": (lambda: exposed(1.0, 1.0, clipped=0.1), "bad", "10 % of the panel is at full scale"),
     "exposure, dark": (lambda: exposed(1.0, 1.0, level=0.02), "bad", "only 2 %"),
-    "exposure, uneven": (lambda: exposed(1.0, 1.0, uneven=0.07), "bad", "from place to place"),
-    "exposure, no panel": (lambda: of_exposure(None), "untold", "no bare panel"),
-    "views, all round": (lambda: of_views(list(range(0, 360, 9)), 40), "good", ""),
-    "views, half a turn": (lambda: of_views(list(range(0, 180, 9)), 20), "bad", ""),
-    "views, half left out": (lambda: of_views(list(range(0, 360, 18)), 40), "bad", ""),
-    "sight, crowded": (lambda: of_sight(missed=0.01, unexplained=0.0, fill=0.6), "bad", "60 %"),
-    "sight, much missed": (lambda: of_sight(missed=0.2, unexplained=0.0, fill=0.1), "bad", ""),
-    "sharpness, alike": (lambda: of_sharpness(0.4, 0.1), "good", ""),
-    "sharpness, apart": (lambda: of_sharpness(0.9, 1.4), "bad", "1.40 px more than others"),
-    "motion, no roots": (lambda: of_motion(None), "untold", ""),
-    "motion, they sway": (lambda: of_motion(0.3), "bad", ""),
-    "water, clear": (lambda: of_dirt(0.0, 0.001), "good", ""),
-    "water, milky": (lambda: of_dirt(0.0, 0.05), "bad", "5.0 %"),
-    "water, not measured": (lambda: of_dirt(None, None), "untold", ""),
-    "canister, no edges": (lambda: of_canister(None, Scene()), "untold", ""),
-    "canister, no edges in a tank": (lambda: of_canister(None, Scene(tank=Tank())), "bad", ""),
+    "exposure, uneven": (lambda: exposed(1.0, 1.0, uneven=0.07), "bad", "across the panel"),
+    "exposure, no panel": (lambda: check_exposure(None), "unknown", "no empty panel"),
+    "views, all round": (lambda: check_views(list(range(0, 360, 9)), 40), "good", ""),
+    "views, half a turn": (lambda: check_views(list(range(0, 180, 9)), 20), "bad", ""),
+    "views, half left out": (lambda: check_views(list(range(0, 360, 18)), 40), "bad", ""),
+    "sight, crowded": (lambda: check_agreement(missed=0.01, unexplained=0.0, fill=0.6), "bad", "60 %"),
+    "sight, much missed": (lambda: check_agreement(missed=0.2, unexplained=0.0, fill=0.1), "bad", ""),
+    "sharpness, alike": (lambda: check_sharpness(0.4, 0.1), "good", ""),
+    "sharpness, apart": (lambda: check_sharpness(0.9, 1.4), "bad", "1.40 px more than others"),
+    "motion, no roots": (lambda: check_motion(None), "unknown", ""),
+    "motion, they sway": (lambda: check_motion(0.3), "bad", ""),
+    "water, clear": (lambda: check_dirt(0.0, 0.001), "good", ""),
+    "water, milky": (lambda: check_dirt(0.0, 0.05), "bad", "5.0 %"),
+    "water, not measured": (lambda: check_dirt(None, None), "unknown", ""),
+    "canister, no edges": (lambda: check_canister(None, Scene()), "unknown", ""),
+    "canister, no edges in a tank": (lambda: check_canister(None, Scene(tank=Tank())), "bad", ""),
 }
 
 
@@ -70,11 +70,11 @@ def test_a_failed_check_takes_the_trust_away_and_says_why() -> None:
     term = Term(name="outlines", less_mm3=2.0, more_mm3=2.0, why="outlines")
     volume = Budget(volume_mm3=100.0, terms=(term,), views=40).volume((90.0, 110.0))
     assert volume.trusted
-    distrusted = volume.distrusted(checks.failed([of_scan({"complete": False}, FRAMES), of_motion(0.01)]))
+    distrusted = volume.distrust(checks.failure_reasons([check_scan({"complete": False}, FRAMES), check_motion(0.01)]))
     assert not distrusted.trusted
     assert distrusted.verdict.startswith(checks.NO_VOLUME)
     assert "stopped after 3 pictures" in distrusted.verdict
-    again = distrusted.distrusted(["another reason"])
+    again = distrusted.distrust(["another reason"])
     assert again.verdict.count(checks.NO_VOLUME) == 1
     assert again.verdict.endswith("another reason")
-    assert "how it is turned" in checks.failed([of_canister(None, Scene(tank=Tank()))])[0]
+    assert "its rotation is unknown" in checks.failure_reasons([check_canister(None, Scene(tank=Tank()))])[0]

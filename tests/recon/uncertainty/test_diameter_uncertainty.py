@@ -9,7 +9,7 @@ from scipy import sparse
 from rhizotwin.recon.tubes import tube_fit
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.uncertainty import diameter_uncertainty
-from rhizotwin.recon.uncertainty.tube_uncertainty import UNTOLD
+from rhizotwin.recon.uncertainty.tube_uncertainty import NO_DATA
 from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
 
 
@@ -28,10 +28,10 @@ def test_it_is_the_jackknife_of_the_fit() -> None:
     normal = np.diag((width_2 * 25.0).sum(axis=0) + tube_fit.LEAST) + sparse.csr_matrix(tube_fit.prior(tubes)).toarray()[3::4, 3::4]
     step = np.linalg.solve(normal, (told.width * 5.0).T)
     by_view = np.sqrt(views) * step.std(axis=1)
-    untold = 1.0 / np.sqrt((width_2 * 25.0).sum(axis=0) / 0.01 + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
-    assert diameter_uncertainty.combined(tubes, told, 0.01) == pytest.approx(np.hypot(by_view, untold), rel=1e-6)
+    untold = 1.0 / np.sqrt((width_2 * 25.0).sum(axis=0) / 0.01 + 1.0 / (NO_DATA * tubes.radius_mm) ** 2)
+    assert diameter_uncertainty.combine_sigma(tubes, told, 0.01) == pytest.approx(np.hypot(by_view, untold), rel=1e-6)
     nothing = profiled(np.zeros((views, nodes)), np.zeros((views, nodes)))
-    assert diameter_uncertainty.combined(tubes, nothing, 0.01) == pytest.approx(UNTOLD * tubes.radius_mm), "as roots of its order are"
+    assert diameter_uncertainty.combine_sigma(tubes, nothing, 0.01) == pytest.approx(NO_DATA * tubes.radius_mm), "as roots of its order are"
 
 
 def test_noise_in_the_pictures_comes_out_in_the_diameters() -> None:
@@ -39,8 +39,8 @@ def test_noise_in_the_pictures_comes_out_in_the_diameters() -> None:
     true = strung(TRUNK, TWIG, radius_mm=0.25)
     seen = pictured(true, noise=0.02)
     fitted = tube_fit.fit(seen, true, np.zeros(len(true.radius_mm), bool), steps=6).tubes
-    system = replace(at_rest(fitted, px_a_mm=4.0), seen=seen)
-    sigma, wrong = diameter_uncertainty.of_radii(system), fitted.radius_mm - 0.25
+    system = replace(at_rest(fitted, px_a_mm=4.0), evidence=seen)
+    sigma, wrong = diameter_uncertainty.radius_sigma(system), fitted.radius_mm - 0.25
     inner = np.ones(len(wrong), bool)
     inner[[int(nodes[k]) for nodes in fitted.branches for k in (0, 1, -2, -1)]] = False  # ends and forks share pixels
     assert 0.2 < np.sqrt(np.mean(wrong[inner] ** 2) / np.mean(sigma[inner] ** 2)) < 1.6

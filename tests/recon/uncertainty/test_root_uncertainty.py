@@ -30,7 +30,7 @@ TRUE = [
 def taken() -> tuple[ViewBank, tuple[Silhouette, ...]]:
     """Return pictures of the true roots from all sides, drawn by the module's own pen: a test of what is made of them, not of the pen."""
     empty = blank_of(SCENE)
-    drawn = root_uncertainty._draw(root_uncertainty._Places.of(TRUE, empty.bank), empty.silhouettes, None)
+    drawn = root_uncertainty._draw(root_uncertainty._Places.project(TRUE, empty.bank), empty.silhouettes, None)
     return empty.bank, tuple(Silhouette(picture, np.ones(picture.shape, bool)) for picture in drawn)
 
 

@@ -30,19 +30,19 @@ def test_no_lines() -> None:
     assert root_width.thin_width_px([Silhouette(np.zeros((20, 20), np.float32), np.ones((20, 20), bool))]) is None
 
 
-@pytest.mark.parametrize(("width_px", "state"), [(0.61, "fair"), (0.75, "good"), (None, "untold")])
+@pytest.mark.parametrize(("width_px", "state"), [(0.61, "fair"), (0.75, "good"), (None, "unknown")])
 def test_state(width_px: float | None, state: str) -> None:
-    assert picture_checks.of_resolution(width_px, (400, 300)).state == state
+    assert picture_checks.check_resolution(width_px, (400, 300)).state == state
 
 
 def test_coarse_pictures_are_the_cause_of_views_that_disagree() -> None:
-    thin = picture_checks.of_resolution(0.6, (400, 300))
-    disagree = shape_checks.of_sight(missed=0.145, unexplained=0.0, fill=0.1)
-    sharp = picture_checks.of_resolution(2.0, (400, 300))
-    said = checks.failed(checks.explained((thin, disagree)))
+    thin = picture_checks.check_resolution(0.6, (400, 300))
+    disagree = shape_checks.check_agreement(missed=0.145, unexplained=0.0, fill=0.1)
+    sharp = picture_checks.check_resolution(2.0, (400, 300))
+    said = checks.failure_reasons(checks.name_cause((thin, disagree)))
     assert len(said) == 1
-    assert "thinner than 0.6 px, so that the views disagree about 14.5 %" in said[0]
-    assert "at least 670 pixels across" in said[0]
+    assert "thinner than 0.6 px, so that the views disagree on 14.5 %" in said[0]
+    assert "at least 670 pixels wide" in said[0]
     assert "nothing moved" not in said[0]
-    assert checks.explained((sharp, disagree)) == (sharp, disagree)
+    assert checks.name_cause((sharp, disagree)) == (sharp, disagree)
     assert TrustSettings().resolution_px[1] == 0.0

@@ -14,7 +14,7 @@ from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
 def estimated(seen: Evidence, found: tubes.Tubes) -> tuple[dict[str, Term], float]:
     """Return the terms of tubes by name, and the share of the pictures that they do not explain."""
     px_a_mm = float(np.median(np.linalg.norm(seen.project(TRUNK).du, axis=-1)))
-    made = tube_uncertainty.estimate(replace(at_rest(found, px_a_mm=px_a_mm), seen=seen))
+    made = tube_uncertainty.estimate(replace(at_rest(found, px_a_mm=px_a_mm), evidence=seen))
     return {term.name: term for term in made.terms}, made.unexplained
 
 
@@ -32,7 +32,7 @@ def test_uncertainty_of_true_tubes_is_small_and_a_missing_twig_is_missed() -> No
 
 def test_swollen_tubes_are_pulled_back() -> None:
     true = strung(TRUNK, radius_mm=0.25)
-    terms, _ = estimated(pictured(true), tubes.moved(true, true.centre_mm, 1.1 * true.radius_mm))
+    terms, _ = estimated(pictured(true), tubes.with_geometry(true, true.centre_mm, 1.1 * true.radius_mm))
     volume = np.pi * 0.275**2 * true.length_mm
     assert 0.1 * volume < terms["radii, residual gradient"].less_mm3 < 0.3 * volume
     assert terms["radii, residual gradient"].more_mm3 == 0.0

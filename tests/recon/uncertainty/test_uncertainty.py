@@ -12,12 +12,12 @@ from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
-from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.hull.spheres import Spheres
+from rhizotwin.recon.hull.trimming import TrimmedHull
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty import sight, solid_uncertainty
+from rhizotwin.recon.uncertainty import occlusion, solid_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene, Tank
 from tests.recon.hull import exact_pictures
@@ -58,7 +58,7 @@ def test_the_interval_holds_what_is_one_sided_nine_times_of_ten(even: float) -> 
     ("changes", "says"),
     [
         ({"views": TrustSettings().least_views - 1}, "only 7 views"),
-        ({"unexplained": 0.3}, "30 % of what the pictures show"),
+        ({"unexplained": 0.3}, "30 % of the coverage"),
         ({"fill": 0.6}, "60 % of the root zone"),
         ({"terms": (term(1.0, 1.0), term(2.0, 40.0, "missing roots"))}, "of the missing roots"),
         ({"terms": (term(20.0, 0.0, "hull"), term(20.0, 0.0, "faces"), term(0.0, 24.0, "missing roots"))}, "of the hull"),
@@ -100,10 +100,10 @@ def test_a_shape_may_go_on_wherever_sight_ends(
     grid = Grid(np.array([-2.0, -2.0, top_mm - 4.0]), 0.2, 1, (10, 10, 10))
     index = (np.argwhere(np.ones((4, 4, 20), bool)) + np.array([8, 8, 0])).astype(np.int32)
     block = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
-    monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
-    optics = Optics.of(Scene())
+    monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
+    optics = Optics.from_scene(Scene())
     bank, maps = cast(ViewBank, SimpleNamespace(count=10, optics=optics)), cast(DistanceMaps, None)  # only `_votes` looks into maps
-    hidden = sight.occluded(bank, maps, block, Water(70.0, -8.0, -150.0))
+    hidden = occlusion.occlusion_term(bank, maps, block, Water(70.0, -8.0, -150.0))
     assert hidden.less_mm3 == 0.0
     assert hidden.more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
 
@@ -112,11 +112,11 @@ def test_a_shape_may_go_on_wherever_sight_ends(
 def test_only_a_round_wall_bends_light_away(monkeypatch: pytest.MonkeyPatch, scene: Scene, bends: bool) -> None:
     grid = Grid(np.array([-2.0, -2.0, -20.0]), 0.2, 1, (10, 10, 10))
     block = Leaves(grid, np.argwhere(np.ones((4, 4, 20), bool)).astype(np.int32), np.ones(320, np.int32), np.ones(320, np.float32))
-    monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(points[:, 0] < -1.5, 10, 0))
-    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.of(scene)))
-    why = sight.occluded(bank, cast(DistanceMaps, None), block, Water(70.0, -8.0, -150.0)).why
+    monkeypatch.setattr(occlusion, "_votes", lambda _bank, _maps, points: np.where(points[:, 0] < -1.5, 10, 0))
+    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.from_scene(scene)))
+    why = occlusion.occlusion_term(bank, cast(DistanceMaps, None), block, Water(70.0, -8.0, -150.0)).why
     assert "towards the wall" in why
-    assert ("bends light away" in why) == bends
+    assert ("refracts light away" in why) == bends
 
 
 @pytest.mark.parametrize(
@@ -143,11 +143,11 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     spheres, none = Spheres(centre[None], np.array([radius])), Spheres(np.zeros((0, 3)), np.zeros(0))
     removed_mm3 = larger.volume_mm3() - ball.volume_mm3()
     needed = np.float32(kept * removed_mm3 / ball.volume_mm3())
-    trimmed = Trimmed(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
+    trimmed = TrimmedHull(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
     hull = Hull(larger, larger.occupancy, larger.volume_mm3(), 0.0)
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
-    bank = ViewBank.of(exact_pictures.views_of(scene), Optics.of(scene))
-    terms = solid_uncertainty.estimate(bank, hull, hull.leaves, trimmed, slack_px=0.3, half_excess=0.0, missed=0.04, binary=False)
+    bank = ViewBank.pack(exact_pictures.views_of(scene), Optics.from_scene(scene))
+    terms = solid_uncertainty.estimate_terms(bank, hull, hull.leaves, trimmed, slack_px=0.3, half_excess=0.0, missed=0.04, binary=False)
     trimmed_away, disagreeing = (next(one for one in terms if one.name == name) for name in ("trimmed away", "views disagree"))
     assert trimmed_away.less_mm3 == disagreeing.less_mm3 == 0.0
     assert disagreeing.more_mm3 == pytest.approx(ball.volume_mm3() * (1.04**1.5 - 1.0), rel=0.02)

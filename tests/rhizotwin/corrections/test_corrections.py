@@ -244,7 +244,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     one = load_result(plants.make(folder, fibre=True).result)
     roots = tuple(replace(root, plant="B" if k == 4 else "A") for k, root in enumerate(one.solid.roots))
     known = [ScenePlant(plant="A"), ScenePlant(plant="B", at_mm=(-14.0, -10.0), treatment="low N")]
-    planted = recon_plants.keep(roots, known, grid_z_mm=-15.0)
+    planted = recon_plants.check_assignment(roots, known, grid_z_mm=-15.0)
     shape = dividing.Shape(
         leaves=one.solid.voxels,
         surface=one.solid.surface,

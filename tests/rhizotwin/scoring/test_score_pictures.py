@@ -44,16 +44,16 @@ def tube_mesh() -> Mesh:
 @pytest.mark.parametrize("how", ["surface", "root"])
 def test_what_is_drawn_is_what_the_water_shows(how: str) -> None:
     """Against silhouettes that follow every line of sight by itself."""
-    optics = Optics.of(scene())
+    optics = Optics.from_scene(scene())
     root = Root(points_mm=np.linspace(TUBE[0], TUBE[1], 60), diameters_mm=np.full(60, 2.0 * TUBE[2]), order=0, parent=-1)
     for view in exact_pictures.views_of(scene())[:2]:
         exact = exact_pictures.drawn(view, optics, (TUBE,), samples=5)
         made = drawn.coverage(view, optics, tube_mesh() if how == "surface" else NOTHING, (root,) if how == "root" else ())
-        area = float(exact.coverage[exact.seen].sum())
+        area = float(exact.coverage[exact.usable].sum())
         ends = np.pi * TUBE[2] ** 2 if how == "root" else 0.0  # a band has none
-        assert float(made[exact.seen].sum()) == pytest.approx(area, rel=0.03 + 0.02 * ends)
+        assert float(made[exact.usable].sum()) == pytest.approx(area, rel=0.03 + 0.02 * ends)
         if how == "surface":
-            assert np.abs(made - exact.coverage)[exact.seen].max() < 0.25
+            assert np.abs(made - exact.coverage)[exact.usable].max() < 0.25
             assert compare(made, exact).edges_px.max() < 0.25
 
 
@@ -93,7 +93,7 @@ def test_lines_are_as_far_apart_as_they_are_and_what_is_missed_is_told_from_what
 
 def write_scan(folder: Path, views: range, made: Scene) -> Path:
     """Write exact silhouettes of some views as a dataset."""
-    optics, every = Optics.of(made), exact_pictures.views_of(made)
+    optics, every = Optics.from_scene(made), exact_pictures.views_of(made)
     exact_pictures.masks(folder, made, {k: exact_pictures.drawn(every[k], optics, (TUBE,)).coverage for k in views})
     return folder
 

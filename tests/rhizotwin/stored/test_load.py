@@ -23,7 +23,7 @@ def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
     assert list(second.silhouettes) == list(first.silhouettes)
     for file, silhouette in first.silhouettes.items():
         np.testing.assert_array_equal(second.silhouettes[file].coverage, silhouette.coverage)
-        np.testing.assert_array_equal(second.silhouettes[file].seen, silhouette.seen)
+        np.testing.assert_array_equal(second.silhouettes[file].usable, silhouette.usable)
     for a, b in zip(first.cameras, second.cameras, strict=True):
         assert (a.file, a.used, a.reason, a.markers) == (b.file, b.used, b.reason, b.markers)
         np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)

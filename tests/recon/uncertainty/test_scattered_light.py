@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.uncertainty import halo
+from rhizotwin.recon.uncertainty import scattered_light
 
 
 def views(spread: float, wide_px: float, *, noise: float = 0.02, fine: bool = False) -> list[Silhouette]:
@@ -35,7 +35,7 @@ def views(spread: float, wide_px: float, *, noise: float = 0.02, fine: bool = Fa
 
 @pytest.mark.parametrize(("spread", "wide_px"), [(0.1, 8.0), (0.25, 20.0), (-0.1, 12.0)])
 def test_what_is_spread_is_found(spread: float, wide_px: float) -> None:
-    assert 0.4 < halo.spread(views(spread, wide_px), [(0, 0)] * 6) / spread < 1.6
+    assert 0.4 < scattered_light.scattered_fraction(views(spread, wide_px), [(0, 0)] * 6) / spread < 1.6
 
 
 def test_thin_roots_and_a_backlight_that_is_known_worse_where_roots_often_pass_are_no_halo() -> None:
@@ -43,10 +43,10 @@ def test_thin_roots_and_a_backlight_that_is_known_worse_where_roots_often_pass_a
     drawn = views(0.0, 20.0)
     often = cv2.GaussianBlur(np.mean([one.coverage for one in drawn], axis=0), (0, 0), 12.0)
     for made in (views(0.0, 20.0, fine=True), [replace(one, opacity=(one.opacity + 0.05 * often).astype(np.float16)) for one in drawn]):
-        assert abs(halo.spread(made, [(0, 0)] * 6)) < 0.012
+        assert abs(scattered_light.scattered_fraction(made, [(0, 0)] * 6)) < 0.012
 
 
 def test_empty_pictures_tell_nothing() -> None:
     empty = np.zeros((100, 100), np.float32)
-    assert halo.spread([Silhouette(empty, np.ones((100, 100), bool), empty.astype(np.float16))], [(0, 0)]) is None
-    assert halo.spread([Silhouette(empty, np.ones((100, 100), bool))], [(0, 0)]) is None
+    assert scattered_light.scattered_fraction([Silhouette(empty, np.ones((100, 100), bool), empty.astype(np.float16))], [(0, 0)]) is None
+    assert scattered_light.scattered_fraction([Silhouette(empty, np.ones((100, 100), bool))], [(0, 0)]) is None

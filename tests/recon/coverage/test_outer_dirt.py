@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rhizotwin.recon.coverage import outside, wall
+from rhizotwin.recon.coverage import outer_dirt, wall
 from rhizotwin.recon.coverage.wall import Face
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
@@ -34,15 +34,15 @@ def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
 
 def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn) -> None:
     views, optics, seen = turn
-    face = outside.face_of(optics, PX_A_MM)
+    face = outer_dirt.outer_face(optics, PX_A_MM)
     paint = with_dust_and_scratch(face, optics)
     opacity = pictured(turn, face, paint)
-    dirty = outside.find(opacity, seen, views, optics, face, Monitor())
+    dirty = outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor())
     assert dirty[paint > 0].mean() > 0.9
     assert dirty[paint == 0].mean() < 0.002, "a texel about it"
     before = after = 0.0
     for k, view in views.items():
-        hidden = outside.hidden(opacity[k], dirty, wall.crossings(view, optics, face), face)
+        hidden = outer_dirt.hidden_pixels(opacity[k], dirty, wall.crossings(view, optics, face), face)
         before, after = before + float((opacity[k] > 0.2).sum()), after + float(((opacity[k] > 0.2) & ~hidden).sum())
     assert after < 0.15 * before
 
@@ -50,8 +50,8 @@ def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn) -> 
 def test_what_grows_on_the_inside_noise_and_passing_roots_are_no_dirt(turn: Turn) -> None:
     """A root along the wall looks as a scratch does, but for light's way through the wall; others pass in a third of a place's views."""
     views, optics, seen = turn
-    face, rng = outside.face_of(optics, PX_A_MM), np.random.default_rng(2)
+    face, rng = outer_dirt.outer_face(optics, PX_A_MM), np.random.default_rng(2)
     inside = replace(face, outside=False)
     passing = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
     for opacity in (pictured(turn, inside, with_dust_and_scratch(inside, optics)), passing):
-        assert not outside.find(opacity, seen, views, optics, face, Monitor()).any()
+        assert not outer_dirt.detect_dirt(opacity, seen, views, optics, face, Monitor()).any()

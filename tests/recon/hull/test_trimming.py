@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.hull import carve, explained, parsimony
+from rhizotwin.recon.hull import carve, trimming, unexplained
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Leaves, even
+from rhizotwin.recon.hull.leaves import Grid, Leaves, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -42,18 +42,18 @@ def volume_of_rods() -> float:
 @cache
 def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, DistanceMaps, Leaves]:
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=20),)))
-    optics = refraction.Optics.of(scene)
+    optics = refraction.Optics.from_scene(scene)
     views = exact_pictures.views_of(scene)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, segments)) for view in views]
     r = optics.inner_radius_mm
-    bank, device_maps = projection.ViewBank.of(views, optics), DistanceMaps.of(np.stack(maps))
+    bank, device_maps = projection.ViewBank.pack(views, optics), DistanceMaps.from_arrays(np.stack(maps))
     lattice = Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
     return bank, device_maps, carve.carve(bank, device_maps, lattice, Water(r, -8.0, -100.0), min_votes=6).leaves
 
 
 def test_trimming_gives_tubes_their_volume_back_and_adds_nothing() -> None:
     bank, maps, hull = hull_of(RODS)
-    found = parsimony.trim(bank, maps, hull)
+    found = trimming.trim(bank, maps, hull)
     trimmed, spheres, true = found.leaves, found.spheres, volume_of_rods()
     assert hull.volume_mm3() > 1.012 * true, "otherwise there is nothing to trim"
     assert trimmed.volume_mm3() == pytest.approx(true, rel=0.015)  # 1.1 %: the few views of one ring leave webs
@@ -61,7 +61,7 @@ def test_trimming_gives_tubes_their_volume_back_and_adds_nothing() -> None:
     assert abs(trimmed.volume_mm3() - true) < 0.6 * (hull.volume_mm3() - true)
     on_twig = (spheres.centre_mm[:, 0] > 10) & (spheres.centre_mm[:, 2] > -56)
     assert np.median(spheres.radius_mm[on_twig]) == pytest.approx(1.6, abs=0.06)
-    cells, hull_cells = even(trimmed.index, trimmed.size), even(hull.index, hull.size)
+    cells, hull_cells = to_unit_cubes(trimmed.index, trimmed.size), to_unit_cubes(hull.index, hull.size)
     assert not set(map(tuple, cells.tolist())) - set(map(tuple, hull_cells.tolist()))
     assert len(np.unique(cells, axis=0)) == len(cells)
 
@@ -70,15 +70,15 @@ def test_a_ball_keeps_its_size_where_a_root_hangs_on_it() -> None:
     """Its centre line is the end of the root's, short of its middle: the largest sphere lies beyond."""
     bank, maps, hull = hull_of((SPHERE, TAIL))
     sphere, tail, sunk = 4.0 / 3.0 * np.pi * 10.0**3, np.pi * 2.0**2 * 46.0 + 2.0 / 3.0 * np.pi * 2.0**3, np.pi * 2.0**2 * (10.0 - 0.2)
-    assert parsimony.trim(bank, maps, hull).leaves.volume_mm3() == pytest.approx(sphere + tail - sunk, rel=0.015)
+    assert trimming.trim(bank, maps, hull).leaves.volume_mm3() == pytest.approx(sphere + tail - sunk, rel=0.015)
 
 
 def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hide the twigs from the skeleton: the pictures still ask for them."""
     bank, maps, hull = hull_of(RODS)
-    lines = parsimony.centre_lines(hull)
-    monkeypatch.setattr(parsimony, "centre_lines", lambda _: lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
-    found = parsimony.trim(bank, maps, hull)
+    lines = trimming.centre_lines(hull)
+    monkeypatch.setattr(trimming, "centre_lines", lambda _: lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
+    found = trimming.trim(bank, maps, hull)
     assert np.hypot(found.spheres.centre_mm[:, 0], found.spheres.centre_mm[:, 1]).max() < 3.0
     assert found.leaves.volume_mm3() == pytest.approx(volume_of_rods(), rel=0.05)
 
@@ -86,18 +86,18 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
 def test_of_a_line_of_sight_what_is_nearest_to_the_spheres_is_needed() -> None:
     """A trunk whose spheres are half as wide: the rest of it is needed, but not what lies beside it along a line of sight."""
     bank, maps, hull = hull_of(RODS)
-    core = hull.some(np.hypot(hull.middles_mm[:, 0], hull.middles_mm[:, 1]) < 2.0)
+    core = hull.select(np.hypot(hull.middles_mm[:, 0], hull.middles_mm[:, 1]) < 2.0)
     spheres = Spheres(np.stack([[0.0, 0.0, z] for z in np.arange(-80.0, -20.0, 0.5)]), np.full(120, 2.0))
     angle = np.arange(8) * np.pi / 4.0
     rind = np.stack([3.0 * np.cos(angle), 3.0 * np.sin(angle), np.full(8, -70.0)], axis=1)
     spike = np.array([[x, 0.0, -70.0] for x in (8.0, 12.0, 16.0, -8.0, -16.0)])
     nodes = np.floor((np.concatenate([rind, spike]) - np.asarray(hull.grid.origin_mm)) / hull.grid.size_mm).astype(np.int32)
-    every = even(hull.index, hull.size)
+    every = to_unit_cubes(hull.index, hull.size)
     places = np.concatenate([nodes, every])
-    needed = explained.needed(bank, maps, core, places, spheres)[: len(nodes)]
+    needed = unexplained.required_fraction(bank, maps, core, places, spheres)[: len(nodes)]
     assert needed[:8].min() > 0.5
     assert needed[8:].max() < 0.1
-    alone = explained.needed(bank, maps, core, nodes[8:], spheres)
+    alone = unexplained.required_fraction(bank, maps, core, nodes[8:], spheres)
     assert alone.max() > 0.5, "where nothing nearer explains the pictures, the spike does"
 
 
@@ -106,10 +106,10 @@ def test_spheres_stand_where_enough_views_bound_them() -> None:
     bank, maps, _ = hull_of(RODS)
     silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), np.inf, np.float16)))
     line = np.array([0.0, 0.0, -75.0]) + np.linspace(-1.0, 1.0, 15)[:, None] * np.array([0.0, 0.0, 1.0])
-    spheres, doubtful = parsimony.grow_spheres(bank, maps, line)
+    spheres, doubtful = trimming.grow_spheres(bank, maps, line)
     assert np.median(spheres.radius_mm) == pytest.approx(4.0, rel=0.01)
     assert not len(doubtful.radius_mm)
-    spheres, doubtful = parsimony.grow_spheres(bank, maps, line + np.array([3.0, 0.0, 0.0]))
+    spheres, doubtful = trimming.grow_spheres(bank, maps, line + np.array([3.0, 0.0, 0.0]))
     assert len(doubtful.radius_mm) >= 15
     assert np.median(spheres.radius_mm) < 0.5 * np.median(doubtful.radius_mm), "between none and whole it shrinks"
-    assert not any(len(each.radius_mm) for each in parsimony.grow_spheres(bank, silent, line))
+    assert not any(len(each.radius_mm) for each in trimming.grow_spheres(bank, silent, line))

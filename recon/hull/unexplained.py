@@ -1,4 +1,4 @@
-"""What silhouettes ask for that a trimmed shape does not explain."""
+"""Parts of the silhouettes that a trimmed shape does not explain."""
 
 from __future__ import annotations
 
@@ -15,69 +15,73 @@ from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
 from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
 from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, even, evenly
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
 _DEEP_PX = 0.75
-"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts
-not at all, a third more in full."""
+"""Depth inside an outline at which unexplained pixels require the hull to be kept; the weight is 0 at two thirds of
+this depth and 1 at four thirds."""
 _NEAREST = 1.5, 2.5
-"""Nodes on a line of sight that are so many of their edges farther from the spheres than the nearest count in full, and
-not at all: a line is as wide as a node, so that two in its cross-section are up to 1.4 edges apart."""
+"""Distance beyond the node nearest to the spheres, in edges of a node, up to which nodes on the same line of sight have
+full weight, and beyond which they have none: a line is as wide as a node, so that two nodes in its cross-section are up
+to 1.4 edges apart."""
 _LEAST_EDGE_PX = 0.5
-"""A line of sight is at least a sample of the maps wide."""
+"""Minimum width of a line of sight: one sample of the maps."""
 
 
-def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres) -> NDArray[np.float32]:
-    """Tell how much silhouettes need of finest nodes that the trimmed shape does not explain.
+def required_fraction(
+    bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres
+) -> NDArray[np.float32]:
+    """Return the fraction of uncertain finest nodes that silhouettes require and the trimmed shape does not explain.
 
-    One view that lacks a node may be wrong: what the second most lacking one lacks is needed. Of all nodes on a line of
-    sight, a view needs those nearest to the spheres. A node of a solid is nearest for the views that look across the
-    way from it to its sphere; a spike of the hull, where a root hides behind another in the views across, for none.
+    A single view may be wrong; the requirement of the view with the second-largest residual is used. Of all nodes on a
+    line of sight, a view requires those nearest to the spheres. A node of a solid is nearest for the views that look
+    perpendicular to the direction from it to its sphere; a spike of the hull, where a root hides behind another in
+    those views, is nearest for none.
 
     Parameters
     ----------
     bank, maps : ViewBank, DistanceMaps
         Views, and the distance maps of their silhouettes.
     trimmed : Leaves
-        What is certain.
+        Certain part of the shape.
     uncertain : (N, 3) int array
-        Finest nodes that may be needed.
+        Finest nodes that may be required.
     spheres : Spheres
-        From which the way to nodes is measured.
+        Spheres from which the distance of nodes is measured.
 
     Returns
     -------
     (N,) float32 array
-        0 to 1.
+        Values from 0 to 1.
     """
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
     some = filled > 0.25
-    solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
-    share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
+    solid = _points(trimmed, 2 * to_unit_cubes(voxel[some], size[some]), 2)
+    share = numbers(np.clip(2.0 * spread_values(filled[some], size[some]) - 0.5, 0.0, 1.0))
     places = _points(trimmed, uncertain, 1)
     edge_mm = trimmed.grid.size_mm
     beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
-        px, scale, seen = _seen(bank, maps, view, solid)
+        px, scale, visible = _project(bank, maps, view, solid)
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
-        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
-        apart = 2.0 * edge_mm * _most(scale, seen) * UPSAMPLING  # samples from one of the solid's voxels to the next
+        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), visible)
+        apart = 2.0 * edge_mm * _most(scale, visible) * UPSAMPLING  # samples between adjacent voxels of the solid
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
         values = maps.picture(view)
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
-        px, scale, seen = _seen(bank, maps, view, places)
-        lacks = dr.select(seen, DistanceMaps.of(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, seen), 0.0)
+        px, scale, visible = _project(bank, maps, view, places)
+        lacks = dr.select(visible, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
         dr.eval(lacks)
         edge_px = max(edge_mm * _most(scale, lacks > 0.0), _LEAST_EDGE_PX)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
@@ -87,12 +91,12 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
-    """Return how far from the spheres the nearest node on the line of sight of each node is, in edges of a node.
+    """Return the distance from the spheres of the nearest node on each node's line of sight, in edges of a node.
 
     A line of sight is as wide as a node, ``edge_px``.
     """
     width, height = (int(count / edge_px) + 1 for count in maps.image_wh)
-    # opaque: as literals they would make a kernel for every view
+    # Opaque: as literals, they would cause a new kernel for every view.
     last, edge = (mi.Vector2f(*(dr.opaque(mi.Float, part) for part in pair)) for pair in ([n - 1.0 for n in maps.image_wh], [edge_px] * 2))
     place = dr.clip(px + 0.5, 0.0, last) / edge
     at = mi.UInt32(place.y) * dr.opaque(mi.UInt32, width) + mi.UInt32(place.x)
@@ -106,21 +110,21 @@ def _most(value: Float, active: Bool) -> float:
 
 
 def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
-    """Widen a picture (H, W) by a square of an odd edge, and smooth its steps."""
+    """Dilate a picture (H, W) by a square of an odd edge, and smooth its steps."""
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 
 
 def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
-    """Return the centres of nodes of an edge on the device."""
+    """Return the centres of nodes of a given edge on the device."""
     centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
     return device.points(centres)
 
 
-def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
-    """Project points into a view: pixels, px/mm, and whether the view sees them on its distance map."""
+def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
+    """Project points into a view: pixels, px/mm, and whether they are visible on its distance map."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
-    seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
+    visible = p.visible & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
     scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
-    dr.eval(p.px, scale, seen)  # one by one, each would be a projection of its own
-    return p.px, scale, seen
+    dr.eval(p.px, scale, visible)  # evaluated together, to project once
+    return p.px, scale, visible

@@ -1,14 +1,14 @@
-"""Roots that the tubes found so far leave unexplained: traced on what is left of the coverage, and hung on the tree.
+"""Search for roots in the residual: trace the coverage that the tubes leave unexplained, and attach the new branches.
 
-Where tubes are drawn already, a pixel of measured coverage m and explained coverage e = 1 - exp(-t) tells of another
-root by
+A pixel with measured coverage m and explained coverage e = 1 - exp(-t) contains evidence of another root
 
     d = m - e = u c,    u = exp(-t)
 
-with u the part of the pixel that the tubes leave free and c the other root's own coverage. Over all views the
-least-squares estimate of c at a point of the search space is sum(u d) / sum(u^2): views in which the place is hidden
-say nothing, and a place that is empty in some views, as a ghost is, gets little. It needs no iteration, and it sees
-short laterals beside thick roots, which the density stage cannot tell from their parents.
+where u is the fraction of the pixel that the tubes leave free and c is the coverage of the other root. The
+least-squares estimate of c at a point of the search space, over all views, is sum(u d) / sum(u^2): views in which the
+point is hidden have no weight, and a point that is empty in some views, such as a ghost, gets a small estimate. The
+estimate needs no iteration, and it finds short laterals beside thick roots, which the density stage does not separate
+from their parents.
 """
 
 from __future__ import annotations
@@ -26,48 +26,48 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import ghosts, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tubes
-from rhizotwin.recon.tubes.translucent_tube import radius_of
+from rhizotwin.recon.tubes.translucent_tube import equivalent_radius
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 
 _SURE = 0.25
-"""Own coverage from which a place belongs to a root: a third of a pixel wide."""
+"""Minimum residual coverage of a root, which corresponds to a width of a third of a pixel."""
 _OWN_CELLS = 0.9
-"""A cell nearer to a centre line than this share of its edge holds it, however thin the root: half its diagonal is
-0.87."""
+"""A cell nearer to a centre line than this fraction of its edge contains the root, however thin (half of a cell's
+diagonal is 0.87)."""
 _LEAST_VIEWS = 4.0
-"""Views (sum of u^2) that must tell something about a place."""
+"""Minimum weight (sum of u^2, in views) for an estimate."""
 _THINNEST_MM = 0.05
-"""Radius of the thinnest root that is sought."""
+"""Minimum radius of a root."""
 _LEAST_MM = 0.4
-"""A new branch has at least this length outside of the tubes."""
+"""Minimum length of a new branch outside of the tubes."""
 _BEGIN_MM = 1.0
-"""A new branch on the flank of a root costs as much as this much more of a root that goes on at its tip."""
+"""Cost of a new branch on the flank of a root, as a length of root added at its tip."""
 _TIP_MM = 0.4
-"""So near another root's end, an end is the same."""
+"""Distance within which two ends are considered the same."""
 
 
-def own_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
-    """Return the coverage (N,) that points have of their own, averaged over the views; 0 where too few tell.
+def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
+    """Return the residual coverage (N,) of points, averaged over the views; 0 where too few views contribute.
 
     Parameters
     ----------
     free : Float
-        Share of light that the tubes let through in all views (`recon.tubes.tube_picture.transmittance`).
+        Transmittance of the tubes in all views (`recon.tubes.tube_picture.transmittance`).
     """
-    left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.seen)
+    left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.usable)
     dr.eval(left)
     width, height = evidence.image_wh
     point, pixels = points(points_mm), dr.opaque(mi.UInt32, evidence.pixels)
 
     def body(view: UInt32, top: Float, weight: Float) -> tuple[UInt32, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.seen & readable(p.px, width, height)
-        px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
-        tells = bilinear(evidence.seen, base, width, px.x, px.y, seen)
-        u, d = (bilinear(source, base, width, px.x, px.y, seen) for source in (free, left))
-        good = seen & (tells > 0.99)
+        visible = p.visible & readable(p.px, width, height)
+        px, base = dr.select(visible, p.px, mi.Vector2f(0.0)), view * pixels
+        usable = bilinear(evidence.usable, base, width, px.x, px.y, visible)
+        u, d = (bilinear(source, base, width, px.x, px.y, visible) for source in (free, left))
+        good = visible & (usable > 0.99)
         return view + 1, top + dr.select(good, u * d, 0.0), weight + dr.select(good, dr.square(u), 0.0)
 
     state = (dr.zeros(mi.UInt32, len(points_mm)), dr.zeros(mi.Float, len(points_mm)), dr.zeros(mi.Float, len(points_mm)))
@@ -76,63 +76,63 @@ def own_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 
 
-def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
-    """Hang on a tree the roots that its tubes leave unexplained.
+def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
+    """Attach to the tree the roots that its tubes leave unexplained.
 
     Parameters
     ----------
     thick : (N,) bool array
-        Nodes of thick roots.
+        Mask of the nodes of thick roots.
     cells : Cells
-        Search space, solids left out.
+        Search space without solids.
     px_a_mm : float
-        Scale in the middle of the water.
+        Scale at the centre of the water.
     """
-    line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
-    flanked = ghosts.flanked(found, thick)
+    line, radius, node = _sample_tubes(found, 0.5 * cells.grid.size_mm)
+    flanked = ghosts.find_margin_nodes(found, thick)
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
     away, nearest = cKDTree(line).query(cells.centre_mm, distance_upper_bound=float(reach.max()), workers=-1)
-    nearest = np.minimum(nearest, len(line) - 1)  # none is near where the distance is infinite
-    # few views look past the flank of what is thick: nothing begins there that no path in the density did
+    nearest = np.minimum(nearest, len(line) - 1)  # the distance is infinite where no node is near
+    # Few views resolve the flank of a thick root: no branch begins there that the density did not contain.
     beside = ~((away < reach[nearest]) & thick[node[nearest]])
-    cells, away, nearest = cells.chosen(beside), away[beside], nearest[beside]
-    centre = cells.centre_mm  # once: it is computed anew each time
-    own, inside = own_coverage(evidence, centre, free), away < reach[nearest]
+    cells, away, nearest = cells.select(beside), away[beside], nearest[beside]
+    centre = cells.centre_mm  # evaluated once, as the property is not cached
+    own, inside = residual_coverage(evidence, centre, free), away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
         return found
     ends = np.array([nodes[-1] for nodes in found.branches])
     at_tip = np.isfinite(cKDTree(found.centre_mm[ends]).query(centre, distance_upper_bound=_TIP_MM, workers=-1)[0])
-    # half a step inside a tube costs as much as the additional way of a branch on its flank, but nothing at a tip
+    # Half a step inside a tube costs as much as the extra length of a branch on its flank, but nothing at a tip.
     flank = 0.5 * cells.grid.size_mm / _BEGIN_MM * _SURE * px_a_mm
     density = np.where(inside, np.where(at_tip, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)
     cost, before, _ = dijkstra(
         tracing.graph(cells, density), directed=False, indices=np.flatnonzero(inside), min_only=True, return_predecessors=True
     )
     length = tracing.lengths(cost, before, centre)
-    claim = tracing.CLAIM_CELLS * cells.grid.size_mm + 0.5 * own / px_a_mm  # a wider root covers more beside its middle
+    claim = tracing.CLAIM_CELLS * cells.grid.size_mm + 0.5 * own / px_a_mm  # a wider root covers more around its centre line
     lines = tracing.branches(centre, before, np.where(sure & np.isfinite(cost), length, -1.0), claim, _LEAST_MM)
     paths, radii, parents = [], [], []
     for way in lines:
         opaque = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        wide = radius_of(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
+        wide = equivalent_radius(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(wide[1:]))))
         first = int(node[nearest[way[0]]])
         if inside[way[0]] and at_tip[way[0]]:
             first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])
         parents.append(first if inside[way[0]] else -1)
-    return tubes.hang(found, paths, radii, parents)
+    return tubes.attach(found, paths, radii, parents)
 
 
-def _dense(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
+def _sample_tubes(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return points (P, 3) along the tubes, their radii, and the nearest node of each."""
     a, b = found.segments.T
     count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
-    of = np.repeat(np.arange(len(a)), count)
-    share = (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[of]
-    first, second = a[of], b[of]
-    # a branch's first node has its parent's radius
+    segment = np.repeat(np.arange(len(a)), count)
+    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[segment]
+    first, second = a[segment], b[segment]
+    # The first node of a branch has its parent's radius.
     radius = np.minimum(found.radius_mm[first], found.radius_mm[second])
     return (
         found.centre_mm[first] + share[:, None] * (found.centre_mm[second] - found.centre_mm[first]),

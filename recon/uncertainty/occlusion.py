@@ -1,4 +1,4 @@
-"""What a shape may have where too few views see: it goes on there, until it is seen to end or the water does."""
+"""Uncertainty of the volume due to parts of the shape that too few views show."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rhizotwin.recon.device import UInt32
 from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves, even, evenly
+from rhizotwin.recon.hull.leaves import Leaves, spread_values, to_unit_cubes
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -22,44 +22,45 @@ from rhizotwin.recon.uncertainty.budget import Term
 Array = NDArray[np.float64]
 
 _COLUMN_MM = 0.4
-"""A shape is looked at in columns at least this wide."""
+"""Minimum width of the columns in which a shape is evaluated."""
 _EDGE_MM = 0.5
-"""A shape ends by up to this much before sight does: outlines are drawn at half a coverage."""
+"""Maximum distance between the end of a shape and the limit of visibility: outlines are at half coverage."""
 _ANYWHERE = 0.9
-"""What goes on out of sight ends anywhere on its way, nine times of ten within this part of it."""
+"""A hidden end is uniformly distributed over the hidden length, and within this fraction of it with a probability of 90
+%."""
 _LOOKS = 16
-"""Places on the way out of sight where somebody may see the water empty again."""
+"""Number of points tested along the hidden length for visibility."""
 _WHERE = {
-    -1: "below the pictures' lower edge or the reach of the light: hang it higher, or add a ring that looks lower",
+    -1: "below the lower edge of the pictures or of the backlight: mount the plant higher, or add a ring that looks lower",
     1: "below the net pot or behind it",
 }
-"""Where sight ends along the vertical, by side."""
+"""Description of the limit of visibility along the vertical, by side."""
 
 
-def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
-    """Return what a shape may have where it is occluded, above as below and to all sides.
+def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
+    """Return the volume that a shape may have where it is occluded, at the top, the bottom and all sides.
 
-    Its columns along each axis that end where too few views see go on, at most to where enough of them see again or to
-    the water's end. Of the axes the one counts along which most may be hidden.
+    Columns of the shape along each axis that end where too few views look are extended, at most to where enough views
+    look again or to the end of the water. The axis with the largest hidden volume is used.
 
     Parameters
     ----------
     bank, maps : ViewBank, DistanceMaps
         Views and their distance maps.
     leaves : Leaves
-        Of the shape.
+        Leaves of the shape.
     water : Water
-        Where it ends.
+        Extent of the water.
 
     Returns
     -------
     Term
-        What there may be more.
+        The additional volume.
     """
     units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
     index, size, occupancy = to_voxels(leaves, units)
-    cells = even(index, size).astype(np.int64)
-    full = evenly(occupancy, size)
+    cells = to_unit_cubes(index, size).astype(np.int64)
+    full = spread_values(occupancy, size)
     edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
     hidden = {}
     for axis in range(3):
@@ -71,25 +72,25 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
             hidden[axis, side] = _ANYWHERE * float((gaps_mm(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
-    where = _WHERE[side] if axis == 2 else _towards_wall(bank)
+    where = _WHERE[side] if axis == 2 else _describe_side(bank)
     return Term(
         name="occluded",
         less_mm3=0.0,
         more_mm3=hidden[axis, -1] + hidden[axis, 1],
-        why=f"the shape goes on where too few views see, {where}",
+        why=f"the shape may continue where too few views look, {where}",
     )
 
 
-def _towards_wall(bank: ViewBank) -> str:
-    """Say where sight ends to the sides: a round wall in air bends light away, a tank of liquid about it does not."""
+def _describe_side(bank: ViewBank) -> str:
+    """Return the limit of visibility to the sides: a round wall in air deflects light, a tank does not."""
     optics = bank.optics
     bends = optics.tank is None and optics.n_water > 1.0
-    why = "where the water bends light away from the cameras" if bends else "beyond the pictures' sides or the reach of the light"
+    why = "where the water refracts light away from the cameras" if bends else "beyond the sides of the pictures or of the backlight"
     return f"towards the wall, {why}"
 
 
 def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: int) -> NDArray[np.int64]:
-    """Return which cells (N, 3) are the last of their columns along an axis, on one side."""
+    """Return the last cells (N, 3) of their columns along an axis, on one side."""
     some = np.flatnonzero(full > 0)
     if not len(some):
         return some
@@ -100,7 +101,7 @@ def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: 
 
 
 def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array, water: Water) -> Array:
-    """Return how far (N,) something may go on from where it ends; 0 where enough views see that it ends.
+    """Return the distances (N,) by which ends may be extended; 0 if enough views show that they end.
 
     Parameters
     ----------
@@ -109,25 +110,25 @@ def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array,
     end_mm : (N, 3) array
         Ends, canister frame.
     direction : (3,) array
-        Along an axis.
+        Direction along an axis.
     water : Water
-        Where the water ends.
+        Extent of the water.
     """
     gap = np.zeros(len(end_mm))
-    way = _way(end_mm, direction, water)
+    way = _water_extent(end_mm, direction, water)
     ahead = end_mm + np.minimum(_EDGE_MM, way)[:, None] * direction
-    open_ = np.flatnonzero((way > 0) & ~_seen(bank, maps, ahead))
+    open_ = np.flatnonzero((way > 0) & ~_are_visible(bank, maps, ahead))
     if len(open_):
         share = (np.arange(_LOOKS) + 1.0) / _LOOKS
         on_way = ahead[open_, None] + (share[:, None] * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None, None]) * direction
-        seen = _seen(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
-        first = np.where(seen.any(axis=1), share[seen.argmax(axis=1)], 1.0)
+        visible = _are_visible(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
+        first = np.where(visible.any(axis=1), share[visible.argmax(axis=1)], 1.0)
         gap[open_] = first * way[open_]
     return gap
 
 
-def _way(from_mm: Array, direction: Array, water: Water) -> Array:
-    """Return how far (N,) the water reaches from points (N, 3) in a direction along an axis; 0 outside."""
+def _water_extent(from_mm: Array, direction: Array, water: Water) -> Array:
+    """Return the extent (N,) of the water from points (N, 3) in a direction along an axis; 0 outside."""
     if direction[2]:
         end = water.top_mm if direction[2] > 0 else water.bottom_mm
         return np.maximum((end - from_mm[:, 2]) * direction[2], 0.0)
@@ -135,20 +136,20 @@ def _way(from_mm: Array, direction: Array, water: Water) -> Array:
     return np.maximum(np.sqrt(np.maximum(water.radius_mm**2 - across**2, 0.0)) - along, 0.0)
 
 
-def _seen(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
-    """Tell which points (N, 3) enough views see."""
+def _are_visible(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
+    """Return which points (N, 3) are visible in enough views."""
     return _votes(bank, maps, points_mm) >= distance_maps.least_votes(bank.count)
 
 
 def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:
-    """Return how many views see points (N, 3)."""
+    """Return the number of views that show points (N, 3)."""
     if not len(points_mm):
         return np.zeros(0, np.int64)
     point = device.points(points_mm)
 
     def body(view: UInt32, votes: UInt32) -> tuple[UInt32, UInt32]:
-        _, _, seen = distance_maps.look(bank, maps, view, point, mi.Bool(True))
-        return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        _, _, usable = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
+        return view + 1, votes + dr.select(usable, mi.UInt32(1), mi.UInt32(0))
 
     state = (mi.UInt32(0), dr.zeros(mi.UInt32, len(points_mm)))
     return np.array(dr.while_loop(state, lambda view, _: view < bank.end, body)[1], np.int64)

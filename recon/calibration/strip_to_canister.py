@@ -1,8 +1,8 @@
-"""From the strip, whose markers tell the cameras, to the canister, whose water they look through, with both's errors.
+"""Combination of the marker calibration with the pose of the canister in the strip, including both uncertainties.
 
-``cam_from_canister = cam_from_strip @ strip_from_canister``: what markers and what edges leave open belongs together. A
-strip that is thought to lean makes the edges find a canister that leans the other way, and both together are nearly
-right.
+``cam_from_canister = cam_from_strip @ strip_from_canister``: the errors of markers and edges are correlated. If the
+strip is assumed tilted, the edges give a canister tilted in the opposite direction, and both together are almost
+correct.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 UNSEEN = np.array([np.deg2rad(0.1), np.deg2rad(0.1), 0.2, 0.2])
-"""How misaligned (rad, mm) a canister may stand in the strip where its edges were not seen."""
+"""Standard deviation of the misalignment (rad, mm) of a canister in the strip if its edges were not visible."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chain:
-    """The strip's cameras, and how the canister stands in the strip.
+class StripToCanister:
+    """The cameras relative to the strip, and the pose of the canister in the strip.
 
     The errors of its tilt about x, y and offset x, y are ``by_cameras @ s + e``, with the errors s that the cameras
-    share (`PoseErrors`), and e of the edges alone.
+    share (`PoseErrors`), and the independent errors e of the edges.
     """
 
     solved: Poses
@@ -44,17 +44,19 @@ class Chain:
     """(4, S)."""
 
     @staticmethod
-    def of(solved: Poses, canister: CanisterPose | None) -> Chain:
-        """Join what markers and edges told; without edges the canister stands as the strip does, more or less."""
+    def combine(solved: Poses, canister: CanisterPose | None) -> StripToCanister:
+        """Combine markers and edges; without edges, the canister is assumed aligned with the strip, within `UNSEEN`."""
         errors = solved.errors
         if errors is None:
             empty = PoseErrors(shared=np.zeros((6, 6)), carry=np.zeros((0, 6, 6)), own=np.zeros((0, 6, 6)))
-            errors = empty.of([None] * len(solved.views), [view.covariance for view in solved.views])
+            errors = empty.reorder([None] * len(solved.views), [view.covariance for view in solved.views])
         if canister is None:
             nothing = np.zeros((4, len(errors.shared)))
-            return Chain(solved=solved, errors=errors, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing)
+            return StripToCanister(
+                solved=solved, errors=errors, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing
+            )
         by_cameras = canister.by_cameras if solved.errors is not None else np.zeros((4, 6))
-        return Chain(
+        return StripToCanister(
             solved=solved,
             errors=errors,
             canister_from_strip=canister.canister_from_strip,
@@ -63,24 +65,24 @@ class Chain:
         )
 
     def camera(self, k: int, view: Camera) -> Camera:
-        """Return a view's camera of the strip as that of the canister, with its uncertainty."""
+        """Convert a view's camera from the strip's to the canister's frame, with its uncertainty."""
         if view.cam_from_canister is None:
             return view
         pose = view.cam_from_canister @ frames.invert(self.canister_from_strip)
         lever = -adjoint(pose)[:, CANISTER]
         carry = self.errors.carry[k] + lever @ self.by_cameras
         covariance = carry @ self.errors.shared @ carry.T + lever @ self.covariance @ lever.T + self.errors.own[k]
-        return view.placed(pose, covariance)
+        return view.with_pose(pose, covariance)
 
     @property
     def table_from_canister(self) -> Array | None:
-        """(4, 4) how the canister stands on the table; None where the views are not of one rig."""
+        """(4, 4) pose of the canister on the table; None if the views are not of one rig."""
         table_from_strip = self.solved.table_from_canister
         return None if table_from_strip is None else table_from_strip @ frames.invert(self.canister_from_strip)
 
     @property
     def table_sigma(self) -> Array | None:
-        """(4,) its standard deviations: tilt about x, y (deg), offset x, y (mm)."""
+        """(4,) standard deviations of that pose: tilt about x, y (deg), offset x, y (mm)."""
         pose = self.table_from_canister
         if pose is None:
             return None
@@ -89,23 +91,23 @@ class Chain:
         return np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]])
 
     def _on_table(self, table_from_canister: Array) -> tuple[Array, Array]:
-        """Return how the canister's pose on the table follows shared errors (4, S) and those of the edges (4, 4)."""
+        """Return the derivatives of the canister's pose on the table by shared errors (4, S) and edge errors (4, 4)."""
         by_edges = -adjoint(table_from_canister)[np.ix_(CANISTER, CANISTER)]
         own = np.zeros((4, len(self.errors.shared)))
         own[:, -4:] = np.eye(4)
         return own + by_edges @ self.by_cameras, by_edges
 
     def uncertainty(self, captured: Sequence[Frame], *, focus: float) -> RigUncertainty:
-        """Return how well the rig is known, for what the roots may tell of it.
+        """Return the uncertainty of the rig, used as the prior of the calibration from the roots.
 
-        A view of no station is a station of its own.
+        A view without a station counts as its own station.
 
         Parameters
         ----------
         captured : sequence of Frame
-            In the order of the views.
+            Frames in the order of the views.
         focus : float
-            Standard deviation of the focal scale beyond what the markers told with the cameras.
+            Standard deviation of the focal scale in addition to that of the marker calibration.
         """
         solved, shared = self.solved, self.errors.shared
         stations = [(ring.ring, ring.placement) for ring in solved.rings]

@@ -1,6 +1,6 @@
-"""Turn round the branches of a tree that were traced from their tips.
+"""Orientation of branches: reverse those that were traced from their tips.
 
-The ways to the top and how roots leave each other tell them.
+The criteria are the distance to the top along the roots, and the direction in which roots leave each other.
 """
 
 from __future__ import annotations
@@ -9,26 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, children_of, owners
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, list_children, owners
 
 Array = NDArray[np.float64]
 
 _TOUCH_MM = 1.0
-"""A tip this near the surface of another root may be where it leaves that root."""
+"""Maximum distance of a tip from the surface of another root for the tip to be that root's lateral's base."""
 _ROUNDS = 8
-"""Turning one branch may turn another; it ends before."""
+"""Maximum number of rounds; reversing one branch may reverse another. Usually fewer are needed."""
 
 
-def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
-    """Turn round branches that begin at their tips.
+def orient_branches(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
+    """Reverse branches that begin at their tips.
 
-    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that
-    leave their parent against its growth and end at a root that they would leave onward.
+    These are branches that end at a root nearer to the top, along the roots, than their beginning, and branches that
+    leave their parent against its direction of growth and end at a root that they would leave in its direction of
+    growth.
 
     Parameters
     ----------
     branches : list of Index or None
-        Node numbers (n,) of each, None where one is gone; changed in place, and returned.
+        Node indices (n,) of each, None for removed ones; modified in place, and returned.
     """
     centre = tubes.centre_mm
     owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
@@ -49,9 +50,9 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
             parent, line = int(others[best]), branches[k]
             assert line is not None
             nearer = way[parent] + max(gap[best], 0.0) + _TOUCH_MM <= way[line[0]]
-            if gap[best] > _TOUCH_MM or not (nearer or _leaves_onward_turned(tubes, branches, owner, line, parent)):
+            if gap[best] > _TOUCH_MM or not (nearer or _should_reverse(tubes, branches, owner, line, parent)):
                 continue
-            if k not in above(branches, owner, int(owner[parent])):
+            if k not in ancestors(branches, owner, int(owner[parent])):
                 branches[k] = np.concatenate([[parent], line[:0:-1]])
                 _find_ways(centre, branches, owner, way, k)
                 turned = True
@@ -61,8 +62,8 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
 
 
 def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
-    """Write the ways to the top of a branch, from its first node's, and of all that hang on it."""
-    children = children_of(branches, owner)
+    """Set the path length to the top for the nodes of a branch, from its first node's, and of all its descendants."""
+    children = list_children(branches, owner)
     waiting = [branch]
     while waiting:
         k = waiting.pop()
@@ -72,10 +73,10 @@ def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: A
         waiting += children.get(k, [])
 
 
-def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
-    """Tell whether a branch leaves its parent against growth, and would leave another root onward.
+def _should_reverse(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
+    """Return whether a branch leaves its parent against its growth, but would leave another root along it.
 
-    The other root is left at a node near its tip.
+    The other root would be left at a node near the branch's tip.
     """
     centre, reach = tubes.centre_mm, min(TANGENT_NODES, len(line) - 1)
     away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]

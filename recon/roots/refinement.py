@@ -1,0 +1,94 @@
+"""Refinement of a tree of tubes: fit, prune, link, and search the residual for missing roots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.roots import ghosts, linking, node_support, organs, residual_search, tips
+from rhizotwin.recon.roots.density import Cells
+from rhizotwin.recon.tubes import tube_fit, tube_profiles, tubes
+from rhizotwin.recon.tubes.tube_fit import Fit
+from rhizotwin.recon.tubes.tube_picture import Rendering
+from rhizotwin.recon.tubes.tubes import Tubes
+
+Mask = NDArray[np.bool_]
+
+_SEARCHES = 2
+"""Number of searches of the residual; the second finds roots attached to those of the first."""
+_STEPS = 4
+"""Steps of each fit: tubes that are kept are fitted repeatedly, and new ones are judged before convergence."""
+
+
+@dataclass(frozen=True)
+class TreeRefinement:
+    """Refinement of a tree of tubes against given evidence."""
+
+    evidence: Evidence
+    """Evidence outside the solids."""
+    whole: Evidence
+    """Evidence including the solids."""
+    px_a_mm: float
+    """Scale at the centre of the water."""
+
+    def refine(self, tree: Tubes) -> Tubes:
+        """Fit, prune and link the tree."""
+        tree = self.fit(tree).tubes
+        tree = tips.place_tips(self.whole, tree, self.px_a_mm)
+        proved = node_support.compute_support(Rendering.draw(self.evidence, tree))
+        gone = ghosts.find_ghosts(tree, proved, self.thick(tree)) | self.find_duplicates(tree)
+        tree = tree.cut_detours(gone)
+        return link_pieces(tree.keep(tree.prune_mask(gone)))
+
+    def search(self, tree: Tubes, outside: Cells) -> Tubes:
+        """Add the roots that the tree leaves unexplained, and refine it.
+
+        Parameters
+        ----------
+        outside : Cells
+            Cells outside the solids that may contain roots.
+        """
+        for _ in range(_SEARCHES):
+            fit = self.remove_unsupported(tree)
+            grown = residual_search.add_missing_roots(
+                self.evidence, fit.tubes, self.thick(fit.tubes), outside, fit.rendering.passing, self.px_a_mm
+            )
+            tree = self.refine(grown)
+        return self.link_ends(tips.place_tips(self.whole, self.remove_unsupported(tree).tubes, self.px_a_mm))
+
+    def remove_unsupported(self, tree: Tubes) -> Fit:
+        """Fit a tree and remove tubes that explain little alone: second tubes of a root, or pieces of its flank."""
+        fit = self.fit(tree)
+        gone = ghosts.find_unsupported_starts(
+            fit.tubes, node_support.compute_support(fit.rendering), self.thick(fit.tubes)
+        ) | self.find_duplicates(fit.tubes)
+        tree = fit.tubes.cut_detours(gone)
+        stays = tree.prune_mask(gone)
+        return fit if stays.all() else self.fit(tree.keep(stays))
+
+    def link_ends(self, tree: Tubes) -> Tubes:
+        """Link ends without a tip to the branches in which they continue."""
+        drawn = Rendering.draw(self.evidence, tree)
+        visible = tube_profiles.profiles(drawn).residual_gradient().visible
+        tree, _ = linking.link(tree, ghosts.find_uncertain_ends(tree, visible, node_support.compute_support(drawn), self.thick(tree)))
+        return link_pieces(tree.keep(tree.prune_mask(self.find_duplicates(tree))))
+
+    def fit(self, tree: Tubes) -> Fit:
+        """Fit a tree."""
+        return tube_fit.fit(self.evidence, tree, self.thick(tree), steps=_STEPS)
+
+    def thick(self, tree: Tubes) -> Mask:
+        """Return the mask (N,) of nodes of thick roots."""
+        return organs.is_thick(tree, self.px_a_mm)
+
+    def find_duplicates(self, tree: Tubes) -> Mask:
+        """Return the mask (N,) of nodes inside other tubes."""
+        return ghosts.find_duplicates(tree, self.thick(tree), ghosts.FLANK_PX / self.px_a_mm)
+
+
+def link_pieces(tree: Tubes) -> Tubes:
+    """Link the pieces of a tree."""
+    return tubes.trim_inside_parents(tubes.fill_gaps(tubes.merge_stubs(linking.link(tree)[0])))

@@ -1,0 +1,101 @@
+"""Detection of scattered light about roots, from turbid water, lens flare or tone mapping of the camera.
+
+Each of these distributes part of a pixel's signal over its surroundings. Beside roots, the picture is then slightly too
+dark (or too bright, if the camera sharpens), in proportion to the blurred coverage.
+
+Pixels are compared with themselves in other views of the same camera: where roots often pass, the empty backlight is
+less accurate, and an error of half a percent would look the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+
+_WIDE_PX = 12.0
+"""Standard deviation of the blur of roots: far wider than a lens's blur and a root's own flanks. Scattering over 5 px
+to 20 px is detected, with a small error of its amount."""
+_BESIDE_PX = 4.0
+"""Minimum distance from a silhouette: nearer pixels belong to the root's flank and its hairs (1.5 mm at 0.4 mm per
+pixel)."""
+_ROOT = 0.5
+"""Minimum coverage of a silhouette."""
+_BINS = 12
+"""Number of classes of blurred coverage."""
+_LEAST = 300
+"""Minimum number of pixels in a class; the median of noise of 5 % per pixel is then accurate to 0.4 %."""
+_ENOUGH = 0.05
+"""Minimum range of the blurred coverage over the classes."""
+_VIEWS = 10
+"""Number of views of a camera's turn, evenly spaced."""
+_OTHERS = 3
+"""Minimum number of other views in which a pixel is beside roots, for cameras with more views than this; a mean then
+contains a fourth of each view's own value. Cameras with fewer views are used without this comparison."""
+
+
+def scattered_fraction(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]]) -> float | None:
+    """Return the fraction of light scattered about roots; None if too few pixels beside roots are visible.
+
+    Parameters
+    ----------
+    silhouettes : sequence of Silhouette
+        Silhouettes with opacity, including noise.
+    stations : sequence of tuple of int
+        Station of each view; views of one station share the backlight.
+
+    Returns
+    -------
+    float or None
+        Slope of the opacity beside roots over the blurred coverage, both relative to the same pixel in other views.
+        Medians of classes are used, so that undetected thin roots, which affect few pixels, have no influence.
+    """
+    about, dark = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
+    for station in sorted(set(stations)):
+        own = [one for one, at in zip(silhouettes, stations, strict=True) if at == station and one.opacity is not None]
+        for one, other in _relative_to_others(own[:: max(1, len(own) // _VIEWS)]):
+            about.append(one)
+            dark.append(other)
+    x, y = np.concatenate(about), np.concatenate(dark)
+    if not len(x) or np.ptp(x) < _ENOUGH:
+        return None
+    place = np.minimum(((x - x.min()) / np.ptp(x) * _BINS).astype(np.int64), _BINS - 1)
+    count = np.bincount(place, minlength=_BINS)
+    filled = np.flatnonzero(count >= _LEAST)
+    at = np.array([x[place == one].mean() for one in filled])
+    if len(filled) < 3 or np.ptp(at) < _ENOUGH:
+        return None
+    medians = np.array([np.median(y[place == one]) for one in filled])
+    weight = np.sqrt(count[filled])
+    return float(np.polyfit(at, medians, 1, w=weight)[0])
+
+
+def _relative_to_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]]:
+    """Yield, for each view, the results of `_beside` minus the same pixel's mean over all views of one camera."""
+    if len(views) <= _OTHERS:
+        yield from (_beside(view)[1:] for view in views)
+        return
+    shape = views[0].coverage.shape
+    total, darkness, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int32)
+    for view in views:  # two passes over the views, to limit memory
+        beside, about, dark = _beside(view)
+        total[beside] += about
+        darkness[beside] += dark
+        count[beside] += 1
+    for view in views:
+        beside, about, dark = _beside(view)
+        often, n = count[beside] > _OTHERS, count[beside].astype(np.float32)
+        yield (about - total[beside] / n)[often], (dark - darkness[beside] / n)[often]
+
+
+def _beside(silhouette: Silhouette) -> tuple[Mask, Image, Image]:
+    """Return the pixels beside roots (H, W), and the blurred coverage (N,) and the opacity (N,) there."""
+    root = (silhouette.coverage > _ROOT) & silhouette.usable
+    away = cv2.distanceTransform((~root).astype(np.uint8), cv2.DIST_L2, 5)
+    inner = cv2.erode(silhouette.usable.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    beside = inner & (away > _BESIDE_PX) & (away < 4.0 * _WIDE_PX)
+    wide = cv2.GaussianBlur(np.where(silhouette.usable, silhouette.coverage, 0.0).astype(np.float32), (0, 0), _WIDE_PX)
+    return np.asarray(beside), wide[beside], np.asarray(silhouette.opacity, np.float32)[beside]
