@@ -138,6 +138,12 @@ def vertex_normals(mesh: Mesh) -> Floats:
     return np.stack([np.bincount(mesh.faces.ravel(), weights=np.repeat(area[:, k], 3), minlength=count) for k in range(3)], axis=1)
 
 
+def unit_normals(mesh: Mesh) -> Floats:
+    """Return (V, 3) outward unit normals of the vertices; zero where a vertex has no triangles."""
+    normals = vertex_normals(mesh)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+
+
 def _blurred(image: Pixels, sigma_px: float) -> Pixels:
     """Return an image under a wide Gaussian, computed on fewer pixels where it is wide."""
     fewer = max(1, int(sigma_px / 4.0))

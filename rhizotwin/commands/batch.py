@@ -84,11 +84,10 @@ def batch(
     if not places.is_address(output):
         from rhizotwin.batch import overview
 
-        written, refused = overview.write(Path(output), [*made.kept, *made.done], made.failed)
+        written, summary = overview.write(Path(output), [*made.kept, *made.done], made.failed)
         for path in written:
             print(f"wrote {path}")
-        if refused:
-            print(f"warning: {refused}")
+        print(summary)
     _tell(made, "reconstructed")
 
 

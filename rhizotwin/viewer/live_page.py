@@ -76,7 +76,7 @@ class _Page:
         can = live.scene.canister
         reach = can.outer_radius_mm + max(ring.distance_mm for ring in live.scene.plan.rings)
         corners = np.array([[-reach, -reach, -can.height_mm], [reach, reach, 0.0]])
-        self._scene.look_at(0.5 * corners, rim_mm=can.outer_radius_mm)
+        self._scene.set_home(0.5 * corners)
         live.on_change.append(self.follow)
         self.follow()
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -198,6 +199,30 @@ def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result:
     assert "P&lt;1&gt;" in page
     assert "<b>two</b>: the picture &lt;x&gt; is missing" in page
     assert "low N" in (tmp_path / overview.TABLE).read_text(encoding="utf-8")
+
+
+def test_volumes_that_are_not_usable_are_counted_by_reason() -> None:
+    narrow = {"volume_mm3": 100.0, "volume_interval_mm3": [95.0, 105.0]}
+    wide = {"volume_mm3": 100.0, "volume_interval_mm3": [50.0, 120.0], "volume_trusted": False}
+    dirty = narrow | {"volume_trusted": False, "checks": [{"name": "dirt", "state": "bad"}]}
+    good = narrow | {"volume_trusted": True, "checks": [{"name": "dirt", "state": "fair"}]}
+    reasons = "2 x light missing beside the roots, 1 x 90 % interval too wide"
+    assert overview.summarise([wide, dirty, dirty]) == f"0 of 3 volumes usable; not usable: {reasons}"
+    assert overview.summarise([good, good]) == "2 of 2 volumes usable"
+    assert overview.summarise([dirty | {"checks": []}]) == "0 of 1 volumes usable; not usable: 1 x other reasons"
+
+
+@pytest.mark.slow
+def test_the_overview_fits_a_narrow_screen(browser: Any, ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    ball_result("one", subject={"plant": "P1", "treatment": "low N"})
+    overview.write(tmp_path, [job("one", tmp_path)], [])
+    shown = browser.new_page(viewport={"width": 400, "height": 700})
+    shown.goto((tmp_path / overview.PAGE).as_uri())
+    widths = "[document.documentElement.scrollWidth, document.querySelector('.wide').scrollWidth]"
+    assert max(shown.evaluate(widths)) <= 400
+    visible = [cell.inner_text() for cell in shown.locator("th").all() if cell.is_visible()]
+    assert visible == ["verdict", "volume (90 % interval)", "", "scan"]
+    shown.close()
 
 
 def test_series_name_plants_days_and_treatments() -> None:
