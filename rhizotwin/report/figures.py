@@ -1,6 +1,7 @@
 """Figures of a result: pictures with silhouettes, camera positions, and the shape from two sides."""
 
 import logging
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Patch, Rectangle
 from numpy.typing import NDArray
 
-from rhizotwin import shading
+from rhizotwin import root_colours, shading, surface_mesh
+from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
+from rhizotwin.report.shape_data import as_lines
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.said import printable
 from rhizotwin.scoring import surface_distance
 from rhizotwin.stored.result_files import read_grey
@@ -204,18 +208,56 @@ def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
     return drawn
 
 
-def shape_close_up(shape: Mesh) -> Figure:
-    """Draw the shape from the front and from the side, without the canister."""
+def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order") -> Figure:
+    """Draw the shape from the front and from the side, without the canister.
+
+    Parameters
+    ----------
+    shape : Mesh
+        Surface, canister frame.
+    roots : sequence of Root
+        Centre lines, for colours; empty: one colour.
+    by : str
+        Property that colours the surface, one of `root_colours.CHOICES`.
+
+    Returns
+    -------
+    Figure
+        Two pictures at the same scale, with a colour key.
+    """
+    lines = as_lines(roots)
+    colour, key = root_colours.colour_roots(by, lines)
     drawn = figure(7.0, 3.8)
-    for axes, side in zip(drawn.subplots(1, 2), (shading.FRONT, shading.SIDE), strict=True):
+    both = drawn.subplots(1, 2)
+    for axes, side in zip(both, (shading.FRONT, shading.SIDE), strict=True):
         box = _box(shape.vertices_mm, side)
         raster, px_mm = _raster(shape, side, box)
-        axes.imshow(shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK), extent=box, origin="upper", interpolation="antialiased")
-        axes.set_aspect("equal")
-        axes.set_xlabel(side.right_label)
-        axes.set_ylabel("z (mm)")
+        shades = _colours_of_pixels(raster, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
+        picture = shading.shade(raster, shades, px_mm=px_mm, shrink=SHRINK)
+        axes.imshow(picture, extent=box, origin="upper", interpolation="antialiased")
+        put_axes(axes, side, box)
         axes.set_title(side.name, fontsize=10)
+    if lines and key.swatches:
+        handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
+        drawn.legend(handles=handles, loc="outside right center", fontsize=8, frameon=False)
+    elif lines and key.ends is not None:
+        bar = drawn.colorbar(ScalarMappable(norm=Normalize(0.0, 1.0), cmap="viridis"), ax=list(both), shrink=0.7)
+        bar.set_ticks([0.0, 1.0], labels=list(key.ends), fontsize=8)
     return drawn
+
+
+def _colours_of_pixels(
+    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: Callable[[int, Line], NDArray[np.uint8]]
+) -> Floats:
+    """Return the colours (H, W, 3), 0 to 1, of a rendered surface from the nearest points of centre lines."""
+    row, column = np.nonzero(found.hit)
+    flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
+    points = np.concatenate([line.points_mm for line in lines.values()])
+    radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
+    shades = np.concatenate([colour(number, line) for number, line in lines.items()])
+    picture = np.zeros((*found.hit.shape, 3))
+    picture[row, column] = shades[surface_mesh.nearest_root(flat @ side.axes, points, radii)] / 255.0
+    return picture
 
 
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Figure:

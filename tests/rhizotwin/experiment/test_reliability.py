@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin.batch import overview
-from rhizotwin.batch.jobs import Job
+from rhizotwin.batches import overview
+from rhizotwin.batches.jobs import Job
 from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import left_out, read_all

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from rhizotwin.batch import collect, jobs, local, overview, places, series, work
-from rhizotwin.batch.jobs import Job, Outcome
-from rhizotwin.batch.run import LOCK, run
+from rhizotwin.batches import collect, jobs, local, overview, places, series, work
+from rhizotwin.batches.jobs import Job, Outcome
+from rhizotwin.batches.run import LOCK, run
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -56,7 +56,7 @@ def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
 def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     command.fails("batch", tmp_path, "-o", tmp_path / "r", named=["there is no dataset"])
     pytest.importorskip("distributed")
-    monkeypatch.setattr("rhizotwin.batch.cluster.WAIT_S", 0.5)
+    monkeypatch.setattr("rhizotwin.batches.cluster.WAIT_S", 0.5)
     words = ("batch", dataset(tmp_path / "scans" / "a").parent, "-o", tmp_path / "r", "--cluster", "tcp://127.0.0.1:9")
     assert "no Dask scheduler answers there" in command(*words).err
 
@@ -270,7 +270,7 @@ def test_a_batch_folder_stands_for_its_results(tmp_path: Path, ball_result: Call
 def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     program = (
-        "from pathlib import Path; from rhizotwin.batch import cluster; from rhizotwin.batch.jobs import Job\n"
+        "from pathlib import Path; from rhizotwin.batches import cluster; from rhizotwin.batches.jobs import Job\n"
         "if __name__ == '__main__':\n"
         "    one = Job(name='a', kind='reconstruct', source='s', output='o', key='k', pixels=20e6, options={})\n"
         "    with cluster.slurm([one]) as made: print(made.job_script())\n"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 
-from rhizotwin.batch.jobs import Job
+from rhizotwin.batches.jobs import Job
 from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import tables, words
