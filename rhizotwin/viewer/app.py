@@ -15,7 +15,7 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections import log as logs
-from rhizotwin.corrections.lines import below
+from rhizotwin.corrections.lines import descendants
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import guard, picking
@@ -157,7 +157,7 @@ class Viewer(Drawing):
             if roots:
                 if laterals:  # laterals of selected roots are deleted with them
                     lines = self.shown.session.state.lines
-                    under = {below_one for k in roots for below_one in below(lines, k)[1:]}
+                    under = {one for k in roots for one in descendants(lines, k)[1:]}
                     roots = [k for k in roots if k not in under]
                 self.correct("delete roots", roots=roots, laterals=laterals)
             if rows:
