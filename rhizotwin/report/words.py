@@ -6,6 +6,7 @@ import re
 from typing import Any, Literal
 
 from rhizotwin.recon.settings import TrustSettings
+from rhizotwin.recon.uncertainty.checks import NO_VOLUME
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.said import between_ml, decimals, ml, rounded
@@ -109,7 +110,8 @@ def failure_reasons(summary: dict[str, Any]) -> list[str]:
     widest = summary.get("settings", {}).get("trust", {}).get("widest", TrustSettings().widest)
     if max(high - volume, volume - low) > widest * volume:
         found.append("90 % interval too wide")
-    return found or ["other reasons"]
+    reason = str(summary.get("volume_verdict") or "other reasons").removeprefix(NO_VOLUME)
+    return found or [reason.partition(";")[0].partition(" (")[0]]
 
 
 def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
