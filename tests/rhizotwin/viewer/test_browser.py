@@ -1,6 +1,7 @@
 """The viewer in a real browser: the first picture, picking, correcting, saving, and two browsers with one state."""
 
 import http.client
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,10 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from rhizotwin.corrections import corrected, log
 from rhizotwin.corrections.session import Session
-from rhizotwin.viewer import app
+from rhizotwin.viewer import app, capture
 from rhizotwin.viewer.app import Viewer, screen_of
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS, wait
@@ -122,6 +124,28 @@ def test_the_picture_shows_roots(browser: Any, viewer: Viewer):
     page.get_by_label("Surface", exact=True).click()
     wait(lambda: not viewer.look.layers & {"surface", "centre lines"}, "roots to be switched off")
     wait(lambda: blue() < 0.3 * with_roots, "the picture to follow")
+    page.close()
+
+
+def test_views_screenshot_movie_and_the_list_of_roots(browser: Any, viewer: Viewer):
+    page, complaints = opened(browser, viewer)
+    client = max(viewer.served.server.get_clients().items())[1]
+    viewer.wait()
+    page.get_by_text("Front", exact=True).click()
+    front = viewer.scene.camera_position("Front", aspect=client.camera.aspect)
+    wait(lambda: np.allclose(client.camera.position, front, atol=0.1), "the view from the front")
+    with page.expect_download(timeout=PATIENCE_MS) as waiting:
+        page.get_by_role("button", name="Save screenshot (PNG)").click()
+    shot = Image.open(waiting.value.path())
+    assert np.ptp(np.asarray(shot.convert("L"))) > 50
+    movie = Image.open(io.BytesIO(capture.turntable(client, frames=3)))
+    assert movie.n_frames == 3
+    frames = [np.asarray(frame.convert("L")).astype(int) for frame in ImageSequence.Iterator(movie)]
+    assert np.abs(frames[0] - frames[1]).max() > 50
+    page.get_by_role("combobox", name="Root").click()
+    page.get_by_role("option", name="root 2: lateral, 1st order").click()
+    wait(lambda: viewer.roots == [2], "the root of the list")
+    assert not complaints
     page.close()
 
 
