@@ -99,8 +99,8 @@ def aged(day: float, profile: str) -> Scene:
 
 def measure(profile: str, *, say: Say) -> Links:
     """Render and reconstruct the plant on its days (what is finished is kept), and check how its roots were linked."""
-    from rhizotwin.batch import collect
-    from rhizotwin.batch.run import run
+    from rhizotwin.batches import collect
+    from rhizotwin.batches.run import run
     from rhizotwin.sim.simulate import simulate
 
     folder = cache.folder() / "growth" / f"{SCENE}-{profile}-{IMAGE_WH[0]}x{IMAGE_WH[1]}"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.run import Say
-from rhizotwin.batch.jobs import RECORDS
+from rhizotwin.batches.jobs import RECORDS
 from rhizotwin.scenes.files import load_scene
 
 COUNT = 18

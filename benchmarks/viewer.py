@@ -75,7 +75,7 @@ _WATCH = """(() => {
   }).observe(document.body, { subtree: true, childList: true, characterData: true }));
 })()"""
 """Notes in the page when frames had more in them than any before, and when what it says changed after a click."""
-_CHOSEN = r"Nothing is chosen|Chosen: \d+ (root|voxel)s?, [\d.]+ mm"
+_CHOSEN = r"Nothing is selected|Selected: \d+ (root|voxel)s?, [\d.]+ m[ml]"
 _CORRECTED = r"as corrected: .*?\d+ mm in \d+ roots|\d+ mm in \d+ roots"
 
 
@@ -158,7 +158,7 @@ class Page:
 
     def layer(self, name: str, *, on: bool) -> None:
         """Let something be drawn, or not."""
-        self.page.get_by_role("tab", name="Look").click()
+        self.page.get_by_role("tab", name="View").click()
         box = self.page.get_by_label(name)
         if box.is_checked() != on:
             box.click()
@@ -235,7 +235,7 @@ def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int
                     found |= viewer_server.measure(copy, dataset)
                     found |= _touched(page)
                     if page.says(_CORRECTED).startswith("as corrected"):
-                        page.press("Save")
+                        page.press("Save corrections (Ctrl+S)")
                         page.page.get_by_text("edits.json").first.wait_for()
                         found["volume_against_afresh"] = _afresh(copy, Path(working) / "corrected"), "1"
                 memory, cpu = page.end()
@@ -254,25 +254,25 @@ def _touched(page: Page) -> dict[str, tuple[float, str]]:
     """Pick and delete as a person does; return how long the page took to answer."""
     found: dict[str, tuple[float, str]] = {}
     if page.says(r"\d+ mm in [1-9]\d* roots"):
-        page.page.get_by_role("tab", name="Correct").click()
-        page.page.get_by_text("Nothing is chosen").wait_for()
+        page.page.get_by_role("tab", name="Edit").click()
+        page.page.get_by_text("Nothing is selected").wait_for()
         spots = _vivid(page)
         times = []
         for x, y in spots[:PICKS]:
             times.append(page.asked(_CHOSEN, lambda x=x, y=y: page.page.mouse.click(x, y)))
             if len(times) < PICKS:
-                page.asked(_CHOSEN, lambda: page.press("Choose nothing"))
+                page.asked(_CHOSEN, lambda: page.press("Deselect (Esc)"))
         found["pick"] = statistics.median(times), "s"
         found["pick_worst"] = max(times), "s"
-        found["delete_root"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
-        found["undo"] = page.asked(_CORRECTED, lambda: page.press("Undo")), "s"
-        page.asked(_CORRECTED, lambda: page.press("Redo"))
+        found["delete_root"] = page.asked(_CORRECTED, lambda: page.press("Delete (Del)")), "s"
+        found["undo"] = page.asked(_CORRECTED, lambda: page.press("Undo (Ctrl+Z)")), "s"
+        page.asked(_CORRECTED, lambda: page.press("Redo (Ctrl+Y)"))
     page.layer("Surface", on=False)  # it hides the voxels, and follows after the number
     page.layer("Voxels", on=True)
-    page.page.get_by_role("tab", name="Correct").click()
+    page.page.get_by_role("tab", name="Edit").click()
     found["voxels"], found["choose_voxels"] = _drag(page)
     if found["voxels"][0]:
-        found["delete_voxels"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
+        found["delete_voxels"] = page.asked(_CORRECTED, lambda: page.press("Delete (Del)")), "s"
     return found
 
 

@@ -97,8 +97,8 @@ def _removed(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str,
     page.goto(viewer.served.address)
     clients = viewer.served.server.get_clients
     _wait(lambda: bool(clients()), "the page")
-    page.get_by_role("tab", name="Correct").click()
-    page.get_by_text("Nothing is chosen").wait_for()
+    page.get_by_role("tab", name="Edit").click()
+    page.get_by_text("Nothing is selected").wait_for()
     for place, number in enumerate(numbers):
         x, y = _where(page, viewer, number)
         page.mouse.move(x, y)
@@ -107,7 +107,7 @@ def _removed(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str,
         page.mouse.click(x, y)
         page.keyboard.up("Shift")
         _wait(partial(_is_chosen, viewer, number), f"a click on root {number}")
-    page.get_by_role("button", name="Delete", exact=True).click()
+    page.get_by_role("button", name="Delete (Del)", exact=True).click()
     _wait(lambda: not set(numbers) & set(viewer.shown.session.state.lines), "the roots to go")
     page.close()
     return len(numbers) + 1

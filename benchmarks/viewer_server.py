@@ -67,7 +67,7 @@ def answers(result: Path, dataset: Path | None) -> dict[str, float]:
     measured = session.measure()
     rows = np.flatnonzero(measured.volumes_mm3 > 0.0)
     middle = np.linalg.norm(measured.solid.centre_mm[rows] - measured.solid.centre_mm[rows].mean(axis=0), axis=1)
-    viewer.choose_nothing()
+    viewer.deselect()
     viewer.look.layers -= {"surface"}  # it follows the number
     viewer.voxels = {int(row) for row in rows[np.argsort(middle)[:VOXELS]]}
     timed("delete_1000_voxels", viewer.delete)

@@ -1,22 +1,23 @@
-"""A digital twin of a hydroponic root-imaging rig, and the reconstruction of roots from its pictures.
+"""Reconstruction of plant roots in round water canisters from pictures, with a digital twin of the imaging rig.
 
     import rhizotwin as rt
 
-    scene = rt.load_scene("radish_day15b")
-    dataset = rt.simulate(scene, "my_dataset", profile="bench")
+    dataset = rt.simulate("radish_day15b", "my_dataset", profile="bench")
     result = rt.reconstruct(dataset)
     result.volume_mm3, result.interval_mm3, result.trusted
     result.save("my_result")
-    print(rt.score(result, dataset).table())
+    rt.plot(result)
+    rt.score(result, dataset)
 
-Importing it loads nothing: each name is loaded when it is used, and what computes is chosen by the first call that
-needs it.
+Names are loaded on first use, and the device is chosen by the first call that computes.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
 
-if TYPE_CHECKING:
+if _TYPE_CHECKING:
+    from rhizotwin.api import batch, biomass, export, growth, import_pictures, plot, scan, view
     from rhizotwin.arguments import Placing
     from rhizotwin.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.recon.results.result import Result
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from rhizotwin.scenes.errors import UserError
     from rhizotwin.scenes.model import Scene
     from rhizotwin.scenes.monitor import Cancelled, Monitor
+    from rhizotwin.scoring.score import Score
 
     __version__: str
 
@@ -35,15 +37,24 @@ __all__ = [
     "Placing",
     "Result",
     "Scene",
+    "Score",
     "Settings",
     "UserError",
+    "batch",
+    "biomass",
+    "export",
+    "growth",
+    "import_pictures",
     "load_dataset",
     "load_result",
     "load_scene",
+    "plot",
     "reconstruct",
+    "scan",
     "score",
     "score_file",
     "simulate",
+    "view",
 ]
 
 _PLACES = {
@@ -53,30 +64,39 @@ _PLACES = {
     "Placing": "arguments",
     "Result": "recon.results.result",
     "Scene": "scenes.model",
+    "Score": "scoring.score",
     "Settings": "recon.settings",
     "UserError": "scenes.errors",
+    "batch": "api",
+    "biomass": "api",
+    "export": "api",
+    "growth": "api",
+    "import_pictures": "api",
     "load_dataset": "scenes.dataset",
     "load_result": "front_door",
     "load_scene": "front_door",
+    "plot": "api",
     "reconstruct": "front_door",
+    "scan": "api",
     "score": "front_door",
     "score_file": "front_door",
     "simulate": "front_door",
+    "view": "api",
 }
-"""The module of each name."""
+"""Module of each name."""
 
 
-def __getattr__(name: str) -> Any:
-    """Load a name when it is used first."""
+def __getattr__(name: str) -> _Any:
+    """Load a name on first use."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("rhizotwin")
     if name not in _PLACES:
         raise AttributeError(f"module 'rhizotwin' has no attribute {name!r}")
-    return getattr(import_module(f"rhizotwin.{_PLACES[name]}"), name)
+    return getattr(_import_module(f"rhizotwin.{_PLACES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    """Return what completion offers."""
-    return sorted([*globals(), *__all__, "__version__"])
+    """Return the names of the interface."""
+    return sorted([*__all__, "__version__"])

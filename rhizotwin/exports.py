@@ -1,10 +1,8 @@
-"""A result in the files of other programs.
+"""Export of results: meshes, voxels, roots, traits, and cameras for nerfstudio and COLMAP.
 
-Meshes, voxels, roots, traits, and cameras in the forms of nerfstudio and COLMAP.
-
-The cameras are the true ones, in air. Programs that follow straight rays from them see the root through the canister's
-wall and the water as if it were magnified and bent: their pictures can be undistorted by no lens model. Cameras serve
-to look at the rig, the strip and the shoot, or for programs that trace the refraction themselves; each file says so.
+The cameras are the calibrated ones, in air. No lens model describes the refraction at the canister's wall and the
+water, so that programs that trace straight rays from these cameras reconstruct wrong roots. The cameras are useful for
+the rig, the marker strip and the shoot, or for programs that trace refraction; each file says so.
 """
 
 import io
@@ -19,7 +17,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rhizotwin import root_mesh
+from rhizotwin import root_mesh, surface_mesh
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.hull.surface import paint
 from rhizotwin.recon.results import assessments
@@ -33,17 +31,17 @@ from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.through_water import Pictures
 from rhizotwin.undistorted import VirtualCamera, best_distance_mm
 
-REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
-IN_WATER = (
-    "pinholes in water, canister frame, mm; exact on the upright plane through the axis, see undistorted.json for what is left off it"
+REFRACTION = (
+    "cameras in air, canister frame, mm; refraction at wall and water is not modelled: straight rays from these cameras miss the roots"
 )
+IN_WATER = "pinholes in water, canister frame, mm; exact on the vertical plane through the axis, residuals elsewhere in undistorted.json"
 Posed = Sequence[tuple[str, NDArray[np.float64]]]
 """Pictures and their cam_from_canister (4, 4), mm."""
 MESHES = (".ply", ".stl", ".glb")
 _SAME_PLACE_MM = 5.0
-"""Cameras this near to each other, in distance and height, share the distance of their pinhole."""
+"""Cameras whose distance and height differ by less than this share the distance of their pinhole."""
 MOST_VOXELS = 1_500_000_000
-"""Bytes that a dense block may take."""
+"""Largest size of a dense block, bytes."""
 
 
 def export(
@@ -55,25 +53,28 @@ def export(
     undistorted: bool = False,
     monitor: Monitor | None = None,
 ) -> list[Path]:
-    """Write a result in the form that the output's name asks for.
+    """Write a result in the format given by the suffix of the output.
 
     Parameters
     ----------
+    result_folder : path
+        Folder of the result.
     output : path
-        .ply, .stl, .glb (surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (nerfstudio's cameras) or
-        a folder (COLMAP's cameras).
-    roots : str or None
-        "order" or "diameter": for a mesh, the roots as tubes in colours instead of the surface.
+        .ply, .stl, .glb (closed surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (cameras for
+        nerfstudio) or a folder (cameras for COLMAP).
+    dataset_folder : path or None
+        Dataset of the result; needed for cameras.
+    roots : {"order", "diameter"} or None
+        For meshes: roots as tubes with these colours instead of the surface.
     undistorted : bool
-        Write pictures as a pinhole in water would see them, with their cameras, instead of the cameras in air.
+        Pictures of pinhole cameras in water, with these cameras.
     monitor : Monitor or None
-        Hears how far the undistorted pictures are.
+        Progress of the undistorted pictures.
 
     Raises
     ------
     UserError
-        For a damaged result, an unknown suffix, a file that is there already, roots where none were found, or cameras
-        without the dataset (which has the lens).
+        If the result is damaged, the suffix is unknown, the output exists, or roots or the dataset are missing.
     """
     suffix = output.suffix.lower()
     writers: dict[str, Callable[[Path, Path], list[Path]]] = {
@@ -84,18 +85,18 @@ def export(
     }
     if suffix not in (*writers, ".json", ""):
         known = ", ".join(writers)
-        raise UserError(f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)")
+        raise UserError(f"{output}: unknown format {suffix}; give {known}, .json (cameras for nerfstudio) or a folder (cameras for COLMAP)")
     if roots is not None and suffix not in MESHES:
         raise UserError(f"{output}: --roots is for meshes; give {', '.join(MESHES)}, or leave it out")
     if undistorted and suffix:
         raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
-    if output.exists() and (suffix or not output.is_dir()):  # `new_folder` knows what a folder may hold, and recovers it
+    if output.exists() and (suffix or not output.is_dir()):  # `new_folder` checks and recovers folders
         raise UserError(f"{output} exists already; choose another name")
     summary = result_files.read_summary(result_folder)
     if suffix in writers:
         return writers[suffix](result_folder, output)
     if dataset_folder is None:
-        raise UserError(f"{output}: cameras need the lens, which is in the dataset; give it with --dataset DATASET")
+        raise UserError(f"{output}: cameras need the lens, which is stored in the dataset; give it with --dataset DATASET")
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
@@ -106,18 +107,18 @@ def export(
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
-    """Write the surface."""
-    mesh = result_files.read_mesh(result_folder / "shape.ply")
+    """Write the closed surface without specks."""
+    mesh = surface_mesh.close(result_files.read_mesh(result_folder / "shape.ply"))
     return _write_mesh(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False), output)
 
 
 def _tubes(result_folder: Path, output: Path, colour: str) -> list[Path]:
-    """Write the roots as coloured tubes."""
+    """Write roots as coloured tubes."""
     return _write_mesh(root_mesh.tubes(rsml.read_rsml(_roots_of(result_folder)), colour=colour), output)
 
 
 def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
-    """Write a mesh: PLY and STL in mm with z up, GLB in metres with y up as its standard asks."""
+    """Write a mesh: PLY and STL in mm with z up, GLB in metres with y up (glTF standard)."""
     if output.suffix.lower() == ".glb":
         x, y, z = np.asarray(solid.vertices).T
         solid.vertices = np.stack([x, z, -y], axis=1) / 1000.0
@@ -126,7 +127,7 @@ def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
 
 
 def _rsml(result_folder: Path, output: Path) -> list[Path]:
-    """Write the centre lines under another name, with that name as the file's key."""
+    """Write the centre lines; the name of the file becomes its key."""
     rsml.write_rsml(output, rsml.read_rsml(_roots_of(result_folder)))
     return [output]
 
@@ -140,21 +141,21 @@ def _traits(result_folder: Path, output: Path) -> list[Path]:
 def _roots_of(result_folder: Path) -> Path:
     file = result_folder / "roots.rsml"
     if not file.is_file():
-        raise UserError(f"{result_folder} has no centre lines: no thin roots were found in it, as in solid bodies")
+        raise UserError(f"{result_folder} has no centre lines: no thin roots were found")
     return file
 
 
 def _voxels(result_folder: Path, output: Path) -> list[Path]:
-    """Write the occupancy as a dense block of bytes (255 is all root) whose space is the canister frame in mm."""
+    """Write the occupancy as a dense block of bytes, 0 to 255, in the canister frame, mm."""
     leaves = result_files.read_leaves(result_folder)
     low, high = leaves.low.min(axis=0), (leaves.low + leaves.size[:, None]).max(axis=0)
     shape = tuple(int(n) for n in high - low)
     if np.prod(np.array(shape, np.float64)) > MOST_VOXELS:
         size = "x".join(str(n) for n in shape)
-        raise UserError(f"{output}: the dense block would be {size} voxels, too large; reconstruct with larger voxels (--voxel-mm)")
+        raise UserError(f"{output}: a dense block of {size} voxels is too large; reconstruct with larger voxels (--voxel-mm)")
     block = np.zeros(shape, np.uint8)
     slab = 64
-    for first in range(0, shape[2], slab):  # painted in floats slab by slab, so that memory stays bounded
+    for first in range(0, shape[2], slab):  # in slabs, to limit the memory of floats
         part = np.zeros((shape[0], shape[1], min(slab, shape[2] - first)), np.float32)
         index = leaves.low - low
         touching = (index[:, 2] < first + slab) & (index[:, 2] + leaves.size > first)
@@ -177,18 +178,23 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
 
 
 def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write cameras as nerfstudio's transforms.json, in mm; returns the path.
+    """Write cameras as transforms.json of nerfstudio, mm.
 
     Parameters
     ----------
     output : path
         The file.
     camera : Camera
-        The lens of all.
+        Lens of all pictures.
     posed : sequence of (str, (4, 4) array)
         Pictures and their cam_from_canister.
     note : str
-        What is to be known of them.
+        Note in the file.
+
+    Returns
+    -------
+    list of Path
+        The file.
     """
     k1, k2, p1, p2, k3 = camera.distortion
     lens = {
@@ -197,7 +203,7 @@ def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = 
         "h": camera.image_wh[1],
         "fl_x": camera.focal_px[0],
         "fl_y": camera.focal_px[1],
-        "cx": camera.principal_px[0] + 0.5,  # nerfstudio counts from the corner of the first pixel
+        "cx": camera.principal_px[0] + 0.5,  # the origin is the corner of the first pixel
         "cy": camera.principal_px[1] + 0.5,
         "k1": k1,
         "k2": k2,
@@ -214,9 +220,9 @@ def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = 
 
 
 def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
-    """Write COLMAP's text model.
+    """Write cameras as a text model of COLMAP.
 
-    A FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points.
+    FULL_OPENCV lens, quaternions (w, x, y, z) of cam_from_canister, pixel centres at half-integers, no points.
 
     Parameters
     ----------
@@ -242,16 +248,16 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
 
 
 def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monitor: Monitor) -> list[Path]:
-    """Write undistorted pictures with their cameras, for nerfstudio and COLMAP."""
+    """Write undistorted pictures with cameras for nerfstudio and COLMAP."""
     scene, pictures = dataset.scene, Pictures.of(dataset, summary)
     if scene.tank is not None:
-        raise UserError(f"{output}: in a tank rays part instead of meeting, so that no pinhole stands for a camera")
+        raise UserError(f"{output}: behind a flat tank wall rays do not meet in one point, so that no pinhole camera replaces a camera")
     if not pictures.views:
-        raise UserError(f"{output}: no picture of the result has a camera")
+        raise UserError(f"{output}: the result has no picture with a camera")
     heights_mm = scene.canister.floor_z_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm)
     known = {frame.file: frame for frame in dataset.frames}
     places: dict[tuple[int, int], tuple[float, float]] = {}
-    lens: Camera | None = None  # one for all, as the forms want it: the first picture's
+    lens: Camera | None = None  # that of the first picture: the formats have one lens for all
     posed = list[tuple[str, NDArray[np.float64]]]()
     with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(pictures.views), "picture") as step:
         (building / "images").mkdir()
@@ -268,11 +274,11 @@ def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monito
         write_nerfstudio(building / "transforms.json", lens, [(f"images/{name}", pose) for name, pose in posed], note=IN_WATER)
         write_colmap(building / "colmap", lens, posed, note=IN_WATER)
         about = [{"pinhole_distance_mm": distance_mm, "off_plane_rms_px": left_px} for distance_mm, left_px in places.values()]
-        atomic.write_json(building / "undistorted.json", {"exact_on": "the upright plane through the axis", "camera_places": about})
+        atomic.write_json(building / "undistorted.json", {"exact_on": "the vertical plane through the axis", "camera_places": about})
     return [output / "images", output / "transforms.json", output / "colmap", output / "undistorted.json"]
 
 
 def describe(written: list[Path]) -> str:
-    """Return a sentence on what was written, with the warning that cameras need."""
+    """Return a sentence that lists the files, with the warning about refraction for cameras."""
     warning = f" ({REFRACTION})" if written[0].suffix in (".json", ".txt") else ""
     return f"wrote {', '.join(json.dumps(str(path))[1:-1] for path in written)}{warning}"

@@ -1,7 +1,7 @@
-"""The front door for Python: each step as one call, with the device chosen on first use.
+"""Python interface of each step, which the command line calls as well. The device is chosen on first use.
 
-`import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct``,
-``rt.load_result``, ``rt.score`` and ``rt.score_file``; the command line calls the same.
+`import rhizotwin as rt` provides these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct``,
+``rt.load_result``, ``rt.score`` and ``rt.score_file``.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from rhizotwin import engine, scene_changes
+from rhizotwin.calls import SHARES, Progress, require, watch
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
@@ -30,11 +30,18 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("rhizotwin")
 
+
+class SceneChanges(TypedDict, total=False):
+    """Settings of a scene that `simulate` changes; None keeps the scene's."""
+
+    profile: str | None
+    views: int | None
+    image_wh: tuple[int, int] | None
+
+
 Device = Literal["auto", "cpu", "cuda"]
 Method = Literal["ours", "thesis", "regularised", "hull"]
 FileKind = Literal["mesh", "voxels", "points", "rsml", "traits"]
-Progress = Monitor | type[Any] | Listener | None
-"""A monitor, a type of tqdm, what is called as ``(stage, done, total)``, or None for silence."""
 
 
 def load_scene(
@@ -48,33 +55,34 @@ def load_scene(
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
 ) -> Scene:
-    """Load a scene, with a few things changed.
+    """Load a scene and change some of its settings.
 
     Parameters
     ----------
     scene : str or path
-        A name of the library (``rhizotwin scenes`` lists it), or a scene file.
+        Name of a scene that ``rhizotwin scenes`` lists, or a scene file (TOML).
     profile : str, optional
-        What the rig gets wrong: ``clean``, ``bench``, ``harsh`` or a file; default: the scene's own.
+        Disturbances of the rig: ``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file; default: the scene's.
     specimen : path, optional
-        A closed mesh (PLY, STL, OBJ) or traced roots (RSML) in place of the scene's root, canister frame, mm.
+        Closed mesh (PLY, STL, OBJ) or traced roots (RSML) that replaces the scene's root, canister frame, mm.
     specimen_unit : str, optional
-        Unit of an RSML file's coordinates, where the file does not say.
+        Unit of the coordinates in an RSML file that does not state it.
     specimen_diameter_mm : float, optional
-        Diameter of the roots for which an RSML file gives none.
+        Diameter of roots without diameters in an RSML file.
     placing : Placing, optional
-        Where a specimen's file goes: ``Placing(place="auto")`` hangs it below the net pot's grid; ``flip``, ``scale``,
-        ``shift_mm``.
+        Position of a specimen from a file: ``Placing(place="auto")`` moves it below the grid of the net pot; ``flip``,
+        ``scale``, ``shift_mm``.
     views : int, optional
-        Pictures in every ring; default: the scene's.
+        Number of pictures in each ring; default: the scene's.
     image_wh : tuple of int, optional
-        Width and height of the pictures in px; default: the scene's.
+        Width and height of the pictures, px; default: the scene's.
 
     Raises
     ------
     UserError
-        For a scene that is not there, or cannot be.
+        If the scene does not exist or is not valid.
     """
+    require("scene", scene, "path")
     return scene_changes.change_scene(
         files.load_scene(scene),
         profile=profile,
@@ -91,49 +99,54 @@ def simulate(
     scene: Scene | str | Path,
     folder: str | Path,
     *,
-    profile: str | None = None,
     seed: int = 0,
     fidelity: Literal["backlit", "path"] = "backlit",
     samples: int | None = None,
     device: Device = "auto",
     monitor: Progress = None,
+    **changes: Unpack[SceneChanges],
 ) -> Dataset:
-    """Render every view of a scene's plan into a dataset folder, with its truth; a stopped set is taken up.
+    """Render all views of a scene into a dataset folder with ground truth; continue an interrupted rendering.
 
     Parameters
     ----------
     scene : Scene, str or path
-        As `load_scene` gives it, or what it takes.
+        A scene, its name, or a scene file.
     folder : path
-        The dataset's: new, empty, or left by the same call when it was stopped.
-    profile : str, optional
-        What the rig gets wrong: ``clean``, ``bench``, ``harsh`` or a file; default: the scene's own.
+        Folder of the dataset: new, empty, or that of an interrupted rendering of the same scene.
     seed : int
         Random seed for all simulated errors and noise.
     fidelity : {"backlit", "path"}
-        backlit: fast, without noise of its own; path: full path tracing with all reflections.
+        backlit: fast, without sampling noise; path: path tracing with all reflections.
     samples : int, optional
-        Light paths a pixel; default: as the fidelity needs.
+        Light paths per pixel; default: depends on the fidelity.
     device : {"auto", "cpu", "cuda"}
-        What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
-    monitor : Monitor, type of tqdm, callable or None
-        Hears of every view, and may stop the work.
+        Device for the computation; auto: the current one, or an NVIDIA GPU if available.
+    monitor : Monitor, tqdm class, callable or None
+        Progress; a monitor can also cancel the work.
+    **changes : SceneChanges
+        ``profile`` (``clean``, ``bench``, ``camera``, ``harsh``, ``real`` or a file), ``views`` and ``image_wh``, as in
+        `load_scene`.
 
     Raises
     ------
     UserError
-        For a scene, folder or device that cannot be used.
+        If the scene, folder or device cannot be used.
     Cancelled
         After `Monitor.cancel`.
     """
+    require("scene", scene, "Scene", "path")
+    require("folder", folder, "path")
+    require("seed", seed, "whole number")
     rendered = scene if isinstance(scene, Scene) else files.load_scene(scene)
-    if profile is not None:
-        rendered = scene_changes.change_scene(rendered, profile=profile)
+    if changes:
+        rendered = scene_changes.change_scene(rendered, **changes)
     _choose(device)
     from rhizotwin.sim.simulate import simulate as render
 
-    named = profile or "scene"
-    return render(rendered, Path(folder), profile_name=named, seed=seed, fidelity=fidelity, samples=samples, monitor=monitor)
+    named = changes.get("profile") or "scene"
+    with watch(monitor, {"render": 1.0}) as bar:
+        return render(rendered, Path(folder), profile_name=named, seed=seed, fidelity=fidelity, samples=samples, monitor=bar)
 
 
 def reconstruct(
@@ -147,37 +160,40 @@ def reconstruct(
     device: Device = "auto",
     monitor: Progress = None,
 ) -> Result:
-    """Find the root's shape and volume in a dataset's pictures, in memory; `Result.save` writes it.
+    """Reconstruct the shape and volume of roots from the pictures of a dataset.
 
-    The truth of a simulated dataset is never read.
+    The result is in memory; `Result.save` writes it. The ground truth of a simulated dataset is not used.
 
     Parameters
     ----------
     dataset : Dataset or path
-        As `simulate` or `load_dataset` gives it, or its folder.
+        A dataset or its folder.
     voxel_mm : float, optional
-        Edge of the smallest voxels; overrides that of the settings.
+        Edge of the smallest voxels; overrides the settings.
     mass_g : float, optional
-        Mass of the roots, if weighed: gives specific root length and tissue density.
+        Mass of the roots, for specific root length and tissue density.
     settings : Settings, optional
-        Every setting, a group for each stage.
+        Settings of all stages.
     keep_stages : path, optional
-        Folder for what each stage made, for study: NAME.json with NAME.npz of cameras, coverage, hull, roots and solid.
+        Folder for intermediate results of each stage, as JSON and NPZ files.
     method : {"ours", "thesis", "regularised", "hull"}
         thesis: the method of the thesis of 2022; regularised: the regularised visual hull of Zheng et al. (2011); hull:
-        the untrimmed visual hull. These are baselines, whose volume is never trusted.
+        the untrimmed visual hull. The volumes of these baselines are never trusted.
     device : {"auto", "cpu", "cuda"}
-        What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
-    monitor : Monitor, type of tqdm, callable or None
-        Hears how far the work is, and may stop it.
+        Device for the computation; auto: the current one, or an NVIDIA GPU if available.
+    monitor : Monitor, tqdm class, callable or None
+        Progress; a monitor can also cancel the work.
 
     Raises
     ------
     UserError
-        Where the pictures or the device cannot be used, or a baseline is given ``mass_g`` or ``keep_stages``.
+        If the pictures or the device cannot be used, or ``mass_g`` or ``keep_stages`` is combined with a baseline.
     Cancelled
         After `Monitor.cancel`.
     """
+    require("dataset", dataset, "Dataset", "path")
+    for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
+        require(name, value, kind, "None")
     _choose(device)
     from rhizotwin.recon.reconstruct import reconstruct as find
     from rhizotwin.recon.settings import Settings
@@ -185,26 +201,33 @@ def reconstruct(
     if voxel_mm is not None:
         checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
         settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
-    if method != "ours":
+    with watch(monitor, SHARES) as bar:
+        if method == "ours":
+            return _for_notebooks(find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=bar))
         from rhizotwin.baselines import reconstruct_baseline
 
         if keep_stages is not None or mass_g is not None:
             raise UserError(f"--method {method} keeps no stages and has no traits of mass; leave out --keep-stages and --mass-g")
-        return _shown(reconstruct_baseline(dataset, method, settings=settings, monitor=monitor))
-    return _shown(find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor))
+        return _for_notebooks(reconstruct_baseline(dataset, method, settings=settings, monitor=bar))
 
 
 def load_result(folder: str | Path) -> Result:
-    """Read a result folder; its silhouettes are read when they are looked at.
+    """Load a result folder; its silhouettes are read on first use.
+
+    Parameters
+    ----------
+    folder : path
+        Folder of the result.
 
     Raises
     ------
     UserError
-        Where a file is missing or damaged.
+        If a file is missing or damaged.
     """
+    require("folder", folder, "path")
     from rhizotwin.stored import load
 
-    return _shown(load.load_result(folder))
+    return _for_notebooks(load.load_result(folder))
 
 
 def score(
@@ -216,46 +239,48 @@ def score(
     pictures: Dataset | str | Path | None = None,
     progress: Progress = None,
 ) -> Score | SolidScore | VolumeScore | PictureScore:
-    """Compare a result with what is known of the specimen: give one of the four.
+    """Compare a result with exactly one reference: ``dataset``, ``truth``, ``volume_ml`` or ``pictures``.
 
     Parameters
     ----------
     result : Result or path
-        As `reconstruct` or `load_result` gives it, or its folder.
+        A result or its folder.
     dataset : Dataset or path, optional
-        The simulated dataset that the result was made from, as `simulate` or `load_dataset` gives it, or its folder.
+        The simulated dataset of the result, or its folder.
     truth : path, optional
-        A closed mesh (PLY, STL, OBJ) of the part that was scanned, in mm, anywhere and turned anyhow: it is laid onto
-        the result.
+        Closed mesh (PLY, STL, OBJ) of the scanned part, mm, in any pose: it is registered to the result.
     volume_ml : float, optional
-        The specimen's volume, as it was measured by displacement or weight.
+        Volume of the specimen, measured by displacement or weight.
     pictures : Dataset or path, optional
-        A dataset with pictures that the result was not made from, of the same plant on the same rig.
-    progress : Monitor, type of tqdm, callable or None
-        Hears how far the work is; only pictures take a while.
+        Dataset with other pictures of the same plant on the same rig.
+    progress : Monitor, tqdm class, callable or None
+        Progress.
 
     Returns
     -------
     Score, SolidScore, VolumeScore or PictureScore
-        Of dataset, mesh, volume or pictures: each has ``table()`` and ``to_dict()``.
+        For dataset, mesh, volume or pictures. All have ``table()`` and ``to_dict()``.
 
     Raises
     ------
     UserError
-        If none or several of the four are given, the dataset has no truth, the result is of another dataset, or a file
-        is missing or damaged.
+        If none or several references are given, the dataset has no ground truth, the result belongs to another dataset,
+        or a file is missing or damaged.
     """
+    require("result", result, "Result", "path")
+    require("dataset", dataset, "Dataset", "path", "None")
     if sum(given is not None for given in (dataset, truth, volume_ml, pictures)) != 1:
         raise UserError(
-            "give one thing to score against: a simulated dataset, the solid that was scanned (--truth), its volume (--volume-ml) "
+            "give one reference: a simulated dataset, the mesh of the scanned part (--truth), its volume (--volume-ml) "
             "or pictures that were not used (--pictures)"
         )
     if pictures is not None:
         _choose("auto")
         from rhizotwin.scoring.score_pictures import score_pictures
 
-        return score_pictures(result, pictures, monitor=Monitor.of(progress))
-    with Monitor.of(progress).stage("score"):
+        with watch(progress, {"score": 1.0}) as bar:
+            return score_pictures(result, pictures, monitor=bar)
+    with watch(progress, {"score": 1.0}) as bar, bar.stage("score"):
         if dataset is not None:
             from rhizotwin.scoring.score import score as compare
 
@@ -275,38 +300,40 @@ def score_file(
     registered: bool = False,
     progress: Progress = None,
 ) -> FileScore:
-    """Compare a file of another method with the truth of a simulated dataset.
+    """Compare a file of another method with the ground truth of a simulated dataset.
 
     Parameters
     ----------
     file : path
-        In the canister's frame, mm (GLB: metres, y up).
+        File in the canister frame, mm (GLB: metres, y up).
     dataset : Dataset or path
         The simulated dataset.
     kind : {"mesh", "voxels", "points", "rsml", "traits"}
-        What the file holds.
+        Content of the file.
     registered : bool
-        Lay a mesh onto the truth first, by a turn and a shift.
-    progress : Monitor, type of tqdm, callable or None
-        Hears how far the work is.
+        Register a mesh to the ground truth first (rotation and translation).
+    progress : Monitor, tqdm class, callable or None
+        Progress.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged or of another kind, or the dataset has no truth.
+        If the file is missing, damaged or of another kind, or the dataset has no ground truth.
     """
+    require("file", file, "path")
+    require("dataset", dataset, "Dataset", "path")
     from rhizotwin.scoring import score_file as of
 
     if registered and kind != "mesh":
         raise UserError(f"--registered is for meshes, and {file} is given as {kind}")
-    with Monitor.of(progress).stage("score"):
+    with watch(progress, {"score": 1.0}) as bar, bar.stage("score"):
         if kind == "mesh":
             return of.score_mesh(file, dataset, registered=registered)
         return {"voxels": of.score_voxels, "points": of.score_points, "rsml": of.score_rsml, "traits": of.score_traits}[kind](file, dataset)
 
 
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
-    """Lay the part that was scanned onto a result and compare them."""
+    """Register the mesh of a scanned part to a result and compare them."""
     from rhizotwin.recon.results.parts import Mesh
     from rhizotwin.scoring.score_solid import score_solid
     from rhizotwin.sim import meshes, solids
@@ -319,15 +346,15 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     return score_solid(result, shape, volume_mm3=float(solid.volume()))
 
 
-def _shown(result: Result) -> Result:
-    """Return a result that a notebook draws."""
+def _for_notebooks(result: Result) -> Result:
+    """Return a result that notebooks show with a picture."""
     from rhizotwin.report import notebook
 
     return replace(result, notebook=notebook.html)
 
 
 def _choose(device: Device) -> None:
-    """Start the engine unless it computes already on what is asked for."""
+    """Start the engine, unless it is running on the requested device."""
     chosen = engine.ensure(device)
     if chosen is not None:
         log.info(chosen)

@@ -1,7 +1,4 @@
-"""A small orthographic renderer for meshes: depth buffer, smooth normals, soft shading.
-
-For pictures, not for measuring.
-"""
+"""Orthographic renderer of meshes for figures: depth buffer, smooth normals, soft shading."""
 
 from dataclasses import dataclass
 
@@ -15,12 +12,12 @@ Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 2_000_000
-"""Triangles times pixels that are held together."""
+"""Largest number of pairs of triangle and pixel that are processed at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """A direction to look from: axes of the canister frame that point right, up and towards the eye."""
+    """A direction of view: axes of the canister frame that point right, up and towards the eye."""
 
     name: str
     right: tuple[float, float, float]
@@ -41,12 +38,12 @@ SIDE = Side(name="side (seen from -y)", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Raster:
-    """A mesh seen from one side; row 0 is the top."""
+    """A rendered mesh; row 0 is the top."""
 
     hit: NDArray[np.bool_]
-    """(H, W) whether the surface is met."""
+    """(H, W) whether the surface covers the pixel."""
     depth_mm: Pixels
-    """(H, W) towards the eye; meaningless where nothing is met."""
+    """(H, W) coordinate towards the eye; undefined outside the surface."""
     normal: Pixels
     """(H, W, 3) unit vectors: right, up, towards the eye."""
 
@@ -69,7 +66,7 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
     low = np.maximum(np.ceil(_of_faces(np.minimum, flat[:, :2], mesh.faces)).astype(np.int64), 0)
     high = np.minimum(np.floor(_of_faces(np.maximum, flat[:, :2], mesh.faces)).astype(np.int64) + 1, [width, height])
     size = np.maximum(high - low, 0)
-    some = np.flatnonzero(size.prod(axis=1))  # most triangles of a fine mesh lie between the pixels
+    some = np.flatnonzero(size.prod(axis=1))  # most triangles of a fine mesh contain no pixel centre
     low, size, faces = low[some], size[some], mesh.faces[some]
     pairs, planes = size.prod(axis=1), _planes(flat, faces)
     normals = (vertex_normals(mesh) @ side.axes.T).astype(np.float32)
@@ -104,15 +101,15 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
 
 
 def _of_faces(least: np.ufunc, values: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return the least (or the most) that the three corners of faces (F, 3) have of values (V, K): (F, K)."""
+    """Return the minimum (or maximum) of values (V, K) over the corners of faces (F, 3): (F, K)."""
     a, b, c = (values[corner] for corner in faces.T)
     return np.asarray(least(least(a, b), c))
 
 
 def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return the planes (3, 3, F) over the pixels of the second and third corner's weight and of the depth.
+    """Return linear functions (3, 3, F) of the pixel: weights of the second and third corner, and depth.
 
-    Each by x, by y, and at the origin; not a number in a triangle that is seen edge-on, which covers nothing.
+    Each has derivatives by x and y and the value at the origin; NaN for triangles seen edge-on, which cover nothing.
     """
     a, b, c = (flat[corner].T for corner in faces.T)
     (b_x, b_y, b_z), (c_x, c_y, c_z) = b - a, c - a
@@ -126,9 +123,9 @@ def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def vertex_normals(mesh: Mesh) -> Floats:
-    """Return (V, 3) outward normals, the sum of the neighbouring faces' area vectors, not normalised.
+    """Return (V, 3) outward normals: sums of the area vectors of adjacent faces, not normalised.
 
-    A mesh whose faces are turned inside out (its signed volume is negative) gets the same normals as its mirror image.
+    The orientation is chosen such that the signed volume is positive.
     """
     a, b, c = mesh.corners_mm
     area = np.cross(b - a, c - a)
@@ -138,8 +135,14 @@ def vertex_normals(mesh: Mesh) -> Floats:
     return np.stack([np.bincount(mesh.faces.ravel(), weights=np.repeat(area[:, k], 3), minlength=count) for k in range(3)], axis=1)
 
 
+def unit_normals(mesh: Mesh) -> Floats:
+    """Return (V, 3) outward unit normals of the vertices; zero where a vertex has no triangles."""
+    normals = vertex_normals(mesh)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+
+
 def _blurred(image: Pixels, sigma_px: float) -> Pixels:
-    """Return an image under a wide Gaussian, computed on fewer pixels where it is wide."""
+    """Blur an image with a Gaussian, at a lower resolution if it is wide."""
     fewer = max(1, int(sigma_px / 4.0))
     height, width = image.shape
     small = cv2.resize(image, (max(1, width // fewer), max(1, height // fewer)), interpolation=cv2.INTER_AREA)
@@ -150,29 +153,25 @@ def _blurred(image: Pixels, sigma_px: float) -> Pixels:
 def shade(
     raster: Raster, colour: tuple[float, float, float] | NDArray[np.floating], *, px_mm: float, shrink: int = 1, flat: bool = False
 ) -> Pixels:
-    """Return an RGBA picture (H / shrink, W / shrink, 4) in 0..1, transparent where nothing is met.
-
-    Light falls from the upper left; hollows behind nearer parts are darkened, far parts fade a little towards white.
-    ``colour`` is one RGB or one a pixel (H, W, 3); with ``flat`` there is little shading and no fading, so that colours
-    that carry numbers can be read.
+    """Shade a rendered mesh: light from the upper left, darker hollows, distant parts faded towards white.
 
     Parameters
     ----------
     raster : Raster
-        What is met, where and how deep.
+        The rendered mesh.
     colour : (3,) or (H, W, 3) array
-        One RGB, or one a pixel.
+        RGB of the mesh, or of each pixel.
     px_mm : float
         Edge of a pixel.
     shrink : int
-        Pixels that are averaged, each way.
+        Factor of downsampling, each way.
     flat : bool
-        Little shading and no fading, so that colours can be read.
+        Little shading and no fading, so that colours that represent numbers can be read.
 
     Returns
     -------
     (H / shrink, W / shrink, 4) array
-        0 to 1.
+        RGBA, 0 to 1, transparent outside the mesh.
     """
     light = np.array([-0.45, 0.65, 0.75], np.float32)
     light /= np.linalg.norm(light)

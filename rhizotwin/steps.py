@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rhizotwin import engine
 from rhizotwin.arguments import Page, Progress
+from rhizotwin.calls import SHARES
 from rhizotwin.front_door import Method, reconstruct
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, recover
@@ -17,35 +18,6 @@ from rhizotwin.scenes.folders import contents, new_folder, recover
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings, Settings
     from rhizotwin.scenes.model import Scene
-
-SHARES = {
-    "read": 0.1,
-    "markers": 5.0,
-    "poses": 1.5,
-    "canister": 0.1,
-    "background": 1.8,
-    "wall": 0.8,
-    "silhouettes": 0.7,
-    "outlines": 0.3,
-    "carve": 3.6,
-    "trim": 3.8,
-    "search": 3.5,
-    "density": 1.3,
-    "trace": 0.1,
-    "tubes": 1.1,
-    "translucency": 3.8,
-    "branches": 2.7,
-    "residue": 3.7,
-    "hairs": 0.8,
-    "calibration": 0.6,
-    "last tubes": 0.2,
-    "unite": 0.4,
-    "uncertainty": 0.3,
-    "surface": 0.3,
-    "pictures": 6.0,
-}
-"""Seconds that the stages of a reconstruction take (radish_day05b, 20 views of 400x300, 2 cores); they tell how far it
-is."""
 
 
 def start_engine(device: str, *, quiet: bool = False) -> None:

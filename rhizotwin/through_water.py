@@ -1,8 +1,8 @@
-"""The pictures of a scan with the reconstruction drawn over them by the refraction that made it."""
+"""The pictures of a scan with the outline of the reconstruction, projected through the water."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +19,17 @@ from rhizotwin.scenes.dataset import Dataset, read_image
 Array = NDArray[np.float64]
 Colour = NDArray[np.uint8]
 
+Rgb = tuple[int, int, int]
+
 _SHIFT = 4
-"""OpenCV draws lines at sixteenths of a pixel."""
+"""Binary digits of OpenCV's fixed-point coordinates: sixteenths of a pixel."""
 LEAST_WIDE_PX = 1600
-"""Pictures that are drawn over are enlarged to this at least: lines beside a root of two pixels leave it to be seen."""
+"""Pictures are enlarged to at least this width, so that the outline of a root of two pixels does not cover it."""
+THIN_MM = 0.9
+"""Roots up to this diameter are drawn as tubes: the surface of roots of few voxels has gaps."""
+OUTLINE: Rgb = (255, 120, 0)
+SELECTED: Rgb = (0, 150, 255)
+"""Colours of the outline of all roots, and of selected ones."""
 
 
 @dataclass(frozen=True)
@@ -33,21 +40,21 @@ class Pictures(Cameras):
 
     @classmethod
     def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Pictures:
-        """Gather pictures and cameras, with lens and water as the reconstruction found them."""
+        """Collect pictures and cameras, with lens and water as the reconstruction calibrated them."""
         found = Cameras.of(dataset, summary)
         return cls(found.files, found.views, found.table_deg, found.optics, dataset)
 
     def picture(self, place: int) -> Colour:
-        """Return a picture (H, W, 3) as a screen shows it."""
+        """Return a picture (H, W, 3), sRGB."""
         frame = next(frame for frame in self.dataset.frames if frame.file == self.files[place])
         grey = read_image(self.dataset, frame).astype(np.float64)
         grey = np.clip(grey / max(float(np.percentile(grey, 99.8)), 1.0), 0.0, 1.0)
         if not self.dataset.masks:
-            grey = grey ** (1.0 / 2.2)  # linear in light, which screens are not
+            grey = grey ** (1.0 / 2.2)  # from linear intensities to a screen's gamma
         return np.repeat(np.round(255.0 * grey).astype(np.uint8)[..., None], 3, axis=2)
 
     def pixels(self, place: int, points_mm: Array) -> Array:
-        """Return where points (N, 3) show in a picture (N, 2); NaN where they have none."""
+        """Project points (N, 3) into a picture: pixels (N, 2), NaN for points that have no image."""
         within = np.hypot(points_mm[:, 0], points_mm[:, 1]) < self.optics.inner_radius_mm
         found = np.full((len(points_mm), 2), np.nan)
         if within.any():
@@ -55,16 +62,16 @@ class Pictures(Cameras):
         return found
 
     def nearest(self, azimuth_deg: float) -> int:
-        """Return the picture whose camera stands nearest to a direction from the canister's axis."""
+        """Return the picture whose camera is nearest to an azimuth about the canister's axis."""
         centre = np.array([view.centre_mm for view in self.views])
         off = np.rad2deg(np.arctan2(centre[:, 1], centre[:, 0])) - azimuth_deg
         return int(np.abs((off + 180.0) % 360.0 - 180.0).argmin())
 
     def best_for(self, line: Line, count: int = 3) -> list[int]:
-        """Return the pictures in which a root shows longest, as if there were no water.
+        """Return the pictures in which a root is longest, refraction neglected for speed.
 
-        Water makes roots larger in all pictures nearly alike, and a click waits for the answer: of 31 roots of a day-30
-        plant the first picture showed 89 % of the longest's length at least, 99 % in the median.
+        Refraction magnifies roots nearly equally in all pictures: for 31 roots of a day-30 plant the first picture
+        had at least 89 % of the largest refracted length, 99 % in the median.
         """
         shown = []
         for view in self.views:
@@ -76,97 +83,90 @@ class Pictures(Cameras):
             shown.append(float(np.nansum(np.linalg.norm(np.diff(px, axis=0), axis=1))))
         return [int(place) for place in np.argsort(shown)[::-1][:count]]
 
-    def drawn(self, place: int, lines: Mapping[int, Line], colours: Mapping[int, tuple[int, int, int]], *, thickness: int = 1) -> Colour:
-        """Return a picture, enlarged where it is small, with both flanks of roots drawn over it.
+    def draw_outline(
+        self, place: int, surface: Mesh | None, lines: Mapping[int, Line], *, selected: Collection[int] = (), thickness: int = 1
+    ) -> Colour:
+        """Return a picture with the outline of the reconstruction, and of selected roots in another colour.
+
+        The outline is that of the union of the surface and the tubes of thin roots, of which the surface has gaps.
 
         Parameters
         ----------
         place : int
             Number of the picture.
-        lines, colours : dict of Line, dict of tuple of int
-            Roots and their colours, by number.
+        surface : Mesh or None
+            Closed surface, canister frame; None: all roots are drawn as tubes.
+        lines : Lines
+            Roots by number; may be empty.
+        selected : collection of int
+            Roots that get an outline of their own.
         thickness : int
-            Of the strokes, px.
+            Line width, px.
 
         Returns
         -------
         (H, W, 3) uint8 array
-            RGB.
+            RGB, enlarged if it is small.
         """
-        image, scale = _enlarged(self.picture(place))
-        if not lines:
-            return image
-        points = np.concatenate([line.points_mm for line in lines.values()])
-        pixels = self.pixels(place, points)
-        sides = [scale * (side + 0.5) - 0.5 for side in _flanks(self, place, lines, pixels)]
-        first = np.cumsum([0, *(len(line.points_mm) for line in lines.values())])
-        for side in sides:
-            for place_of, number in enumerate(lines):
-                _polyline(image, side[first[place_of] : first[place_of + 1]], colours[number], thickness)
-        return image
-
-    def with_outline(self, place: int, mesh: Mesh, colour: tuple[int, int, int], *, thickness: int = 1) -> Colour:
-        """Return a picture, enlarged where it is small, with the outline of a surface drawn over it.
-
-        Parameters
-        ----------
-        place : int
-            Number of the picture.
-        mesh : Mesh
-            Canister frame.
-        colour : tuple of int
-            RGB.
-        thickness : int
-            Of the strokes, px.
-
-        Returns
-        -------
-        (H, W, 3) uint8 array
-            RGB.
-        """
-        image, scale = _enlarged(self.picture(place))
-        corners = scale * (self.pixels(place, mesh.vertices_mm)[mesh.faces] + 0.5) - 0.5
-        seen = corners[np.isfinite(corners).all(axis=(1, 2))]
+        image, scale = _enlarge(self.picture(place))
         mask = np.zeros(image.shape[:2], np.uint8)
-        cv2.fillPoly(mask, list(np.round(seen * 2**_SHIFT).astype(np.int32)), 255, cv2.LINE_8, _SHIFT)
-        contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(image, contours, -1, colour, thickness, cv2.LINE_AA)
+        if surface is not None:
+            corners = scale * (self.pixels(place, surface.vertices_mm)[surface.faces] + 0.5) - 0.5
+            for triangle in _fixed_point(corners[np.isfinite(corners).all(axis=(1, 2))]):
+                cv2.fillConvexPoly(mask, triangle, 255, cv2.LINE_8, _SHIFT)
+        self._fill_tubes(mask, place, lines, scale, thickest_mm=np.inf if surface is None else THIN_MM)
+        _draw_contours(image, mask, OUTLINE, thickness)
+        own = np.zeros(image.shape[:2], np.uint8)
+        self._fill_tubes(own, place, {k: line for k, line in lines.items() if k in selected}, scale, thickest_mm=np.inf)
+        _draw_contours(image, own, SELECTED, thickness)
         return image
 
+    def _fill_tubes(self, mask: NDArray[np.uint8], place: int, lines: Mapping[int, Line], scale: int, *, thickest_mm: float) -> None:
+        """Fill the union of tubes in a mask (H, W): a quadrilateral for each segment, and discs at its ends.
 
-def _enlarged(image: Colour) -> tuple[Colour, int]:
-    """Return a picture at least `LEAST_WIDE_PX` wide, and how many times as large it is.
+        Parts with a larger diameter than ``thickest_mm`` are left out.
+        """
+        if not lines:
+            return
+        left, right = (scale * (side + 0.5) - 0.5 for side in self._project_flanks(place, lines))
+        thin = np.concatenate([line.diameters_mm for line in lines.values()]) <= thickest_mm
+        known = thin & np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1)
+        within = known[:-1] & known[1:]
+        within[np.cumsum([len(line.points_mm) for line in lines.values()])[:-1] - 1] = False  # no segment between two roots
+        for quad in _fixed_point(np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)[within]):
+            cv2.fillConvexPoly(mask, quad, 255, cv2.LINE_8, _SHIFT)
+        radius = np.linalg.norm(right - left, axis=1)[known] / 2.0
+        for middle, r in zip(_fixed_point((left + right)[known] / 2.0), _fixed_point(radius), strict=True):
+            cv2.circle(mask, (int(middle[0]), int(middle[1])), int(r), 255, -1, cv2.LINE_8, _SHIFT)
 
-    The middle of pixel k comes to scale (k + 0.5) - 0.5.
+    def _project_flanks(self, place: int, lines: Mapping[int, Line]) -> tuple[Array, Array]:
+        """Project both flanks of roots: centre lines moved by the radius across the root and the line of sight."""
+        centre = self.views[place].centre_mm
+        moved = []
+        for line in lines.values():
+            along = np.gradient(line.points_mm, axis=0)
+            across = np.cross(along, line.points_mm - centre)
+            across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+            moved.append(across * line.diameters_mm[:, None] / 2.0)
+        points, shift = np.concatenate([line.points_mm for line in lines.values()]), np.concatenate(moved)
+        return self.pixels(place, points + shift), self.pixels(place, points - shift)
+
+
+def _draw_contours(image: Colour, mask: NDArray[np.uint8], colour: Rgb, thickness: int) -> None:
+    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(image, contours, -1, colour, thickness, cv2.LINE_AA)
+
+
+def _fixed_point(values: Array) -> NDArray[np.int32]:
+    return np.round(values * 2**_SHIFT).astype(np.int32)
+
+
+def _enlarge(image: Colour) -> tuple[Colour, int]:
+    """Return a picture at least `LEAST_WIDE_PX` wide, and the magnification.
+
+    The centre of pixel k is at magnification * (k + 0.5) - 0.5.
     """
     scale = -(-LEAST_WIDE_PX // image.shape[1])
     if scale <= 1:
         return image, 1
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8), scale
-
-
-def _flanks(pictures: Pictures, place: int, lines: Mapping[int, Line], pixels: Array) -> list[Array]:
-    """Return where both flanks of roots show.
-
-    The centre lines, moved by the radius across the line of sight and the root.
-    """
-    centre = pictures.views[place].centre_mm
-    moved = []
-    for line in lines.values():
-        along = np.gradient(line.points_mm, axis=0)
-        across = np.cross(along, line.points_mm - centre)
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-        moved.append(across * line.diameters_mm[:, None] / 2.0)
-    points = np.concatenate([line.points_mm for line in lines.values()])
-    shift = np.concatenate(moved)
-    found = [pictures.pixels(place, points + sign * shift) for sign in (1.0, -1.0)]
-    return [np.where(np.isfinite(pixels), side, np.nan) for side in found]
-
-
-def _polyline(image: Colour, pixels: Array, colour: tuple[int, int, int], thickness: int) -> None:
-    """Draw what is seen of a line."""
-    seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
-    for run in np.split(seen, np.flatnonzero(np.diff(seen) > 1) + 1):
-        if len(run) > 1:
-            at = np.round(pixels[run] * 2**_SHIFT).astype(np.int32).reshape(-1, 1, 2)
-            cv2.polylines(image, [at], False, colour, thickness, cv2.LINE_AA, _SHIFT)

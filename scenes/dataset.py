@@ -5,7 +5,9 @@ DATASET/  dataset.json   this module's `Dataset`
           truth/         only from sim and the rendered twin; see `scenes.truth`
 """
 
+import base64
 import hashlib
+import html
 import json
 import re
 from collections.abc import Mapping
@@ -79,6 +81,50 @@ class Dataset:
     """Program, versions, settings and profile that made the pictures."""
     sha256: str = field(default="", compare=False)
     """Of the bytes of dataset.json that were read or written, in hexadecimal; empty: there is no such file yet."""
+
+    def summary(self) -> dict[str, str]:
+        """Return name, pictures and origin as texts."""
+        width, height = self.scene.camera.image_wh
+        rings = len({frame.ring for frame in self.frames})
+        kinds = {"root": "pictures", "shoot": "pictures of the shoot"}
+        counts = {name: sum(frame.kind == kind for frame in self.frames) for kind, name in kinds.items()}
+        described = {"description": self.scene.description} if self.scene.description else {}
+        return {
+            "folder": str(self.folder),
+            "scene": self.scene.name,
+            **described,
+            "pictures": f"{counts.pop('pictures')}, {width} x {height} px, in {rings} ring{'' if rings == 1 else 's'}",
+            **{name: str(count) for name, count in counts.items() if count},
+            "content": "silhouettes" if self.masks else "grey images",
+            "cameras": "given" if any(frame.cam_from_canister is not None for frame in self.frames) else "from markers",
+            "ground truth": "yes" if (self.folder / "truth").is_dir() else "no",
+            "origin": str(self.origin.get("program", "unknown")),
+        }
+
+    def __repr__(self) -> str:
+        """Return a summary of a few lines."""
+        return "\n".join([f"Dataset of {self.scene.name}", *(f"  {name:<14}{text}" for name, text in self.summary().items())])
+
+    def _repr_html_(self) -> str:
+        """Return HTML for notebooks: the first picture and a table."""
+        cells = "".join(
+            f"<tr><td>{name}</td><td style='text-align:left'>{html.escape(text)}</td></tr>" for name, text in self.summary().items()
+        )
+        return f"<div><h4>{html.escape(self.scene.name)}</h4>{self._thumbnail()}<table>{cells}</table></div>"
+
+    def _thumbnail(self) -> str:
+        """Return the first picture, 240 pixels high, as an image element; empty if it cannot be read."""
+        import cv2
+
+        try:
+            image = read_image(self, self.frames[0])
+        except (UserError, IndexError):
+            return ""
+        grey = image.astype(np.float64) / max(float(image.max()), 1.0)
+        shown = np.round(255.0 * (grey if self.masks else grey ** (1.0 / 2.2))).astype(np.uint8)
+        small = cv2.resize(shown, (round(240 * shown.shape[1] / shown.shape[0]), 240), interpolation=cv2.INTER_AREA)
+        data = base64.b64encode(cv2.imencode(".png", small)[1].tobytes()).decode()
+        return f'<img alt="first picture" src="data:image/png;base64,{data}">'
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,20 +39,31 @@ class OneBar(Monitor):
         Also write a line for each stage, with its time, where a bar is shown.
     stream : text stream, optional
         Where to; default: stderr.
+    bars : type of tqdm, optional
+        Class of the bar, which is then shown also without a terminal, such as ``tqdm.auto.tqdm`` in a notebook.
     """
 
-    def __init__(self, shares: Mapping[str, float], *, quiet: bool = False, verbose: bool = False, stream: Any = None) -> None:
+    def __init__(
+        self,
+        shares: Mapping[str, float],
+        *,
+        quiet: bool = False,
+        verbose: bool = False,
+        stream: Any = None,
+        bars: type[Any] | None = None,
+    ) -> None:
         super().__init__()
         total = sum(shares.values()) or 1.0
         self._shares = {name: share / total for name, share in shares.items()}
         self._stream = sys.stderr if stream is None else stream
         watched = bool(getattr(self._stream, "isatty", lambda: False)())
-        self._lines = not quiet and (verbose or not watched)
-        self._bar: tqdm[Any] | None = None
+        self._lines = not quiet and bars is None and (verbose or not watched)
+        self._bar: Any = None
         self._begun, self._done, self._part, self._stage = time.perf_counter(), 0.0, 0.0, ""
-        if watched and not quiet:
+        if (watched or bars is not None) and not quiet:
             colour = None if "NO_COLOR" in os.environ else COLOUR
-            self._bar = tqdm(total=1.0, bar_format=_FORM, file=self._stream, dynamic_ncols=True, leave=False, colour=colour)
+            where = {"file": self._stream, "leave": False} if bars is None else {}
+            self._bar = (bars or tqdm)(total=1.0, bar_format=_FORM, dynamic_ncols=True, colour=colour, **where)
             self._over = threading.Event()
             threading.Thread(target=self._beat, name="bar", daemon=True).start()
 
@@ -105,6 +116,7 @@ class OneBar(Monitor):
         """Take the bar away."""
         bar, self._bar = self._bar, None
         if bar is not None:
+            bar.n = max(bar.n, self._done)
             self._over.set()
             bar.close()
 

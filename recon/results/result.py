@@ -37,6 +37,7 @@ from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.said import between_ml, ml
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject
@@ -200,8 +201,22 @@ class Result:
 
         return pd.DataFrame(rows).set_index("name")
 
+    def __repr__(self) -> str:
+        """Return a summary of a few lines."""
+        used = sum(camera.used for camera in self.cameras)
+        rows = [
+            ("volume", f"{ml(self.volume_mm3, half_mm3=0.5 * (self.interval_mm3[1] - self.interval_mm3[0]))} ml"),
+            ("90 % interval", between_ml(*self.interval_mm3)),
+            ("usable", "yes" if self.trusted else f"no: {self.verdict}"),
+            ("roots", f"{len(self.roots)}, total length {self.solid.length_mm:.0f} mm" if self.roots else "no centre lines"),
+            ("views", f"{used} of {len(self.cameras)} used"),
+            ("warnings", str(len(self.warnings))),
+            ("dataset", self.dataset),
+        ]
+        return "\n".join([f"Result of {self.scene}", *(f"  {name:<14}{text}" for name, text in rows)])
+
     def _repr_html_(self) -> str | None:
-        """Return what a notebook shows; None: text."""
+        """Return HTML for notebooks; None: `repr` is shown."""
         return None if self.notebook is None else self.notebook(self)
 
     def summary(self) -> Json:

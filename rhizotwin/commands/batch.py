@@ -11,7 +11,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import Factors
 
 if TYPE_CHECKING:
-    from rhizotwin.batch.run import Batch
+    from rhizotwin.batches.run import Batch
 
 Outputs = Annotated[str, output("FOLDER")]
 Workers = Annotated[int, option(lambda text: whole(text, 1, 10000, "give 1 to 10000"), "N")]
@@ -76,19 +76,18 @@ def batch(
     rhizotwin batch my_scans -o my_results --cluster tcp://scheduler:8786
     rhizotwin batch s3://my_bucket/scans -o s3://my_bucket/results --cluster slurm
     """
-    from rhizotwin.batch import collect, places
-    from rhizotwin.batch.run import run
+    from rhizotwin.batches import collect, places
+    from rhizotwin.batches.run import run
 
     jobs = collect.reconstructions(scans, output, voxel_mm=voxel_mm, settings=settings, device=work.device)
     made = run(jobs, output, cluster=work.cluster, workers=work.workers)
     if not places.is_address(output):
-        from rhizotwin.batch import overview
+        from rhizotwin.batches import overview
 
-        written, refused = overview.write(Path(output), [*made.kept, *made.done], made.failed)
+        written, summary = overview.write(Path(output), [*made.kept, *made.done], made.failed)
         for path in written:
             print(f"wrote {path}")
-        if refused:
-            print(f"warning: {refused}")
+        print(summary)
     _tell(made, "reconstructed")
 
 
@@ -136,9 +135,9 @@ def simulate(
     rhizotwin batch simulate radish_day15b -o my_scans --plants 3 --days 5,10,15 --treatments 'control:1,low N:0.85'
     """
     from rhizotwin import front_door
-    from rhizotwin.batch import collect
-    from rhizotwin.batch.run import run
-    from rhizotwin.batch.series import vary
+    from rhizotwin.batches import collect
+    from rhizotwin.batches.run import run
+    from rhizotwin.batches.series import vary
 
     loaded = [front_door.load_scene(scene, **vars(changes)) for scene in scenes]
     varied = {name: scene for one in loaded for name, scene in vary(one, plants=plants, days=days, treatments=treatments).items()}

@@ -126,8 +126,8 @@ def _tell(summary: dict[str, Any], progress: Progress) -> None:
     print(f"{headline}, {beside}; {used} of {len(summary['views'])} views used")
     if progress.quiet:
         return
-    for line in words.roots_told(summary):
+    for line in words.root_summary(summary):
         print(line)
     if summary["volume_trusted"]:
-        for sentence in words.budget(summary)[:1]:
+        for sentence in words.uncertainty_causes(summary)[:1]:
             print(sentence)

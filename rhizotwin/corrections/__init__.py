@@ -1,4 +1,1 @@
-"""A person's corrections of a result.
-
-What was done, kept as a log beside it, and what shape, volume and traits become by it.
-"""
+"""Manual corrections of a result: their log, and the corrected shape, volume and traits."""

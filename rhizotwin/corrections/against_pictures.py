@@ -1,4 +1,4 @@
-"""A corrected shape compared with the pictures: what they show and it lacks, and what it has and they do not show."""
+"""Comparison of a corrected shape with the pictures: missing and surplus parts."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ if TYPE_CHECKING:  # needs the engine, which is started first
 Array = NDArray[np.float64]
 
 _VIEWS = 8
-"""Views that are compared, spread over the turn: as many as the reconstruction compares its hull with."""
+"""Number of compared views, spread over the rotation, as in the reconstruction."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """By how much corrections changed the agreement with the pictures, as shares."""
+    """Change of the agreement with the pictures by corrections, as fractions."""
 
     missed: float
-    """Share of what a picture shows that the corrections left unexplained, in the view where it is largest: what was
-    taken away stands before or behind the rest in the others."""
+    """Fraction of a silhouette that the corrections leave unexplained, in the view where it is largest: in other views
+    deleted parts are in front of or behind others."""
     surplus: float
-    """Share of the shape that the corrections put before pictures which show nothing there."""
+    """Fraction of the shape that the corrections put where the pictures show no roots."""
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
-        """Check that the pictures agree with the corrections as well as views must agree with each other."""
+        """Check the agreement, with the limits that apply between views."""
         lacking = f"the corrections leave {100.0 * self.missed:.1f} % of what a picture shows unexplained"
-        beyond = f"the corrections put {100.0 * self.surplus:.1f} % of the shape where the pictures show nothing"
-        advice = "look at the corrected shape over the pictures with 'rhizotwin view', and undo what is wrong"
+        beyond = f"the corrections put {100.0 * self.surplus:.1f} % of the shape where the pictures show no roots"
+        advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
         return first_problem(
             judge("corrections", self.missed, "share", trust.missed, lacking, advice),
             judge("corrections", self.surplus, "share", trust.missed, beyond, advice),
         )
 
     def term(self, before_mm3: float, after_mm3: float) -> Term:
-        """Return the cause of uncertainty: an area of the pictures stands for as large a share of the volume.
+        """Return the cause of uncertainty; the fraction of area is used as the fraction of volume.
 
         Parameters
         ----------
         before_mm3, after_mm3 : float
-            Volume as reconstructed and as corrected.
+            Volume before and after corrections.
         """
-        why = "the pictures do not agree with all corrections"
+        why = "the pictures disagree with some corrections"
         return Term(name="corrections", less_mm3=self.surplus * after_mm3, more_mm3=self.missed * before_mm3, why=why)
 
 
@@ -68,12 +68,12 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
     session : Session
         The result and its corrections.
     dataset_folder : path or None
-        The dataset; None: where the result says.
+        The dataset; None: the one that the result names.
 
     Raises
     ------
     UserError
-        Where the dataset is not there or is another one, or the result has no silhouettes.
+        If the dataset is missing or another one, or the result has no silhouettes.
     """
     summary = session.summary
     dataset = load_dataset(dataset_folder or Path(str(summary["dataset"])))
@@ -108,6 +108,6 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
 
 
 def _surplus(found: Agreement, volume: Array) -> float:
-    """Return the share of a volume that the views which see it exclude, the mean over views."""
+    """Return the fraction of a volume that the views which cover it exclude, averaged over views."""
     seen = found.sees @ volume
     return float(np.mean((found.excluded & found.sees) @ volume / np.maximum(seen, 1e-12)))

@@ -1,4 +1,4 @@
-"""A corrected result as a folder of its own, measured as the reconstruction measures."""
+"""Write a corrected result as a new folder, with the same measurements as a reconstruction."""
 
 from __future__ import annotations
 
@@ -31,42 +31,41 @@ from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
 _OWN = ("plant", "species", "treatment")
-"""What a plant has of its own among the words of its subject."""
+"""Fields of the subject that differ between plants."""
 
 
 def share(before_mm3: float, after_mm3: float) -> float:
-    """Return the share of the volume that corrections added, negative where they took some away."""
+    """Return the relative change of the volume by corrections."""
     return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
 
 
 def write(
     session: Session, output: Path, *, dataset: Path | None = None, last: Callable[[Path], object] = lambda _: None
 ) -> dict[str, Any]:
-    """Write a corrected result as a folder; return the content of its ``result.json``.
+    """Write a corrected result as a folder and return the content of its ``result.json``.
 
-    The causes of uncertainty keep their size relative to the volume: a correction makes no measurement more certain.
-    What the pictures contradict is one more cause, and decides whether the volume is trusted as it does without
-    corrections.
+    The causes of uncertainty keep their size relative to the volume: a correction does not reduce the uncertainty of a
+    measurement. Disagreement with the pictures is added as a cause, and decides whether the volume is trusted.
 
     Parameters
     ----------
     session : Session
         The result and its corrections.
     output : path
-        Folder to write: new, empty or an earlier result.
+        Folder to write: new, empty, or an earlier result, which is replaced.
     dataset : path, optional
-        The dataset, if it is not where the result says.
+        The dataset; default: the one that the result names.
     last : callable
-        Gets the folder before it appears, to add to it.
+        Called with the folder before it is moved into place, to add files.
 
     Raises
     ------
     UserError
-        Where the folder holds something that is no result, or a file of the result is missing.
+        If the folder holds anything but a result, or a file of the result is missing.
     """
     state, measured = session.state, session.measure()
     mesh, roots = _mesh(session, state, measured), state.roots()
-    summary = _summary(session, measured, mesh) | _trust(session, measured.volume_mm3, dataset)
+    summary = summarise(session, Mesh.of(mesh)) | _trust(session, measured.volume_mm3, dataset)
     if summary.get("plants"):
         roots, summary["plants"] = _by_plant(session, summary, Mesh.of(mesh), _voxels(measured))
     traits = stored_traits.of_summary(summary, Mesh.of(mesh), roots)
@@ -74,7 +73,7 @@ def write(
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)
-        hull = result_files.read_leaves(session.folder, hull=True)  # as it was
+        hull = result_files.read_leaves(session.folder, hull=True)  # unchanged
         atomic.write_bytes(building / "shape.npz", shape_npz(_voxels(measured), hull))
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
@@ -88,12 +87,20 @@ def write(
     return summary
 
 
-def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dict[str, Any]:
-    """Return the content of ``result.json`` without the traits."""
-    old, state = session.summary, session.state
+def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
+    """Return the content of ``result.json`` without traits and verdicts.
+
+    Parameters
+    ----------
+    session : Session
+        The result and its corrections.
+    mesh : Mesh
+        The corrected surface.
+    """
+    old, state, measured = session.summary, session.state, session.measure()
     before, after = float(old["volume_mm3"]), measured.volume_mm3
     low, high = old["volume_bounds_mm3"]
-    points = [np.asarray(mesh.vertices, np.float64), *(line.points_mm for line in state.lines.values())]
+    points = [mesh.vertices_mm, *(line.points_mm for line in state.lines.values())]
     corners = np.concatenate(points) if sum(len(part) for part in points) else np.zeros((1, 3))
     roots = state.roots()
     edits = {
@@ -108,7 +115,7 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
         "volume_mm3": after,
         "volume_bounds_mm3": [min(low, after), max(high, after)],
         "length_mm": measured.length_mm,
-        "estimates": [],  # they compared the roots that were found, not those that were corrected
+        "estimates": [],  # valid for the roots before corrections only
         "tips": sum(bool(root.tip_seen) for root in roots),
         "extents_min_mm": corners.min(axis=0).tolist(),
         "extents_max_mm": corners.max(axis=0).tolist(),
@@ -151,9 +158,9 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
 
 
 def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tuple[tuple[Root, ...], list[Json]]:
-    """Return the roots in the order of their trees, and what is of each of several plants.
+    """Return the roots in the order of their trees, and the entries of several plants.
 
-    Plants hang where the highest root of the result began: a result does not hold the net pot.
+    The height of the highest root replaces that of the net pot, which a result does not contain.
     """
     where = str(session.folder / "result.json")
     known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.of_summary(session.summary, where)]
@@ -173,11 +180,11 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
 
 
 def _voxels(measured: Measured) -> Leaves:
-    """Return the voxels that are left."""
+    """Return the remaining voxels."""
     solid, volumes_mm3 = measured.solid, measured.volumes_mm3
     kept = volumes_mm3 > _EMPTY_MM3
     if not kept.any():
-        kept[0] = True  # a shape of which nothing is left keeps one empty voxel, so that it can be read
+        kept[0] = True  # an empty shape keeps one empty voxel, so that it can be read
     room = (solid.size[kept] * solid.voxel_mm) ** 3
     return Leaves(
         low=solid.low[kept].astype(np.int32),
@@ -189,7 +196,7 @@ def _voxels(measured: Measured) -> Leaves:
 
 
 def read_mesh(session: Session) -> Mesh:
-    """Return the surface as it is now."""
+    """Return the corrected surface."""
     return Mesh.of(_mesh(session, session.state, session.measure()))
 
 

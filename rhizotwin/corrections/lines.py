@@ -1,6 +1,6 @@
-"""Roots under correction: lines with parents, cut, joined and hung elsewhere.
+"""Centre lines under correction: cut, join, reparent and reroot.
 
-A change gives new lines and leaves the old as they were.
+Lines are immutable: each change returns new ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Lines = Mapping[int, "Line"]
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a source, which is a root as it was measured; one that ends before it begins runs backward."""
+    """A part of a source (a root as it was measured); the direction is reversed if the end is before the beginning."""
 
     source: int
     begin_mm: float
@@ -29,11 +29,11 @@ class Piece:
 
     @property
     def length_mm(self) -> float:
-        """Return how long it is."""
+        """Return the length."""
         return abs(self.end_mm - self.begin_mm)
 
     def between(self, begin_mm: float, end_mm: float) -> Piece:
-        """Return the part between two distances from its beginning."""
+        """Return the part between two distances from the beginning."""
         sign = 1.0 if self.end_mm >= self.begin_mm else -1.0
         return Piece(self.source, self.begin_mm + sign * begin_mm, self.begin_mm + sign * end_mm)
 
@@ -43,32 +43,32 @@ class Line:
     """A root."""
 
     points_mm: Array
-    """(N, 3) from its base to its tip."""
+    """(N, 3) from base to tip."""
     diameters_mm: Array
     """(N,)"""
     parent: int
-    """Number of its parent, -1 for none."""
+    """Number of the parent, -1 for none."""
     pieces: tuple[Piece, ...]
-    """What of the measured sources it is made of, from its base to its tip."""
+    """Parts of the measured sources that it consists of, from base to tip."""
     tip_seen: bool = True
     label: str = ""
     sigma_mm: Array | None = None
-    """Standard deviation of its diameters (N,); None: not known."""
+    """Standard deviation of the diameters (N,); None: unknown."""
     plant: str = ""
-    """Name of its plant, where there are several."""
+    """Name of the plant, if there are several."""
 
     @property
     def way_mm(self) -> Array:
-        """Return how far along each point (N,) lies."""
+        """Return the arc length (N,) of each point."""
         return polyline.way_mm(self.points_mm)
 
     @property
     def length_mm(self) -> float:
-        """Return its length."""
+        """Return the length."""
         return polyline.length_mm(self.points_mm)
 
     def nearest_mm(self, point_mm: Sequence[float]) -> float:
-        """Return how far along the point nearest to another lies."""
+        """Return the arc length of the point nearest to another point."""
         begin, step = self.points_mm[:-1], np.diff(self.points_mm, axis=0)
         square = np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
         share = np.clip(np.einsum("ij,ij->i", np.asarray(point_mm) - begin, step) / square, 0.0, 1.0)
@@ -77,7 +77,7 @@ class Line:
         return float(self.way_mm[best] + share[best] * np.sqrt(square[best]))
 
     def between(self, begin_mm: float, end_mm: float) -> Line:
-        """Return the part between two distances from its base."""
+        """Return the part between two distances from the base."""
         way = self.way_mm
         inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
@@ -92,14 +92,14 @@ class Line:
         return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces), sigma_mm=sigma)
 
     def backward(self) -> Line:
-        """Return it from its tip to its base."""
+        """Return the line in the opposite direction."""
         pieces = tuple(Piece(piece.source, piece.end_mm, piece.begin_mm) for piece in reversed(self.pieces))
         sigma = None if self.sigma_mm is None else self.sigma_mm[::-1]
         return replace(self, points_mm=self.points_mm[::-1], diameters_mm=self.diameters_mm[::-1], pieces=pieces, sigma_mm=sigma)
 
 
-def below(lines: Lines, number: int) -> list[int]:
-    """Return a root and all that hang on it, itself first."""
+def descendants(lines: Lines, number: int) -> list[int]:
+    """Return a root and all its descendants, the root itself first."""
     found, waiting = list[int](), [number]
     while waiting:
         one = waiting.pop()
@@ -108,14 +108,14 @@ def below(lines: Lines, number: int) -> list[int]:
     return found
 
 
-def adopted(lines: Lines, number: int) -> dict[int, Line]:
-    """Return lines in which a root and all that hang on it are of its parent's plant."""
+def inherit_plant(lines: Lines, number: int) -> dict[int, Line]:
+    """Assign a root and its descendants to the plant of its parent."""
     plant = lines[lines[number].parent].plant
-    return {**lines, **{k: replace(lines[k], plant=plant) for k in below(lines, number)}}
+    return {**lines, **{k: replace(lines[k], plant=plant) for k in descendants(lines, number)}}
 
 
-def without(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
-    """Take roots away; what hung on them hangs on the next root above that stays."""
+def remove(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
+    """Remove roots; their laterals become laterals of the nearest remaining ancestor."""
     gone = set(numbers)
     kept = {}
     for number, line in lines.items():
@@ -129,21 +129,21 @@ def without(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
 
 
 def divide(lines: Lines, number: int, at_mm: float, new: int) -> dict[int, Line]:
-    """Cut a root; what lies beyond becomes root ``new`` with the laterals there.
+    """Cut a root; the part beyond becomes root ``new`` with its laterals.
 
     Parameters
     ----------
     lines : Lines
-        By number.
+        All roots, by number.
     number, new : int
-        Of the root, and of what is cut off.
+        Number of the root, and of the part that is cut off.
     at_mm : float
-        Along the root, from its base.
+        Arc length from the base.
 
     Returns
     -------
     dict of Line
-        All of them.
+        All roots.
     """
     line = lines[number]
     changed = dict(lines)
@@ -155,28 +155,28 @@ def divide(lines: Lines, number: int, at_mm: float, new: int) -> dict[int, Line]
     return changed
 
 
-def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[dict[int, Line], list[int]]:
-    """Take away what of the roots lies inside something.
+def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[dict[int, Line], list[int]]:
+    """Remove the parts of roots inside a region.
 
     Parameters
     ----------
     inside : callable
-        Tells points (N, 3) that do.
+        Returns which points (N, 3) are inside.
     new : int
-        The first number for roots that are left of the far side of others.
+        First number for new roots, where parts on both sides of the region remain.
 
     Returns
     -------
     lines : dict of Line
-        What stays.
+        Remaining roots.
     gone : list of int
-        Roots of which nothing stays.
+        Roots that were removed completely.
     """
     changed, gone = dict(lines), list[int]()
     if not lines:
         return changed, gone
     ends = np.cumsum([len(line.points_mm) for line in lines.values()])[:-1]
-    of_all = inside(np.concatenate([line.points_mm for line in lines.values()]))  # at once: asking may sort all voxels
+    of_all = inside(np.concatenate([line.points_mm for line in lines.values()]))  # all at once: the test may sort all voxels
     for (number, line), within in zip(lines.items(), np.split(of_all, ends), strict=True):
         if not within.any():
             continue
@@ -193,13 +193,13 @@ def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[di
             else:
                 changed[new] = replace(part, parent=number)
                 new += 1
-    return without(changed, gone), gone
+    return remove(changed, gone), gone
 
 
-def rooted_at(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Line]:
-    """Let the plant begin at a root's end nearest to a point.
+def reroot(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Line]:
+    """Move the base of the plant to the end of a root nearest to a point.
 
-    That root has no parent then, and those above it hang on it.
+    That root loses its parent, and its former ancestors become its laterals.
     """
     changed, line = dict(lines), lines[number]
     if line.nearest_mm(point_mm) > line.length_mm / 2.0:
@@ -219,7 +219,7 @@ def _nearness(point_mm: Array, line_mm: Array) -> float:
 
 
 def as_roots(lines: Lines) -> tuple[Root, ...]:
-    """Return the roots in the form of files, parents before children."""
+    """Convert lines to roots, parents before children."""
     placed, roots = dict[int, int](), list[Root]()
     waiting = sorted((number for number, line in lines.items() if line.parent not in lines), reverse=True)
     while waiting:

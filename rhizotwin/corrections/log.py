@@ -1,4 +1,4 @@
-"""The log of corrections, ``edits.json`` beside a result: who did what and when. The result itself stays as it was."""
+"""The log of corrections, ``edits.json`` in a result's folder: what, who and when. The result is not changed."""
 
 import getpass
 import json
@@ -17,19 +17,19 @@ from rhizotwin.scenes.reading import read_file
 SCHEMA_VERSION = 1
 LOG_NAME = "edits.json"
 KINDS = {
-    "delete roots": "take roots away, with their laterals where `laterals` says so",
-    "restore roots": "bring roots back that were taken away",
-    "delete voxels": "take voxels away, and what of the roots lies in them",
-    "delete box": "take away what lies in a box",
-    "restore voxels": "bring voxels back that were taken away",
-    "cut": "divide a root at a point: what lies beyond becomes a root of its own",
-    "join": "let a root go on in another",
-    "parent": "hang a root on another",
-    "tip": "end a root at a point, and call that its tip",
-    "base": "mark where the plant begins",
-    "fit": "fit the roots' centre lines and diameters to the pictures again",
+    "delete roots": "delete roots, with their laterals if `laterals` is true",
+    "restore roots": "restore deleted roots",
+    "delete voxels": "delete voxels, and the parts of roots inside them",
+    "delete box": "delete everything inside a box",
+    "restore voxels": "restore deleted voxels",
+    "cut": "cut a root at a point: the part beyond becomes a new root",
+    "join": "make a root the continuation of another",
+    "parent": "make a root a lateral of another",
+    "tip": "end a root at a point, which becomes its tip",
+    "base": "set the base of the plant",
+    "fit": "refit centre lines and diameters to the pictures",
 }
-"""What can be done; every kind uses some of the fields of `Edit`."""
+"""Kinds of corrections; each uses some of the fields of `Edit`."""
 Triple = tuple[float, float, float]
 
 
@@ -43,7 +43,7 @@ class Edit:
     when: str
     """UTC, ISO 8601."""
     roots: tuple[int, ...] = ()
-    """Numbers of roots: their place in ``roots.rsml``, then those that cuts made, in order."""
+    """Numbers of roots: their position in ``roots.rsml``, then new roots in the order of creation."""
     laterals: bool = False
     runs: tuple[tuple[int, int], ...] = ()
     """Voxels as runs (first, count) of rows of ``shape.npz``."""
@@ -58,12 +58,12 @@ class Log:
     """The corrections of one result."""
 
     shape_sha256: str
-    """Of the result's ``shape.npz``, which the numbers of voxels and roots belong to."""
+    """Of the result's ``shape.npz``, to which the numbers of voxels and roots refer."""
     edits: tuple[Edit, ...] = ()
 
 
 def edit(do: str, *, roots: Sequence[int] = (), who: str | None = None, **more: Any) -> Edit:
-    """Return a correction made now by this machine's user."""
+    """Return a correction with the current time and user."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return Edit(do=do, who=_user() if who is None else who, when=now, roots=tuple(int(root) for root in roots), **more)
 
@@ -80,7 +80,7 @@ def runs(rows: Sequence[int]) -> tuple[tuple[int, int], ...]:
 
 
 def new(result_folder: Path) -> Log:
-    """Return an empty log of a result."""
+    """Return an empty log for a result."""
     return Log(shape_sha256=sha256_of(result_folder / "shape.npz"))
 
 
@@ -90,36 +90,36 @@ def read(path: Path, result_folder: Path) -> Log:
     Raises
     ------
     UserError
-        Where it is missing, damaged, of another version or of another result.
+        If it is missing, damaged, of another version or of another result.
     """
     if not path.is_file():
-        raise UserError(f"{path} does not exist; `rhizotwin view RESULT` writes one when you save corrections")
+        raise UserError(f"{path} does not exist; `rhizotwin view RESULT` writes it when corrections are saved")
     try:
         stored = json.loads(read_file(path).decode())
         if not isinstance(stored, dict) or stored.get("schema_version") != SCHEMA_VERSION:
             raise ValueError(f"its schema_version is not {SCHEMA_VERSION}")
         log = Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
-        raise UserError(f"{path} is no readable log of corrections ({error})") from None
+        raise UserError(f"{path} is not a readable log of corrections ({error})") from None
     if log.shape_sha256 != sha256_of(result_folder / "shape.npz"):
-        raise UserError(f"{path} belongs to another result than {result_folder}: reconstructing again makes other voxels and roots")
+        raise UserError(f"{path} belongs to another result than {result_folder}; a new reconstruction has other voxels and roots")
     return log
 
 
 def write(path: Path, log: Log, *, follow: bool = True) -> None:
-    """Write a log; it appears whole or not at all; see `scenes.atomic.write_bytes`."""
+    """Write a log atomically, see `scenes.atomic.write_bytes`."""
     listed = [{key: value for key, value in asdict(entry).items() if value not in ((), None, False)} for entry in log.edits]
     text = atomic.json_bytes({"schema_version": SCHEMA_VERSION, "shape_sha256": log.shape_sha256, "edits": listed})
     atomic.write_bytes(path, text, follow=follow)
 
 
 def _edit(entry: Any) -> Edit:
-    """Return an entry of the file, checked."""
+    """Check an entry of the file and return it."""
     unknown = set(entry) - {field.name for field in fields(Edit)}
     if unknown:
         raise ValueError(f"an edit has the unknown key {sorted(unknown)[0]!r}")
     if entry["do"] not in KINDS:
-        raise ValueError(f"an edit does {entry['do']!r}; known are {', '.join(KINDS)}")
+        raise ValueError(f"unknown kind of edit {entry['do']!r}; known are {', '.join(KINDS)}")
     box = entry.get("box_mm")
     return Edit(
         do=entry["do"],
@@ -135,14 +135,14 @@ def _edit(entry: Any) -> Edit:
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r} is no number of a root or voxel")
+        raise ValueError(f"{value!r} is not the number of a root or voxel")
     return value
 
 
 def _triple(value: Any) -> Triple:
     x, y, z = (float(number) for number in value)
     if not all(math.isfinite(number) for number in (x, y, z)):
-        raise ValueError(f"{value!r} is no point")
+        raise ValueError(f"{value!r} is not a point")
     return x, y, z
 
 

@@ -1,4 +1,4 @@
-"""Fit corrected roots to the pictures again, with the tree as a person left it."""
+"""Refit corrected roots to the pictures, with the corrected topology."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _STEPS = 8
 
 
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
-    """Return what fits roots to a dataset's pictures again, from the coverage that the result kept of them.
+    """Return a function that refits roots to the pictures of a dataset, using the coverage stored with the result.
 
-    Thick roots stay as they are, which every picture shows. Laterals' first points stay on their parents.
+    Thick roots are not changed. The first points of laterals stay on their parents.
 
     Raises
     ------
     UserError
-        When it is used: where the roots let light through (their opacity is not kept), or the result kept no coverage.
+        By the returned function: if roots are translucent (their attenuation is not stored) or coverage is missing.
     """
 
     def fit(lines: Lines) -> dict[int, Refitted]:
         summary = result_files.read_summary(result_folder)
         if summary.get("root_mu_per_mm") is not None:
-            raise UserError("roots that let light through cannot be fitted again: the result keeps their coverage but not their light")
+            raise UserError("translucent roots cannot be refitted: the result does not store the transmitted light")
         if not lines:
             raise UserError("there are no roots to fit")
         engine.start("auto")
@@ -54,7 +54,7 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
         missing = [file for file in cameras.files if file not in kept]
         if missing or not cameras.files:
-            raise UserError(f"{result_folder} keeps no silhouette of {missing[0] if missing else 'any picture'}; reconstruct again")
+            raise UserError(f"{result_folder} has no silhouette of {missing[0] if missing else 'any picture'}; reconstruct again")
         seen = Evidence.from_silhouettes(ViewBank.pack(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
         thick_mm = result_traits.THICK_CELLS * float(summary["settings"].get("finest_mm", summary["voxel_mm"]))
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
@@ -74,21 +74,21 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
 
 
 def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
-    """Return roots as one tree of tubes.
+    """Convert roots to one tree of tubes.
 
     Parameters
     ----------
     thick_mm : float
-        Nodes of a larger radius are not to be fitted.
+        Nodes with a larger radius are not fitted.
 
     Returns
     -------
     tubes : Tubes
         Parents before children.
     fixed : (N,) bool array
-        Nodes that are not to be fitted.
+        Nodes that are not fitted.
     numbers : list of int
-        Of the roots, in the order of the branches.
+        Numbers of the roots, in the order of the branches.
     """
     from rhizotwin.recon.tubes.tubes import Tubes
 
@@ -112,7 +112,7 @@ def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
             nodes = np.concatenate([above[nearest : nearest + 1], nodes])
         elif place:
             stays = stays.copy()
-            stays[0] = True  # belongs to no branch: it holds the beginning of a root without parent
+            stays[0] = True  # the beginning of a root without parent is in no branch
         centres.append(own)
         radii.append(width)
         fixed.append(stays)

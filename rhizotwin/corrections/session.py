@@ -1,4 +1,4 @@
-"""A result under correction: what was done, undone and done again, and what it comes to."""
+"""A result with corrections: apply, undo, redo, and measure."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """What a state comes to."""
+    """Measurements of a state."""
 
     volume_mm3: float
     length_mm: float
     roots: int
     volumes_mm3: Array
-    """(N,) in each voxel."""
+    """(N,) volume in each voxel."""
     solid: Solid
-    """Whose first N voxels they are."""
+    """Its first N voxels are those of ``volumes_mm3``."""
 
 
 class Session:
-    """One result and its corrections. Safe for several threads.
+    """One result and its corrections. Thread-safe.
 
-    The volume is divided among the roots (seconds, for large plants) when `solid` is first asked for, at the latest by
-    the first correction.
+    The volume is divided among the roots (seconds for large plants) on first use of `solid`, at the latest by the first
+    correction.
     """
 
     def __init__(self, result_folder: Path, *, refit: Refit | None = None) -> None:
@@ -56,7 +56,7 @@ class Session:
         self.log: Log = logs.new(self.folder)
         self.lock = threading.RLock()
         self.refit = refit
-        """Fits roots to the pictures again; None: nobody can."""
+        """Refits roots to the pictures; None: not possible."""
         self._states = [states.start(self._undivided, self.roots)]
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
@@ -64,12 +64,12 @@ class Session:
 
     @property
     def state(self) -> State:
-        """Return the roots and voxels as they are now."""
+        """Return the current roots and voxels."""
         return self._states[-1]
 
     @property
     def solid(self) -> Solid:
-        """Return the voxels with what is whose in them."""
+        """Return the voxels with their volume divided among the roots."""
         with self._dividing:
             if self._divided is None:
                 self._divided = Solid.of(self.leaves, self._sources, finest_mm=self._finest_mm)
@@ -77,31 +77,36 @@ class Session:
 
     @property
     def can_undo(self) -> bool:
-        """Tell whether there is something to undo."""
+        """Return whether there is a correction to undo."""
         return len(self._states) > 1
 
+    @property
+    def can_redo(self) -> bool:
+        """Return whether there is a correction to redo."""
+        return bool(self._undone)
+
     def do(self, edit: Edit) -> State:
-        """Make a correction; what was undone before is forgotten.
+        """Apply a correction; corrections that were undone can no longer be redone.
 
         Raises
         ------
         UserError
-            Where it cannot be done; nothing is changed then.
+            If it cannot be applied; nothing is changed then.
         """
         with self.lock:
-            self._take(edit)
+            self._apply(edit)
             self._undone.clear()
             return self.state
 
     def replay(self, log: Log) -> State:
-        """Make the corrections of a log."""
+        """Apply the corrections of a log."""
         with self.lock:
             for edit in log.edits:
                 self.do(edit)
             return self.state
 
     def undo(self) -> State:
-        """Take the last correction back."""
+        """Undo the last correction."""
         with self.lock:
             if self.can_undo:
                 self._undone.append((self.log.edits[-1], self._states.pop()))
@@ -109,7 +114,7 @@ class Session:
             return self.state
 
     def redo(self) -> State:
-        """Make the correction again that was undone last."""
+        """Redo the correction that was undone last."""
         with self.lock:
             if self._undone:
                 edit, state = self._undone.pop()
@@ -117,8 +122,8 @@ class Session:
                 self.log = replace(self.log, edits=(*self.log.edits, edit))
             return self.state
 
-    def taken_last(self) -> tuple[list[int], NDArray[np.int64]]:
-        """Return the roots and the rows of the voxels that were taken away last, of those that are away still."""
+    def last_deleted(self) -> tuple[list[int], NDArray[np.int64]]:
+        """Return the roots and the rows of voxels that were deleted last and are still deleted."""
         with self.lock:
             now, count = self.state, len(self.state.gone)
             for before, after in zip(self._states[-2::-1], self._states[:0:-1], strict=True):
@@ -132,7 +137,7 @@ class Session:
             return [], np.zeros(0, np.int64)
 
     def measure(self) -> Measured:
-        """Return volume and length as they are now."""
+        """Measure the current volume and length."""
         with self.lock:
             now = self.state
             if self._measured is None or self._measured[0] is not now:
@@ -148,23 +153,23 @@ class Session:
 
     @property
     def unsaved(self) -> int:
-        """Return how many corrections were made since the log was saved."""
+        """Return the number of corrections since the log was saved."""
         return sum(a is not b for a, b in zip_longest(self.log.edits, self._saved))
 
     def save(self) -> Path:
-        """Write the log beside the result; the result itself stays as it is."""
+        """Write the log into the result's folder; the result itself is not changed."""
         with self.lock:
             path = self.folder / logs.LOG_NAME
             logs.write(path, self.log, follow=False)
             self._saved = self.log.edits
             return path
 
-    def _take(self, edit: Edit) -> None:
+    def _apply(self, edit: Edit) -> None:
         self._states.append(states.apply(self.state, edit, self.solid, refit=self.refit))
         self.log = replace(self.log, edits=(*self.log.edits, edit))
 
 
 def read_roots(result_folder: Path) -> tuple[Root, ...]:
-    """Return the roots of a result; none for solid bodies."""
+    """Read the roots of a result; empty for solid bodies."""
     file = result_folder / "roots.rsml"
     return rsml.read_rsml(file) if file.is_file() else ()

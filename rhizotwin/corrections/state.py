@@ -1,6 +1,6 @@
-"""What corrections make of a result, one after another.
+"""The state of a result after corrections.
 
-A state never changes, so that undoing is taking an earlier one.
+States are immutable: undo returns to an earlier one.
 """
 
 from __future__ import annotations
@@ -23,42 +23,42 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BRIDGE_MM = 0.3
-"""Points of a tube that joins two roots stand this far apart."""
+"""Distance between the points of a tube that joins two roots."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """A root as the pictures have it."""
+    """A root after a fit to the pictures."""
 
     points_mm: Array
-    """(N, 3), as many as before."""
+    """(N, 3), as many points as before."""
     diameters_mm: Array
     """(N,)"""
     stays: Mask
-    """(N,) points that were not fitted."""
+    """(N,) whether a point was not fitted."""
 
 
 Refit = Callable[[Lines], dict[int, Refitted]]
-"""Fits roots to the pictures again."""
+"""Function that fits roots to the pictures."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Roots and voxels as corrected so far."""
+    """Roots and voxels after corrections."""
 
     lines: Lines
     gone: Mask
-    """(N,) voxels that were taken away."""
+    """(N,) whether a voxel was deleted."""
     removed: Lines
-    """Roots that were taken away, as they were then."""
+    """Roots that were deleted, as they were before."""
     next_number: int
-    """Of the root that the next cut makes."""
+    """Number of the next new root."""
     base_mm: tuple[float, float, float] | None = None
-    """Where the plant begins, if somebody marked it."""
+    """Base of the plant, if it was set."""
 
     @property
     def pieces(self) -> list[Piece]:
-        """Return all that is there of the sources."""
+        """Return all remaining parts of the sources."""
         return [piece for line in self.lines.values() for piece in line.pieces]
 
     @property
@@ -67,12 +67,12 @@ class State:
         return sum(line.length_mm for line in self.lines.values())
 
     def roots(self) -> tuple[Root, ...]:
-        """Return the roots in the form of files, parents before children."""
+        """Convert the lines to roots, parents before children."""
         return roots_of.as_roots(self.lines)
 
 
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
-    """Return a result as it was reconstructed; its roots are the solid's sources, in their order."""
+    """Return the state of a result without corrections; its roots are the sources of the solid, in the same order."""
     lines = {
         k: Line(
             root.points_mm,
@@ -90,23 +90,27 @@ def start(solid: Solid, roots: tuple[Root, ...]) -> State:
 
 
 def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None) -> State:
-    """Return the state after a correction.
+    """Apply a correction and return the new state.
 
     Parameters
     ----------
+    state : State
+        State before the correction.
+    edit : Edit
+        The correction.
     solid : Solid
-        Gets sources and voxels for tubes that the correction makes.
+        Voxels and sources; sources of new tubes are added to it.
     refit : Refit or None
-        Needed for "fit" alone.
+        Needed for "fit".
 
     Raises
     ------
     UserError
-        Where the correction cannot be done: a root that is not there, a circle of parents.
+        If the correction cannot be applied: a missing root, a cycle of parents.
     """
     if edit.do == "delete roots":
         chosen = _there(state, edit)
-        numbers = [k for root in chosen for k in (roots_of.below(state.lines, root) if edit.laterals else [root])]
+        numbers = [k for root in chosen for k in (roots_of.descendants(state.lines, root) if edit.laterals else [root])]
         return _without(state, numbers)
     if edit.do == "restore roots":
         return _restored(state, edit)
@@ -118,7 +122,7 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
         return replace(state, gone=gone)
     if edit.do == "fit":
         if refit is None:
-            raise UserError("fitting again needs the pictures: give the dataset that the result was made from")
+            raise UserError("refitting needs the pictures; give the dataset of the result")
         return _refitted(state, refit(state.lines), solid)
     if edit.do == "base" and not state.lines:
         return replace(state, base_mm=_point(edit))
@@ -130,22 +134,22 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
     if edit.do == "tip":
         return _tipped(state, one, edit)
     if edit.do == "base":
-        return replace(state, lines=roots_of.rooted_at(state.lines, one, _point(edit)), base_mm=_point(edit))
+        return replace(state, lines=roots_of.reroot(state.lines, one, _point(edit)), base_mm=_point(edit))
     other = _there(state, edit)[1] if len(edit.roots) > 1 else -1
     if other < 0:
         raise UserError(f"'{edit.do}' needs two roots; {len(edit.roots)} given")
     if edit.do == "join":
         return _joined(state, one, other, solid)
-    if other in roots_of.below(state.lines, one):
-        raise UserError(f"root {one} cannot hang on root {other}, which hangs on it")
-    return replace(state, lines=roots_of.adopted({**state.lines, one: replace(line, parent=other)}, one))
+    if other in roots_of.descendants(state.lines, one):
+        raise UserError(f"root {one} cannot become a lateral of root {other}, which is its descendant")
+    return replace(state, lines=roots_of.inherit_plant({**state.lines, one: replace(line, parent=other)}, one))
 
 
 def _there(state: State, edit: Edit) -> list[int]:
-    """Return the roots of an edit, which must be there."""
+    """Return the roots of an edit, which must exist."""
     lost = [root for root in edit.roots if root not in state.lines]
     if lost or not edit.roots:
-        raise UserError(f"'{edit.do}': there is no root {lost[0]} now" if lost else f"'{edit.do}' names no root")
+        raise UserError(f"'{edit.do}': root {lost[0]} does not exist" if lost else f"'{edit.do}' names no root")
     return list(edit.roots)
 
 
@@ -156,7 +160,7 @@ def _point(edit: Edit) -> tuple[float, float, float]:
 
 
 def _inner(line: Line, edit: Edit) -> float:
-    """Return how far along a root an edit's point lies, which must not be its end."""
+    """Return the arc length of an edit's point, which must not be an end of the root."""
     at, length = line.nearest_mm(_point(edit)), line.length_mm
     if not 1e-6 < at < length - 1e-6:
         raise UserError(f"'{edit.do}': the point is an end of root {edit.roots[0]}; choose one between its ends")
@@ -165,14 +169,14 @@ def _inner(line: Line, edit: Edit) -> float:
 
 def _without(state: State, numbers: list[int]) -> State:
     removed = {**state.removed, **{k: state.lines[k] for k in numbers if k in state.lines}}
-    return replace(state, lines=roots_of.without(state.lines, numbers), removed=removed)
+    return replace(state, lines=roots_of.remove(state.lines, numbers), removed=removed)
 
 
 def _restored(state: State, edit: Edit) -> State:
-    """Bring roots back, under their parents where these are there."""
+    """Restore roots, with their parents if these exist."""
     lost = [root for root in edit.roots if root not in state.removed]
     if lost:
-        raise UserError(f"'{edit.do}': root {lost[0]} was not taken away")
+        raise UserError(f"'{edit.do}': root {lost[0]} was not deleted")
     lines = {**state.lines, **{k: state.removed[k] for k in edit.roots}}
     for k in edit.roots:
         if lines[k].parent not in lines:
@@ -195,10 +199,10 @@ def _padded(gone: Mask, solid: Solid) -> Mask:
 
 
 def _cleared(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) -> State:
-    """Take voxels away, and what of the roots lies in them or in the edit's box."""
+    """Delete voxels, and the parts of roots inside them or inside the edit's box."""
     gone = _padded(state.gone, solid)
     gone[rows] = True
-    now = np.zeros(len(solid.size) + 1, bool)  # the last one stands for where no voxel is
+    now = np.zeros(len(solid.size) + 1, bool)  # the last one represents points outside all voxels
     now[rows] = True
 
     def inside(points_mm: Array) -> Mask:
@@ -206,31 +210,31 @@ def _cleared(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) ->
             return np.asarray(((points_mm >= edit.box_mm[0]) & (points_mm <= edit.box_mm[1])).all(axis=1))
         return now[solid.find(points_mm)]
 
-    lines, lost = roots_of.outside(state.lines, inside, state.next_number)
+    lines, lost = roots_of.remove_inside(state.lines, inside, state.next_number)
     removed = {**state.removed, **{k: state.lines[k] for k in lost}}
     return replace(state, gone=gone, lines=lines, removed=removed, next_number=max([state.next_number, *(k + 1 for k in lines)]))
 
 
 def _tipped(state: State, number: int, edit: Edit) -> State:
-    """End a root at a point; laterals beyond it go with what is cut away."""
+    """End a root at a point; the part beyond is deleted with its laterals."""
     line = state.lines[number]
     at = line.nearest_mm(_point(edit))
     if at >= line.length_mm - 1e-6:
         return replace(state, lines={**state.lines, number: replace(line, tip_seen=True)})
     at = _inner(line, edit)
     lines = roots_of.divide(state.lines, number, at, state.next_number)
-    cut = _without(replace(state, lines=lines, next_number=state.next_number + 1), roots_of.below(lines, state.next_number))
+    cut = _without(replace(state, lines=lines, next_number=state.next_number + 1), roots_of.descendants(lines, state.next_number))
     return replace(cut, lines={**cut.lines, number: replace(cut.lines[number], tip_seen=True)})
 
 
 def _joined(state: State, one: int, other: int, solid: Solid) -> State:
-    """Let a root go on in another, with a straight tube between them; the other's laterals are its own then."""
-    if one in roots_of.below(state.lines, other)[1:]:
-        raise UserError(f"root {one} cannot go on in root {other}, on which it hangs")
+    """Make a root the continuation of another, with a straight tube in between; it takes over the laterals."""
+    if one in roots_of.descendants(state.lines, other)[1:]:
+        raise UserError(f"root {one} cannot be joined to root {other}, which is its ancestor")
     first, second = state.lines[one], state.lines[other]
     end = first.points_mm[-1]
     if one == other:
-        raise UserError("a root cannot go on in itself")
+        raise UserError("a root cannot be joined to itself")
     if np.linalg.norm(second.points_mm[-1] - end) < np.linalg.norm(second.points_mm[0] - end):
         second = second.backward()
     between: tuple[Piece, ...] = ()
@@ -252,12 +256,12 @@ def _joined(state: State, one: int, other: int, solid: Solid) -> State:
     )
     lines = {k: replace(line, parent=one) if line.parent == other else line for k, line in state.lines.items() if k != other} | {one: whole}
     for lateral in [k for k, line in lines.items() if line.parent == one]:
-        lines = roots_of.adopted(lines, lateral)
+        lines = roots_of.inherit_plant(lines, lateral)
     return replace(state, lines=lines)
 
 
 def _refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
-    """Put fitted roots in the place of the old ones; what was not fitted keeps its volume."""
+    """Replace roots by fitted ones; parts that were not fitted keep their volume."""
     changed = {number: root for number, root in found.items() if not root.stays.all()}
     runs = {number: _runs(root.stays) for number, root in changed.items()}
     made = [(number, a, b) for number in changed for a, b, stays in runs[number] if not stays]
@@ -280,7 +284,7 @@ def _refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
 
 
 def _runs(stays: Mask) -> list[tuple[int, int, bool]]:
-    """Return stretches of points (first, last, whether all between two points that stay); neighbours share a point."""
+    """Return stretches (first, last, whether they were not fitted); neighbours share a point."""
     held = stays[:-1] & stays[1:]
     edges = [0, *(np.flatnonzero(held[1:] != held[:-1]) + 1).tolist(), len(held)]
     return [(a, b, bool(held[a])) for a, b in pairwise(edges)]

@@ -1,7 +1,4 @@
-"""The surface of a corrected shape.
-
-The old one where nothing was taken away, closed where something was, with tubes for what is new.
-"""
+"""The surface of a corrected shape: the original one, closed where parts were deleted, with tubes for new roots."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 _LOST = 0.5
-"""A face goes where a voxel there, or its fullest neighbour, lost more than this share of its volume."""
+"""A face is removed where the voxels around it lost more than this fraction of their volume."""
 
 
 def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> trimesh.Trimesh:
@@ -26,8 +23,12 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
 
     Parameters
     ----------
+    mesh : Mesh
+        Surface before corrections.
+    solid, state : Solid, State
+        Voxels, and roots after corrections.
     volumes_mm3 : (N,) float64 array
-        In each voxel, after the corrections.
+        Volume in each voxel after corrections.
     """
     kept = _kept(mesh, solid, volumes_mm3)
     vertices, faces = (mesh.vertices_mm, mesh.faces) if kept.all() else _closed(mesh.vertices_mm, mesh.faces, kept)
@@ -40,17 +41,17 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
 
 
 def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
-    """Tell the faces (F,) that stay: those whose voxel kept its volume, or that lie in none."""
+    """Return which faces (F,) remain: those whose voxels kept their volume, or that are in none."""
     middle = mesh.vertices_mm[mesh.faces].mean(axis=1)
     kept = np.ones(len(middle), bool)
     lost = np.flatnonzero(volumes_mm3 < solid.measured_mm3[: len(volumes_mm3)])
     if not len(lost):
         return kept
     near = np.flatnonzero(_beside(middle, solid.centre_mm[lost], np.asarray((0.5 * solid.size[lost] + 1.0) * solid.voxel_mm)))
-    middle = middle[near]  # elsewhere nothing changed
+    middle = middle[near]  # unchanged elsewhere
     away = [np.array(step, np.float64) for step in np.ndindex(3, 3, 3)]
     before, after = np.zeros(len(middle)), np.zeros(len(middle))
-    for step in away:  # a face may lie in the empty voxel beside the one it bounds
+    for step in away:  # a face may be in the empty voxel beside the one that it bounds
         row = solid.find(middle + (step - 1.0) * 0.5 * solid.voxel_mm)
         there = row >= 0
         before[there] += solid.measured_mm3[row[there]]
@@ -60,8 +61,8 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
 
 
 def _beside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
-    """Tell which points (N, 3) may lie in cubes (M, 3) of half edge (M,): those in cells of a grid that cubes touch."""
-    cell_mm = 2.0 * float(reach_mm.max())  # a cube then touches no cell that none of its corners lies in
+    """Return which points (N, 3) may be in cubes (M, 3) with half edges (M,): those in grid cells that cubes touch."""
+    cell_mm = 2.0 * float(reach_mm.max())  # then each cell that a cube touches contains a corner of it
     low = (centre - reach_mm[:, None]).min(axis=0)
     touched = np.zeros(np.ceil(np.ptp(centre, axis=0) / cell_mm).astype(int) + 3, bool)
     for corner in np.ndindex(2, 2, 2):
@@ -73,7 +74,7 @@ def _beside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
 
 
 def _closed(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Array, Faces]:
-    """Take faces away and close the holes that they leave with fans about their middles."""
+    """Remove faces and close the holes with fans about their centres."""
     rim = np.zeros(len(vertices), bool)
     rim[faces[~kept]] = True
     faces = faces[kept]
@@ -83,7 +84,7 @@ def _closed(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Arr
     key, twin = edges @ [len(vertices), 1], edges @ [1, len(vertices)]
     onward: dict[int, list[int]] = {}
     for a, b in edges[~np.isin(key, twin)].tolist():
-        onward.setdefault(b, []).append(a)  # against the faces' sense, so that the fan looks outward too
+        onward.setdefault(b, []).append(a)  # opposite to the faces, so that the fan has their orientation
     points, fans = [vertices], []
     count = len(vertices)
     while onward:
@@ -110,6 +111,6 @@ def _closed(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Arr
 
 
 def _made(solid: Solid, state: State) -> list[tuple[Array, Faces]]:
-    """Return the tubes of the sources that corrections made."""
+    """Return the tubes of the sources that corrections added."""
     numbers = sorted({piece.source for piece in state.pieces if piece.source >= solid.given})
     return [tube(*solid.sources[number]) for number in numbers]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rhizotwin.batch.jobs import named
+from rhizotwin.batches.jobs import named
 from rhizotwin.recon.results.result_traits import Own, each
 from rhizotwin.scenes import atomic, folders
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image

@@ -1,1 +1,1 @@
-"""A result as one page that a person would send to a colleague: everything inside the file, nothing from a network."""
+"""Reports of results as self-contained HTML pages, and the figures of results."""

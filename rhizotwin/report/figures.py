@@ -1,6 +1,7 @@
-"""The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides."""
+"""Figures of a result: pictures with silhouettes, camera positions, and the shape from two sides."""
 
 import logging
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Patch, Rectangle
 from numpy.typing import NDArray
 
-from rhizotwin import shading
+from rhizotwin import root_colours, shading, surface_mesh
+from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
+from rhizotwin.report.shape_data import as_lines
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.said import printable
 from rhizotwin.scoring import surface_distance
 from rhizotwin.stored.result_files import read_grey
@@ -27,23 +31,23 @@ Box = tuple[float, float, float, float]
 """(left, right, bottom, top) in mm."""
 
 SHAPE_RGB = (0.86, 0.55, 0.25)
-"""Ochre, as a root."""
+"""Ochre."""
 TRUTH_RGB = (0.42, 0.62, 0.80)
-"""Blue: told from ochre by everybody."""
+"""Blue, which colour-blind people distinguish from ochre."""
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
 """Red, over grey pictures."""
 _VIEWS_SHOWN = 4
-"""Beside each other on a page's width."""
+"""Number of views side by side."""
 SHRINK = 2
-"""Renderings are made this much finer than shown, then averaged."""
+"""Supersampling of renderings, each way."""
 PANEL_PX = 640
 """Height of a rendering."""
 _DISTANCE_PX = 2 * SHRINK
-"""A rendering's pixels, each way, for which a distance is found once: over two that are shown it changes little."""
+"""Pixels of a rendering, each way, that share one distance."""
 
 
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:
-    """Draw a few views, evenly over the scan: the picture above its silhouette, what says nothing tinted red."""
+    """Draw a few views spread over the scan: pictures above silhouettes, with uninformative pixels tinted red."""
     used = [view for view in summary["views"] if view["used"]]
     used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
     if not used:
@@ -64,35 +68,29 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
         axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
         angle = "" if view.get("table_deg") is None else f", table {round(view['table_deg']) % 360} deg"
         axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9)
-        fill = "" if view.get("fill") is None else f", fills {100.0 * view['fill']:.1f} % of what is seen"
+        fill = "" if view.get("fill") is None else f", covers {100.0 * view['fill']:.1f} % of the visible water"
         axes[1, column].set_title(f"silhouette{fill}", fontsize=9)
         for axis in axes[:, column]:
             axis.set_xticks([])
             axis.set_yticks([])
-    drawn.supxlabel("silhouette: white is root; red tint: the picture says nothing there", fontsize=9)
+    drawn.supxlabel("silhouette: white is root; red: no information", fontsize=9)
     return drawn
 
 
 def for_screen(dataset: Dataset, file: str) -> Floats | None:
-    """Return a picture of the dataset (H, W) as screens show it, 0..1.
-
-    None, with a warning, where it cannot be read any more.
-    """
+    """Return a picture of the dataset (H, W), sRGB, 0..1; None, with a warning, if it can no longer be read."""
     try:
         picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
     except UserError as error:
         logging.getLogger(__name__).warning("%s; the report leaves this picture out", printable(str(error)))
         return None
     picture /= max(np.percentile(picture, 99.8), 1.0)
-    # linear in light, which screens are not
+    # from linear intensities to a screen's gamma
     return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
-    """Return where each frame's camera should have stood by the plan, (3,) in the canister frame.
-
-    Nothing where nobody planned.
-    """
+    """Return the planned camera position (3,) of each frame, canister frame; frames without a plan are left out."""
     centres: dict[str, Floats] = {}
     for frame in dataset.frames:
         if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
@@ -105,7 +103,7 @@ def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
 
 
 def camera_ring(summary: Json, dataset: Dataset) -> Figure:
-    """Draw the cameras round the canister from above and from the side; views that were left out are crossed."""
+    """Draw the cameras around the canister from above and from the side; crosses mark views that were not used."""
     scene = dataset.scene
     nominal = nominal_centres(dataset)
     used: list[Floats] = []
@@ -135,19 +133,19 @@ def camera_ring(summary: Json, dataset: Dataset) -> Figure:
             axes.scatter(centres[:, i], centres[:, j], s=22, color="#1f5f8b", zorder=3, label=f"used ({len(used)})")
         if left_out:
             centres = np.array(left_out)
-            axes.scatter(centres[:, i], centres[:, j], s=55, marker="x", color="#c0392b", zorder=4, label=f"left out ({len(left_out)})")
+            axes.scatter(centres[:, i], centres[:, j], s=55, marker="x", color="#c0392b", zorder=4, label=f"not used ({len(left_out)})")
         axes.set_aspect("equal")
         axes.grid(color="#eeeeee", linewidth=0.6, zorder=0)
         axes.set_axisbelow(True)
         axes.set_xlabel("x (mm)")
     top.set_ylabel("y (mm)")
     side.set_ylabel("z (mm)")
-    top.set_title("cameras in the canister's frame, from above")
+    top.set_title("cameras in the canister frame, from above")
     side.set_title("from the side")
     if used or left_out:
         top.legend(loc="upper right", fontsize=8, framealpha=0.9)
     if lost:
-        drawn.supxlabel(f"{lost} view(s) left out whose place is not known", fontsize=9)
+        drawn.supxlabel(f"{lost} unused view(s) without a known position", fontsize=9)
     return drawn
 
 
@@ -179,7 +177,7 @@ def _canister_from_side(axes: Axes, scene: Scene) -> None:
     for row in range(strip.rows):
         for column in range(strip.columns):
             angle = (column + 0.5) * 2.0 * np.pi / strip.columns
-            if np.sin(angle) > 0.0:  # the half that faces away
+            if np.sin(angle) > 0.0:  # on the far side
                 continue
             width = strip.marker_mm * -np.sin(angle)
             low = strip.bottom_mm + row * strip.row_pitch_mm
@@ -187,7 +185,7 @@ def _canister_from_side(axes: Axes, scene: Scene) -> None:
 
 
 def _canister_outline(axes: Axes, scene: Scene) -> None:
-    """Draw the canister's walls, floor and water from the side."""
+    """Draw walls, floor and water of the canister from the side."""
     can = scene.canister
     outer, inner, floor = can.outer_radius_mm, can.inner_radius_mm, can.floor_z_mm
     axes.add_patch(Rectangle((-outer, -can.height_mm), 2.0 * outer, can.height_mm, facecolor="#f4f4f4", edgecolor="#808080", linewidth=1.2))
@@ -197,7 +195,7 @@ def _canister_outline(axes: Axes, scene: Scene) -> None:
 
 
 def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
-    """Draw the shape close up, from the front and from the side, to one scale in mm."""
+    """Draw the shape from the front and from the side, at the same scale."""
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(shape.vertices_mm, side) for side in sides]
     tall = max((box[3] - box[2]) / (box[1] - box[0]) for box in boxes)
@@ -210,24 +208,62 @@ def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
     return drawn
 
 
-def shape_close_up(shape: Mesh) -> Figure:
-    """Draw the shape by itself from the front and from the side, close up, with its scale in mm."""
+def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order") -> Figure:
+    """Draw the shape from the front and from the side, without the canister.
+
+    Parameters
+    ----------
+    shape : Mesh
+        Surface, canister frame.
+    roots : sequence of Root
+        Centre lines, for colours; empty: one colour.
+    by : str
+        Property that colours the surface, one of `root_colours.CHOICES`.
+
+    Returns
+    -------
+    Figure
+        Two pictures at the same scale, with a colour key.
+    """
+    lines = as_lines(roots)
+    colour, key = root_colours.colour_roots(by, lines)
     drawn = figure(7.0, 3.8)
-    for axes, side in zip(drawn.subplots(1, 2), (shading.FRONT, shading.SIDE), strict=True):
+    both = drawn.subplots(1, 2)
+    for axes, side in zip(both, (shading.FRONT, shading.SIDE), strict=True):
         box = _box(shape.vertices_mm, side)
         raster, px_mm = _raster(shape, side, box)
-        axes.imshow(shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK), extent=box, origin="upper", interpolation="antialiased")
-        axes.set_aspect("equal")
-        axes.set_xlabel(side.right_label)
-        axes.set_ylabel("z (mm)")
+        shades = _colours_of_pixels(raster, side, box, px_mm, lines, colour) if lines else np.array(SHAPE_RGB)
+        picture = shading.shade(raster, shades, px_mm=px_mm, shrink=SHRINK)
+        axes.imshow(picture, extent=box, origin="upper", interpolation="antialiased")
+        put_axes(axes, side, box)
         axes.set_title(side.name, fontsize=10)
+    if lines and key.swatches:
+        handles = [Patch(color="#" + bytes(rgb).hex(), label=label) for rgb, label in key.swatches]
+        drawn.legend(handles=handles, loc="outside right center", fontsize=8, frameon=False)
+    elif lines and key.ends is not None:
+        bar = drawn.colorbar(ScalarMappable(norm=Normalize(0.0, 1.0), cmap="viridis"), ax=list(both), shrink=0.7)
+        bar.set_ticks([0.0, 1.0], labels=list(key.ends), fontsize=8)
     return drawn
+
+
+def _colours_of_pixels(
+    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: Callable[[int, Line], NDArray[np.uint8]]
+) -> Floats:
+    """Return the colours (H, W, 3), 0 to 1, of a rendered surface from the nearest points of centre lines."""
+    row, column = np.nonzero(found.hit)
+    flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
+    points = np.concatenate([line.points_mm for line in lines.values()])
+    radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
+    shades = np.concatenate([colour(number, line) for number, line in lines.items()])
+    picture = np.zeros((*found.hit.shape, 3))
+    picture[row, column] = shades[surface_mesh.nearest_root(flat @ side.axes, points, radii)] / 255.0
+    return picture
 
 
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Figure:
     """Draw the shape, the truth and the distance between them, from two sides.
 
-    The upper row is from the front, the lower one from the side, close up.
+    The top row is the front, the bottom row the side.
 
     Parameters
     ----------
@@ -247,7 +283,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(points, side) for side in sides]
     seen = [_raster(shape, side, box) for side, box in zip(sides, boxes, strict=True)]
-    apart = [distances_shown(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(sides, boxes, seen, strict=True)]
+    apart = [surface_distances(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(sides, boxes, seen, strict=True)]
     shown = np.concatenate([distance[found.hit] for distance, (found, _) in zip(apart, seen, strict=True)])
     most = float(np.percentile(shown, 98.0)) if len(shown) else 0.0
     scale = ScalarMappable(norm=Normalize(0.0, max(0.05, most)), cmap="viridis")
@@ -265,7 +301,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
         for axes, drawing in zip(row, drawings, strict=True):
             _show(axes, scene, side, box, drawing)
             axes.set_title(side.name, fontsize=9)
-    for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, by its distance to the truth"), strict=True):
+    for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, distance to the truth"), strict=True):
         axes.set_title(f"{name}\n{sides[0].name}", fontsize=9)
     bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
     bar.set_label("distance to the true surface (mm)")
@@ -274,18 +310,18 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
 
 
 def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narrowest: float, flattest: float) -> Box:
-    """Return left, right, bottom and top round points seen from a side.
+    """Return left, right, bottom and top of the bounding box of points, as projected on a side.
 
     Parameters
     ----------
     points_mm : (P, 3) float64 array
         In the canister's frame.
     side : Side
-        From where they are seen.
+        Direction of projection.
     margin_mm : float
-        Room about them.
+        Margin around the points.
     narrowest, flattest : float
-        Least width over height, and least height over width.
+        Smallest width over height, and smallest height over width.
     """
     flat = points_mm @ side.axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
@@ -295,7 +331,7 @@ def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narro
 
 
 def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
-    """Give axes the limits of a box and the names of a side."""
+    """Set the limits of axes to a box and their labels to those of a side."""
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal")
@@ -307,19 +343,19 @@ def _box(points_mm: Floats, side: shading.Side) -> Box:
     return box_around(points_mm, side, margin_mm=4.0, narrowest=0.75, flattest=0.6)
 
 
-def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
-    """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing.
+def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
+    """Return the distance (H, W), mm, between the rendered surface and the truth, 0 outside the surface.
 
-    One point for a few pixels of the picture.
+    One distance is computed for each block of pixels.
 
     Parameters
     ----------
     found : shading.Raster
-        The shape as it is drawn.
+        The rendered shape.
     side, box, px_mm : shading.Side, Box, float
-        From where, what part, and the edge of a pixel.
+        Direction, part, and edge of a pixel.
     truth : Mesh
-        What the distance is to.
+        True surface.
 
     Returns
     -------
@@ -343,7 +379,7 @@ def _raster(mesh: Mesh, side: shading.Side, box: Box) -> tuple[shading.Raster, f
 
 
 def _show(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
-    """Put a rendering into its place in the canister."""
+    """Show a rendering at its position in the canister."""
     _canister_outline(axes, scene)
     axes.imshow(picture, extent=box, origin="upper", zorder=5, interpolation="antialiased")
     put_axes(axes, side, box)

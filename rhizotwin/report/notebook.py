@@ -1,4 +1,4 @@
-"""A result as a notebook shows it: a picture of the shape and the numbers, in one piece of HTML."""
+"""A result as HTML for notebooks: a picture of the shape and a table of numbers."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import base64
 from html import escape
 
 from rhizotwin.recon.results.result import Result
+from rhizotwin.report import words
 
 DPI = 90
-"""A figure of 10 inches fills a notebook's 900 px."""
+"""A figure of 10 inches fills the 900 pixels of a notebook."""
 
 
 def html(result: Result) -> str:
-    """Return the HTML."""
-    low, high = result.interval_mm3
+    """Return the HTML of a result."""
+    summary = result.summary()
+    found, interval = words.volume_text(summary)
     used = sum(camera.used for camera in result.cameras)
-    trust = "trusted" if result.trusted else "<b>not trusted</b>"
+    usable = "usable" if result.trusted else f"<b>not reliable</b>: {escape(result.verdict)}"
     rows = [
-        ("volume", f"<b>{result.volume_mm3:.1f} mm<sup>3</sup></b>, 90 % interval {low:.1f} to {high:.1f}"),
-        ("", f"{trust}{': ' if result.verdict else ''}{escape(result.verdict)}"),
-        ("roots", f"{len(result.roots)}, {result.solid.length_mm:.0f} mm" if result.roots else "no centre lines"),
+        ("volume", f"<b>{found}</b>, 90 % interval {interval}"),
+        ("verdict", usable),
+        ("roots", "; ".join([f"{len(result.roots)}", *words.root_summary(summary)[:1]]) if result.roots else "no centre lines"),
         ("views", f"{used} of {len(result.cameras)} used"),
         *(("warning", escape(warning)) for warning in result.warnings),
     ]
@@ -28,12 +30,12 @@ def html(result: Result) -> str:
 
 
 def _picture(result: Result) -> str:
-    """Return the shape as a picture inside the text; nothing where there is no shape."""
+    """Return the shape as an image element; empty if there is no shape."""
     surface = result.solid.surface
     if not len(surface.faces):
         return ""
     from rhizotwin.report import figures  # loads matplotlib
     from rhizotwin.scenes.figures import png
 
-    drawn = base64.b64encode(png(figures.shape_close_up(surface), dpi=DPI)).decode()
-    return f'<img alt="the shape from two sides" src="data:image/png;base64,{drawn}">'
+    drawn = base64.b64encode(png(figures.shape_close_up(surface, result.roots), dpi=DPI)).decode()
+    return f'<img alt="shape from two sides" src="data:image/png;base64,{drawn}">'

@@ -1,126 +1,115 @@
 "use strict";
-// Draws the shape of each result in its own canvas (WebGL, no library), and makes the files that can be saved.
+// Draws the shape of each result in its own canvas (WebGL, no library) and creates the files for download.
 (() => {
-  const ORDERS = [[0.35, 0.35, 0.35], [0.12, 0.47, 0.71], [0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.58, 0.4, 0.74], [1, 0.5, 0.05]];
-  const VIRIDIS = [[0.27, 0.0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.14]];
-  const AROUND = 6, LEAST_KNOWN = 0.25; // as the viewer has them
-  const scaled = (share) => {
-    const at = Math.min(Math.max(share, 0), 1) * (VIRIDIS.length - 1), k = Math.min(Math.floor(at), VIRIDIS.length - 2), f = at - k;
-    return VIRIDIS[k].map((low, i) => low + f * (VIRIDIS[k + 1][i] - low));
+  const VIRIDIS = ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"];
+  const LINE_SHADE = matchMedia("(prefers-color-scheme: dark)").matches ? 1.0 : 0.5; // centre lines have the colour of the surface, darker on white
+  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const positions = (packed) => {
+    const steps = new Uint16Array(bytes(packed.points).buffer), found = new Float32Array(steps.length);
+    for (let k = 0; k < steps.length; k++) found[k] = packed.origin[k % 3] + packed.scale * steps[k];
+    return found;
   };
-  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
-  const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  const unit = (a) => { const size = Math.hypot(...a) || 1; return [a[0] / size, a[1] / size, a[2] / size]; };
 
   function unpack(packed) {
-    const steps = new Uint16Array(bytes(packed.points)), points = [];
-    for (let k = 0; k < steps.length; k += 3) points.push([0, 1, 2].map((i) => packed.origin[i] + packed.scale * steps[k + i]));
-    const solid = { kind: packed.kind, points };
-    if (packed.kind === "surface") { solid.faces = new Uint32Array(bytes(packed.faces)); return solid; }
-    const diameters = new Uint16Array(bytes(packed.diameters)), halves = packed.halves ? new Uint16Array(bytes(packed.halves)) : null;
-    let first = 0;
-    solid.roots = packed.counts.map((count, k) => {
-      const root = { points: points.slice(first, first + count), diameters: Array.from(diameters.slice(first, first + count), (d) => d / 1000), halves: halves ? Array.from(halves.slice(first, first + count), (d) => d / 1000) : null, order: packed.orders[k], parent: packed.parents[k] };
-      first += count;
-      return root;
-    });
-    return solid;
+    const shape = { keys: packed.keys, plain: packed.plain, position: positions(packed), faces: new Uint32Array(bytes(packed.faces).buffer), colours: {} };
+    shape.normal = normals(shape.position, shape.faces);
+    shape.nearest = packed.nearest === undefined ? null : new Uint32Array(bytes(packed.nearest).buffer);
+    for (const name of Object.keys(packed.colours)) shape.colours[name] = bytes(packed.colours[name]);
+    shape.lines = packed.roots ? positions(packed.roots) : new Float32Array(0);
+    shape.counts = packed.roots ? packed.roots.counts : [];
+    shape.parents = packed.roots ? packed.roots.parents : [];
+    shape.diameters = packed.roots ? Array.from(new Uint16Array(bytes(packed.roots.diameters).buffer), (d) => d / 1000) : [];
+    return shape;
   }
 
-  function meshed(solid) {
-    // vertices, normals and triangles; of each vertex its order, diameter, height and how uncertain its diameter is, for the colours
-    const position = [], normal = [], faces = [], tag = [];
-    if (solid.kind === "surface") {
-      const sums = solid.points.map(() => [0, 0, 0]);
-      for (let k = 0; k < solid.faces.length; k += 3) {
-        const [a, b, c] = [0, 1, 2].map((i) => solid.faces[k + i]);
-        const area = cross(sub(solid.points[b], solid.points[a]), sub(solid.points[c], solid.points[a]));
-        for (const v of [a, b, c]) for (let i = 0; i < 3; i++) sums[v][i] += area[i];
-        faces.push(a, b, c);
-      }
-      solid.points.forEach((p, k) => { position.push(...p); normal.push(...unit(sums[k])); tag.push([0, 0, p[2]]); });
-      return { position, normal, faces, tag };
+  function normals(position, faces) {
+    const sums = new Float32Array(position.length);
+    for (let k = 0; k < faces.length; k += 3) {
+      const n = facet(position, faces, k);
+      for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) sums[3 * faces[k + i] + j] += n[j];
     }
-    for (const root of solid.roots) {
-      const points = root.points, begin = position.length / 3;
-      let side = null;
-      points.forEach((p, k) => {
-        const along = unit(sub(points[Math.min(k + 1, points.length - 1)], points[Math.max(k - 1, 0)]));
-        if (side === null) side = Math.abs(along[2]) < 0.9 ? cross(along, [0, 0, 1]) : cross(along, [1, 0, 0]);
-        const off = dot(side, along);
-        side = unit([side[0] - off * along[0], side[1] - off * along[1], side[2] - off * along[2]]);
-        const up = cross(along, side), radius = root.diameters[k] / 2;
-        for (let i = 0; i < AROUND; i++) {
-          const angle = (2 * Math.PI * i) / AROUND, c = Math.cos(angle), s = Math.sin(angle);
-          const n = [0, 1, 2].map((j) => c * side[j] + s * up[j]);
-          position.push(p[0] + radius * n[0], p[1] + radius * n[1], p[2] + radius * n[2]);
-          normal.push(...n);
-          tag.push([root.order, root.diameters[k], p[2], root.halves ? root.halves[k] / Math.max(root.diameters[k], 1e-6) : 0]);
-          if (k > 0) {
-            const a = begin + (k - 1) * AROUND, b = a + AROUND, next = (i + 1) % AROUND;
-            faces.push(a + i, a + next, b + next, a + i, b + next, b + i);
-          }
-        }
-      });
-      const last = begin + (points.length - 1) * AROUND;
-      for (let i = 1; i + 1 < AROUND; i++) faces.push(begin, begin + i + 1, begin + i, last, last + i, last + i + 1);
+    for (let k = 0; k < sums.length; k += 3) {
+      const size = Math.hypot(sums[k], sums[k + 1], sums[k + 2]) || 1;
+      for (let j = 0; j < 3; j++) sums[k + j] /= size;
     }
-    return { position, normal, faces, tag };
+    return sums;
   }
 
-  function colours(mesh, by) {
-    const sorted = mesh.tag.map((t) => t[1]).sort((a, b) => a - b), most = sorted[Math.floor(0.98 * (sorted.length - 1))] || 1;
-    let low = Infinity, high = -Infinity;
-    for (const t of mesh.tag) { low = Math.min(low, t[2]); high = Math.max(high, t[2]); }
-    const colour = (t) => (by === "order" ? ORDERS[Math.min(t[0], ORDERS.length - 1)] : by === "diameter" ? scaled(t[1] / most) : by === "depth" ? scaled((high - t[2]) / (high - low || 1)) : by === "uncertainty" ? scaled(t[3] / LEAST_KNOWN) : [0.87, 0.63, 0.36]);
-    const legend = {
-      order: "grey: main root; blue: laterals; red, green, ...: laterals of laterals",
-      diameter: `violet: 0 mm; yellow: ${most.toPrecision(2)} mm or more`,
-      depth: `violet: ${(-high).toFixed(0)} mm below the rim; yellow: ${(-low).toFixed(0)} mm`,
-      uncertainty: `violet: the diameter is certain; yellow: it may be ${(100 * LEAST_KNOWN).toFixed(0)} % off or more (90 % interval)`,
-    }[by] || "";
-    return { shades: new Float32Array(mesh.tag.flatMap(colour)), legend };
+  function facet(p, faces, k) { // area vector of the triangle whose corners begin at index k
+    const [a, b, c] = [3 * faces[k], 3 * faces[k + 1], 3 * faces[k + 2]];
+    const u = [p[b] - p[a], p[b + 1] - p[a + 1], p[b + 2] - p[a + 2]], v = [p[c] - p[a], p[c + 1] - p[a + 1], p[c + 2] - p[a + 2]];
+    return [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
   }
 
-  const VERTEX = "attribute vec3 p, n, c; uniform mat4 m; uniform mat3 r; varying vec3 shade; void main() { gl_Position = m * vec4(p, 1.0);"
-    + "float l = 0.45 + 0.55 * abs(dot(normalize(r * n), normalize(vec3(-0.4, 0.6, 0.8)))); shade = c * l; }";
+  function vertexColours(shape, by) { // 0 to 255, three for each vertex
+    const count = shape.position.length / 3, found = new Uint8Array(3 * count), table = shape.colours[by];
+    for (let k = 0; k < count; k++) {
+      const from = table ? 3 * (shape.nearest ? shape.nearest[k] : k) : 0;
+      for (let j = 0; j < 3; j++) found[3 * k + j] = table ? table[from + j] : shape.plain[j];
+    }
+    return found;
+  }
+
+  function showKey(place, key) {
+    place.replaceChildren();
+    const add = (className, text, background) => {
+      const part = document.createElement("span");
+      part.className = className;
+      part.textContent = text;
+      if (background) part.style.background = background;
+      place.append(part);
+    };
+    if (key && key.ends) {
+      add("", key.ends[0]); add("scale", "", `linear-gradient(90deg, ${VIRIDIS.join(", ")})`); add("", key.ends[1]);
+    }
+    for (const one of (key && key.swatches) || []) { add("swatch", "", `rgb(${one.rgb.join(", ")})`); add("label", one.label); }
+  }
+
+  const VERTEX = "attribute vec3 p, n, c; uniform mat4 m; uniform mat3 r; uniform float lit; varying vec3 shade; void main() { gl_Position = m * vec4(p, 1.0);"
+    + "float l = 0.45 + 0.55 * abs(dot(normalize(r * n), normalize(vec3(-0.4, 0.6, 0.8)))); shade = c * mix(1.0, l, lit); }";
   const FRAGMENT = "precision mediump float; varying vec3 shade; void main() { gl_FragColor = vec4(shade, 1.0); }";
 
-  function show(box, mesh, kind) {
-    const canvas = box.querySelector("canvas"), choice = box.querySelector("select");
+  function show(box, shape) {
+    const canvas = box.querySelector("canvas"), choice = box.querySelector("select"), overlay = box.querySelector("input");
     const gl = canvas.getContext("webgl", { antialias: true, alpha: true, preserveDrawingBuffer: true });
-    if (!gl || !gl.getExtension("OES_element_index_uint")) { box.querySelector("p").textContent = "This browser draws no 3D; see the pictures below."; return; }
+    if (!gl || !gl.getExtension("OES_element_index_uint")) { box.querySelector("p").textContent = "This browser cannot draw 3D graphics (WebGL); see the figures below."; return; }
     const program = gl.createProgram();
     for (const [type, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
       const shader = gl.createShader(type);
       gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(program, shader);
     }
-    gl.linkProgram(program); gl.useProgram(program); gl.enable(gl.DEPTH_TEST);
-    const middle = [0, 1, 2].map((i) => { let low = Infinity, high = -Infinity; for (let k = i; k < mesh.position.length; k += 3) { low = Math.min(low, mesh.position[k]); high = Math.max(high, mesh.position[k]); } return [(low + high) / 2, (high - low) / 2]; });
-    const size = Math.hypot(...middle.map((m) => m[1])) || 1, centre = middle.map((m) => m[0]);
-    const fill = (name, values) => {
-      const buffer = gl.createBuffer(), place = gl.getAttribLocation(program, name);
-      gl.bindBuffer(gl.ARRAY_BUFFER, buffer); gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
-      gl.enableVertexAttribArray(place); gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
-      return buffer;
-    };
-    const at = new Float32Array(mesh.position.length);
-    for (let k = 0; k < at.length; k++) at[k] = (mesh.position[k] - centre[k % 3]) / size;
-    fill("p", at); fill("n", new Float32Array(mesh.normal));
-    const told = box.querySelector(".legend"), first = colours(mesh, choice.value), shades = fill("c", first.shades);
-    told.textContent = first.legend;
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(mesh.faces), gl.STATIC_DRAW);
-    let turn = 0.6, tilt = 0.25, near = 0, shift = [0, 0], wanted = false;
-    const fitting = (rows, width, height) => { // how near all of it just fits, with a margin
+    gl.linkProgram(program); gl.useProgram(program);
+    const all = shape.position.length ? shape.position : shape.lines, low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    for (let k = 0; k < all.length; k++) { low[k % 3] = Math.min(low[k % 3], all[k]); high[k % 3] = Math.max(high[k % 3], all[k]); }
+    const centre = low.map((v, i) => (v + high[i]) / 2), size = Math.hypot(...low.map((v, i) => (high[i] - v) / 2)) || 1;
+    const scaled = (points) => points.map((v, k) => (v - centre[k % 3]) / size);
+    const place = Object.fromEntries(["p", "n", "c"].map((name) => [name, gl.getAttribLocation(program, name)]));
+    const at = scaled(all), uniform = Object.fromEntries(["m", "r", "lit"].map((name) => [name, gl.getUniformLocation(program, name)]));
+    const buffer = (values) => { const made = gl.createBuffer(); gl.bindBuffer(gl.ARRAY_BUFFER, made); gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW); return made; };
+    const attach = (name, from, type, normalised) => { gl.bindBuffer(gl.ARRAY_BUFFER, from); gl.enableVertexAttribArray(place[name]); gl.vertexAttribPointer(place[name], 3, type, normalised, 0, 0); };
+    const surface = { p: buffer(scaled(shape.position)), n: buffer(shape.normal), c: gl.createBuffer(), faces: gl.createBuffer() };
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, surface.faces); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, shape.faces, gl.STATIC_DRAW);
+    const segments = []; // pairs of points, without those between roots
+    let first = 0;
+    for (const count of shape.counts) { for (let k = first; k + 1 < first + count; k++) segments.push(k, k + 1); first += count; }
+    const lines = { p: buffer(scaled(shape.lines)), c: gl.createBuffer(), segments: gl.createBuffer() };
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, lines.segments); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(segments), gl.STATIC_DRAW);
+    function paint() {
+      gl.bindBuffer(gl.ARRAY_BUFFER, surface.c); gl.bufferData(gl.ARRAY_BUFFER, vertexColours(shape, choice.value), gl.STATIC_DRAW);
+      const table = shape.nearest && shape.colours[choice.value], dark = Uint8Array.from(shape.lines, (_, k) => LINE_SHADE * (table ? table[k] : shape.plain[k % 3]));
+      gl.bindBuffer(gl.ARRAY_BUFFER, lines.c); gl.bufferData(gl.ARRAY_BUFFER, dark, gl.STATIC_DRAW);
+      showKey(box.querySelector(".key"), shape.keys[choice.value]);
+      redraw();
+    }
+    let turn, tilt, near, shift, wanted = false;
+    const reset = () => { turn = 0.0; tilt = 0.12; near = 0; shift = [0, 0]; redraw(); };
+    const fitting = (rows, width, height) => { // the magnification at which all of it fits, with a margin
       let across = 1e-6, up = 1e-6;
       for (let k = 0; k < at.length; k += 3) {
         across = Math.max(across, Math.abs(rows[0][0] * at[k] + rows[0][1] * at[k + 1] + rows[0][2] * at[k + 2]));
         up = Math.max(up, Math.abs(rows[1][0] * at[k] + rows[1][1] * at[k + 1] + rows[1][2] * at[k + 2]));
       }
-      return 0.92 * Math.min(1 / (across * Math.min(1, height / width)), 1 / (up * Math.min(1, width / height)));
+      return 0.84 * Math.min(1 / (across * Math.min(1, height / width)), 1 / (up * Math.min(1, width / height)));
     };
     function draw() {
       wanted = false;
@@ -134,12 +123,21 @@
       const m = [], rows = [r[0].map((v) => v * across), r[1].map((v) => v * up), r[2].map((v) => -0.2 * v)];
       for (let column = 0; column < 3; column++) m.push(rows[0][column], rows[1][column], rows[2][column], 0);
       m.push(shift[0], shift[1], 0, 1);
-      gl.uniformMatrix4fv(gl.getUniformLocation(program, "m"), false, m);
-      gl.uniformMatrix3fv(gl.getUniformLocation(program, "r"), false, [0, 1, 2].flatMap((column) => r.map((row) => row[column])));
-      gl.drawElements(gl.TRIANGLES, mesh.faces.length, gl.UNSIGNED_INT, 0);
+      gl.uniformMatrix4fv(uniform.m, false, m);
+      gl.uniformMatrix3fv(uniform.r, false, [0, 1, 2].flatMap((column) => r.map((row) => row[column])));
+      gl.enable(gl.DEPTH_TEST); gl.uniform1f(uniform.lit, 1);
+      attach("p", surface.p, gl.FLOAT, false); attach("n", surface.n, gl.FLOAT, false); attach("c", surface.c, gl.UNSIGNED_BYTE, true);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, surface.faces); gl.drawElements(gl.TRIANGLES, shape.faces.length, gl.UNSIGNED_INT, 0);
+      if (overlay && overlay.checked) { // centre lines, drawn over the surface
+        gl.disable(gl.DEPTH_TEST); gl.uniform1f(uniform.lit, 0);
+        attach("p", lines.p, gl.FLOAT, false); attach("c", lines.c, gl.UNSIGNED_BYTE, true);
+        gl.disableVertexAttribArray(place.n); gl.vertexAttrib3f(place.n, 0, 0, 1);
+        gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, lines.segments); gl.drawElements(gl.LINES, segments.length, gl.UNSIGNED_INT, 0);
+      }
+      bar(box.querySelector(".bar"), (0.5 * canvas.clientWidth * across) / size);
       canvas.dataset.drawn = String(Number(canvas.dataset.drawn || 0) + 1);
     }
-    const redraw = () => { if (!wanted) { wanted = true; requestAnimationFrame(draw); } };
+    function redraw() { if (!wanted) { wanted = true; requestAnimationFrame(draw); } }
     const held = new Map();
     canvas.addEventListener("pointerdown", (event) => { canvas.setPointerCapture(event.pointerId); held.set(event.pointerId, [event.clientX, event.clientY]); });
     canvas.addEventListener("pointermove", (event) => {
@@ -157,47 +155,83 @@
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => held.delete(event.pointerId));
     canvas.addEventListener("wheel", (event) => { event.preventDefault(); near *= Math.exp(-event.deltaY / 600); redraw(); }, { passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    choice.addEventListener("change", () => {
-      const now = colours(mesh, choice.value);
-      gl.bindBuffer(gl.ARRAY_BUFFER, shades); gl.bufferData(gl.ARRAY_BUFFER, now.shades, gl.STATIC_DRAW);
-      told.textContent = now.legend;
-      redraw();
-    });
+    choice.addEventListener("change", paint);
+    if (overlay) overlay.addEventListener("change", redraw);
+    box.querySelector("button").addEventListener("click", reset);
     new ResizeObserver(redraw).observe(canvas);
     window.addEventListener("beforeprint", draw);
-    redraw();
+    reset(); paint();
   }
 
-  function stl(mesh) {
-    const count = mesh.faces.length / 3, data = new DataView(new ArrayBuffer(84 + 50 * count));
+  function bar(place, pixelsPerMm) { // the longest scale bar of 1, 2 or 5 times a power of ten that is at most 120 pixels wide
+    const most = 120 / pixelsPerMm, power = 10 ** Math.floor(Math.log10(most)), length = [5, 2, 1].map((k) => k * power).find((v) => v <= most);
+    place.style.width = `${length * pixelsPerMm}px`;
+    place.textContent = `${Number(length.toPrecision(1))} mm`;
+  }
+
+  function stl(shape) {
+    const count = shape.faces.length / 3, data = new DataView(new ArrayBuffer(84 + 50 * count));
     data.setUint32(80, count, true);
     for (let k = 0; k < count; k++) {
-      const corners = [0, 1, 2].map((i) => { const v = 3 * mesh.faces[3 * k + i]; return mesh.position.slice(v, v + 3); });
-      const n = unit(cross(sub(corners[1], corners[0]), sub(corners[2], corners[0])));
-      [n, ...corners].flat().forEach((value, i) => data.setFloat32(84 + 50 * k + 4 * i, value, true));
+      const n = facet(shape.position, shape.faces, 3 * k), long = Math.hypot(...n) || 1;
+      n.forEach((value, i) => data.setFloat32(84 + 50 * k + 4 * i, value / long, true));
+      for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) data.setFloat32(96 + 50 * k + 12 * i + 4 * j, shape.position[3 * shape.faces[3 * k + i] + j], true);
     }
     return new Blob([data.buffer], { type: "model/stl" });
   }
 
-  function rsml(solid, name) {
+  function glb(shape, by) { // binary glTF 2.0: metres, y up, colours of vertices linear
+    const count = shape.position.length / 3, position = new Float32Array(3 * count), normal = new Float32Array(3 * count), colour = new Uint8Array(4 * count);
+    const shown = vertexColours(shape, by), low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    for (let k = 0; k < count; k++) {
+      for (const [to, from, factor] of [[position, shape.position, 1e-3], [normal, shape.normal, 1]]) {
+        to[3 * k] = factor * from[3 * k]; to[3 * k + 1] = factor * from[3 * k + 2]; to[3 * k + 2] = -factor * from[3 * k + 1];
+      }
+      for (let j = 0; j < 3; j++) {
+        const value = shown[3 * k + j] / 255; // sRGB to linear
+        colour[4 * k + j] = Math.round(255 * (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4));
+        low[j] = Math.min(low[j], position[3 * k + j]); high[j] = Math.max(high[j], position[3 * k + j]);
+      }
+      colour[4 * k + 3] = 255;
+    }
+    const parts = [position, normal, colour, shape.faces], bufferViews = [];
+    let size = 0;
+    for (const part of parts) { bufferViews.push({ buffer: 0, byteOffset: size, byteLength: part.byteLength, target: part === shape.faces ? 34963 : 34962 }); size += part.byteLength; }
+    const accessors = [
+      { bufferView: 0, componentType: 5126, count, type: "VEC3", min: low, max: high }, { bufferView: 1, componentType: 5126, count, type: "VEC3" },
+      { bufferView: 2, componentType: 5121, normalized: true, count, type: "VEC4" }, { bufferView: 3, componentType: 5125, count: shape.faces.length, type: "SCALAR" },
+    ];
+    const primitive = { attributes: { POSITION: 0, NORMAL: 1, COLOR_0: 2 }, indices: 3, material: 0 };
+    let text = JSON.stringify({
+      asset: { version: "2.0", generator: "rhizotwin" }, scene: 0, scenes: [{ nodes: [0] }], nodes: [{ mesh: 0 }], meshes: [{ primitives: [primitive] }],
+      materials: [{ pbrMetallicRoughness: { metallicFactor: 0, roughnessFactor: 1 } }], buffers: [{ byteLength: size }], bufferViews, accessors,
+    });
+    text += " ".repeat((4 - (text.length % 4)) % 4);
+    const words = (...values) => new Uint32Array(values);
+    return new Blob([words(0x46546c67, 2, 28 + text.length + size, text.length, 0x4e4f534a), text, words(size, 0x004e4942), ...parts], { type: "model/gltf-binary" });
+  }
+
+  function rsml(shape, name) {
     const plain = (text) => text.replace(/[<>&"]/g, "");
-    const below = solid.roots.map(() => []);
-    solid.roots.forEach((root, k) => { if (root.parent >= 0) below[root.parent].push(k); });
+    const below = shape.counts.map(() => []), begin = [];
+    let first = 0;
+    shape.counts.forEach((count, k) => { begin.push(first); first += count; if (shape.parents[k] >= 0) below[shape.parents[k]].push(k); });
     const write = (k) => {
-      const root = solid.roots[k];
-      return `<root id="1.${k + 1}" label=""><geometry><polyline>${root.points.map((p) => `<point x="${p[0].toFixed(4)}" y="${p[1].toFixed(4)}" z="${p[2].toFixed(4)}"/>`).join("")}</polyline></geometry>`
-        + `<functions><function name="diameter" domain="polyline">${root.diameters.map((d) => `<sample>${d}</sample>`).join("")}</function></functions>${below[k].map(write).join("")}</root>`;
+      const numbers = Array.from({ length: shape.counts[k] }, (_, i) => begin[k] + i);
+      const point = (i) => `<point x="${shape.lines[3 * i].toFixed(4)}" y="${shape.lines[3 * i + 1].toFixed(4)}" z="${shape.lines[3 * i + 2].toFixed(4)}"/>`;
+      return `<root id="1.${k + 1}" label=""><geometry><polyline>${numbers.map(point).join("")}</polyline></geometry>`
+        + `<functions><function name="diameter" domain="polyline">${numbers.map((i) => `<sample>${shape.diameters[i]}</sample>`).join("")}</function></functions>${below[k].map(write).join("")}</root>`;
     };
-    const whole = solid.roots.map((root, k) => (root.parent < 0 ? write(k) : "")).join("");
+    const whole = shape.counts.map((_, k) => (shape.parents[k] < 0 ? write(k) : "")).join("");
     return new Blob([`<?xml version="1.0" encoding="UTF-8"?><rsml><metadata><version>1</version><unit>mm</unit><resolution>1</resolution><last-modified>${new Date().toISOString()}</last-modified>`
       + `<software>rhizotwin</software><user></user><file-key>${plain(name)}</file-key></metadata><scene><plant id="1" label="">${whole}</plant></scene></rsml>`], { type: "application/xml" });
   }
 
   for (const box of document.querySelectorAll("[data-result]")) {
     const data = JSON.parse(box.querySelector("script[type='application/json']").textContent);
-    const solid = unpack(data.solid), mesh = meshed(solid);
-    show(box.querySelector(".solid"), mesh, solid.kind);
-    const files = { csv: () => new Blob([data.csv], { type: "text/csv" }), stl: () => stl(mesh), rsml: () => rsml(solid, data.name) };
+    const shape = unpack(data.shape), choice = box.querySelector(".solid select");
+    show(box.querySelector(".solid"), shape);
+    const files = { csv: () => new Blob([data.csv], { type: "text/csv" }), stl: () => stl(shape), glb: () => glb(shape, choice.value), rsml: () => rsml(shape, data.name) };
     for (const button of box.querySelectorAll("button[data-file]")) {
       button.addEventListener("click", () => {
         const link = document.createElement("a");

@@ -1,7 +1,4 @@
-"""The page of a result, or of many.
-
-The number first, then what it is worth, the shape to turn, the pictures, and everything else.
-"""
+"""The HTML report of one result or of many: volume and verdict, the shape in 3D, pictures, traits and details."""
 
 from __future__ import annotations
 
@@ -20,10 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.corrections.lines import Line
+from rhizotwin import surface_mesh
 from rhizotwin.corrections.session import read_roots
 from rhizotwin.recon.results import assessments, result_traits
-from rhizotwin.report import rig_figure, solid, tables, words
+from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.report import rig_figure, shape_data, tables, words
 from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -32,43 +30,42 @@ from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
-from rhizotwin.simpler import simpler
 from rhizotwin.stored import result_files, stored_traits
-from rhizotwin.through_water import Pictures
+from rhizotwin.through_water import THIN_MM, Pictures
 
-ANGLES_DEG = (0, 45, 90, 135)
-"""Directions from which pictures are shown."""
+AZIMUTHS_DEG = (0, 45, 90, 135)
+"""Directions of the pictures in a report."""
 WIDEST_PX = 900
-OUTLINE = (255, 120, 0)
-MARGIN, LEAST_CUT, LEAST_WIDE_PX = 1.3, 0.2, 480
-"""How pictures are cut: so much larger than the roots, at least this share of the picture, at least so wide on the
-page."""
-OUTLINE_TRIANGLES = 30_000
-"""Of a surface whose outline is drawn over pictures."""
+TRIANGLES, TRIANGLES_OF_MANY = 80_000, 24_000
+"""Most triangles of a surface in the report of one result (about 1.7 MB), and of many."""
+MARGIN, SMALLEST_PART, LEAST_WIDE_PX = 1.3, 0.2, 480
+"""Cropping of pictures: size relative to the roots, smallest part of the picture, and smallest width on the page."""
 CAPTIONS = {
-    "lengths.png": "Where the length of the roots is.",
-    "shape.png": "The shape from two sides.",
-    "shape_and_truth.png": "The reconstructed shape, the true one, and the distance between them, from two sides.",
-    "inputs.png": "Pictures above their silhouettes; what a picture says nothing about is tinted red.",
-    "cameras.png": "Where the cameras stood; crosses are views that were left out.",
+    "lengths.png": "Root length by depth, diameter and order.",
+    "shape.png": "Reconstructed surface from two sides.",
+    "shape_and_truth.png": "Reconstructed surface, true surface, and the distance between them, from two sides.",
+    "inputs.png": "Pictures (top) and silhouettes (bottom). Red: pixels without information about the roots.",
+    "cameras.png": "Camera positions. Crosses: views that were not used.",
 }
 
 
 @dataclass(frozen=True)
-class _Read:
-    """A result as the page needs it."""
+class _Report:
+    """A result with all that its report shows."""
 
     folder: Path
     summary: dict[str, Any]
     roots: tuple[Root, ...]
+    surface: Mesh
     traits: Traits
     dataset: Dataset | None
 
     @classmethod
-    def of(cls, folder: Path, dataset: Dataset | Path | None) -> _Read:
+    def read(cls, folder: Path, dataset: Dataset | Path | None) -> _Report:
         summary = result_files.read_summary(folder)
         roots, surface = read_roots(folder), result_files.read_mesh(folder / "shape.ply")
-        return cls(folder, summary, roots, stored_traits.of_summary(summary, surface, roots), _dataset(summary, folder, dataset))
+        traits = stored_traits.of_summary(summary, surface, roots)
+        return cls(folder, summary, roots, surface, traits, _dataset(summary, folder, dataset))
 
     @property
     def name(self) -> str:
@@ -88,51 +85,58 @@ class _Read:
 
 
 def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
-    """Write the page of a result, as ``report.html`` in its folder or elsewhere, and return its path.
+    """Write the report of a result and return its path.
 
     Parameters
     ----------
+    result_folder : Path
+        Folder of the result.
     dataset : Dataset, path or None
-        Where the pictures are; None: where the result says, or no pictures where they are gone.
+        Dataset of the result; None: the one that the result names. A report without pictures is written if that one no
+        longer exists.
+    output : path or None
+        File to write; None: ``report.html`` in the result's folder.
 
     Raises
     ------
     UserError
-        If the result lacks a file, or was made from another dataset than the one given.
+        If the result lacks a file, or was made from another dataset than the given one.
     """
-    read = _Read.of(Path(result_folder), dataset)
+    report = _Report.read(Path(result_folder), dataset)
     path = Path(result_folder) / "report.html" if output is None else output
-    text = _whole(f"Roots of {read.name}", [_one(read)]).encode("utf-8", "backslashreplace")
+    text = _document(f"Roots of {report.name}", [_full(report)]).encode("utf-8", "backslashreplace")
     atomic.write_bytes(path, text, follow=output is not None)
     return path
 
 
 def write_many(result_folders: Sequence[Path], output: Path) -> Path:
-    """Write one page for many results, a table of their volumes first."""
-    read = [_Read.of(Path(folder), None) for folder in result_folders]
-    told = [name for name in subject.NAMES if any(name in one.subject.known for one in read)]
-    rows = []
-    for place, one in enumerate(read):
-        found, interval = words.volume(one.summary)
-        state = {"good": "can be used", "fair": "can be used", "bad": "not reliable"}[words.light(one.summary)[0]]
-        length = rounded(one.traits.total_length_mm) if one.traits.total_length_mm else "-"
-        if one.traits.total_length_mm and one.assessed["total_length_mm"].verdict != "reliable":
-            length += f" ({one.assessed['total_length_mm'].verdict})"
-        link = f'<a href="#result-{place}">{html.escape(one.folder.resolve().name)}</a>'
-        whose = "".join(f"<td>{html.escape(subject.as_text(one.subject)[name])}</td>" for name in told)
-        rows.append(
-            f"<tr><td>{link}</td><td>{html.escape(one.name)}</td>{whose}<td class=number>{found}</td><td class=number>{interval}</td>"
-            f"<td>{state}</td><td class=number>{length}</td><td>{html.escape(result_traits.edited(one.summary))}</td></tr>"
-        )
-    names = "".join(f"<th>{name}</th>" for name in ("result", "scene", *told, "volume", "90 % interval", "", "root length (mm)", "edits"))
-    head = f"<tr>{names}</tr>"
-    table = f"<h1>{len(read)} results</h1><div class=wide><table>{head}{''.join(rows)}</table></div>"
-    parts = [f'<div id="result-{place}">{_short(one)}</div>' for place, one in enumerate(read)]
-    atomic.write_bytes(output, _whole(f"{len(read)} results", [table, *parts]).encode("utf-8", "backslashreplace"))
+    """Write one report of many results, which begins with a table of their volumes."""
+    reports = [_Report.read(Path(folder), None) for folder in result_folders]
+    usable = sum(bool(one.summary["volume_trusted"]) for one in reports)
+    known = [name for name in subject.NAMES if any(name in one.subject.known for one in reports)]
+    head = ["verdict", "volume (90 % interval)", "result", *("scene", *known, "root length (mm)", "edits")]
+    cells = "".join(f"<th{' class=more' if k > 2 else ''}>{html.escape(name)}</th>" for k, name in enumerate(head))
+    rows = "".join(_row(place, one, known) for place, one in enumerate(reports))
+    title = f"{usable} of {len(reports)} volumes usable"
+    table = f"<h1>{title}</h1><div class=wide><table class=overview><tr>{cells}</tr>{rows}</table></div>"
+    parts = [f'<div id="result-{place}">{_short(one)}</div>' for place, one in enumerate(reports)]
+    atomic.write_bytes(output, _document(title, [table, *parts]).encode("utf-8", "backslashreplace"))
     return output
 
 
-def _whole(title: str, parts: Sequence[str]) -> str:
+def _row(place: int, report: _Report, known: Sequence[str]) -> str:
+    """Return a result's row in the table of many."""
+    length, interval = report.traits.total_length_mm, report.assessed["total_length_mm"]
+    shown = "-" if not length else rounded(length) + ("" if interval.verdict == "reliable" else f" ({interval.verdict})")
+    link = f'<a href="#result-{place}">{html.escape(report.folder.resolve().name)}</a>'
+    more = [report.name, *(subject.as_text(report.subject)[name] for name in known), shown, result_traits.edited(report.summary)]
+    return (
+        f"<tr>{tables.verdict_cells(report.summary)}<td>{link}</td>"
+        f"{''.join(f'<td class=more>{html.escape(text)}</td>' for text in more)}</tr>"
+    )
+
+
+def _document(title: str, parts: Sequence[str]) -> str:
     here = files("rhizotwin.report")
     style, script = (here.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
@@ -143,109 +147,111 @@ def _whole(title: str, parts: Sequence[str]) -> str:
     )
 
 
-def _one(read: _Read) -> str:
-    """Return all that is told of one result."""
+def _full(report: _Report) -> str:
+    """Return the report of one result."""
+    surface = surface_mesh.simplify(surface_mesh.close(report.surface), TRIANGLES)
+    method = words.methods_paragraph(report.summary, roots=bool(report.roots), simulated=words.is_simulated(report.dataset))
     sections = {
-        "Pictures, with the reconstruction's outline drawn as the water bends it": _pictures(read),
-        "Plants": _plants(read),
-        "Traits": _traits(read),
-        "What the interval allows for": _list(words.budget(read.summary)),
-        "Where it is and how it looks": _figures(read.folder),
-        "How it was made": f"<p>{html.escape(words.method(read.summary, roots=bool(read.roots)))}</p>" + _rig(read),
-        "More numbers": _more(read),
+        "Pictures with the outline of the reconstruction": _pictures(report, surface),
+        "Plants": _plants(report),
+        "Traits": _traits(report),
+        "Causes of uncertainty": _list(words.uncertainty_causes(report.summary)),
+        "Figures": _figures(report.folder),
+        "Methods": f"<p>{html.escape(method)}</p>" + _rig(report),
+        "Details": _details(report),
     }
     rest = "".join(f"<h2>{title}</h2>{text}" for title, text in sections.items() if text)
-    return f"<section data-result>{_head(read)}{_solid(read)}{rest}</section>"
+    return f"<section data-result>{_head(report)}{_shape(report, surface)}{rest}</section>"
 
 
-def _short(read: _Read) -> str:
-    """Return what is told of one result among many."""
-    return f"<section data-result>{_head(read)}{_solid(read)}<details><summary>Traits</summary>{_traits(read)}</details></section>"
+def _short(report: _Report) -> str:
+    """Return the report of one result among many."""
+    shape = _shape(report, surface_mesh.simplify(surface_mesh.close(report.surface), TRIANGLES_OF_MANY))
+    return f"<section data-result>{_head(report)}{shape}<details><summary>Traits</summary>{_traits(report)}</details></section>"
 
 
-def _head(read: _Read) -> str:
-    """Return name, number and traffic light."""
-    described = "" if read.dataset is None else f"<p class=soft>{html.escape(read.dataset.scene.description)}</p>"
-    whose = "; ".join(filter(None, [str(read.subject), read.solution and f"nutrient solution {read.solution}"]))
+def _head(report: _Report) -> str:
+    """Return name, subject, volume and traffic light."""
+    scan = "Simulated scan" if words.is_simulated(report.dataset) else "Scan"
+    described = "" if report.dataset is None else ": ".join(filter(None, [scan, report.dataset.scene.description]))
+    described = f"<p class=soft>{html.escape(described)}</p>" if described else ""
+    whose = "; ".join(filter(None, [str(report.subject), report.solution and f"nutrient solution {report.solution}"]))
     described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
-    headline, beside = words.headline(read.summary)
-    state, meaning, told = words.light(read.summary)
-    edits = result_traits.edited(read.summary)
-    hand = f"<p class=soft>Corrected by hand: {html.escape(edits)}.</p>" if edits else ""
+    headline, beside = words.headline(report.summary)
+    state, meaning, advice = words.traffic_light(report.summary)
+    edits = result_traits.edited(report.summary)
+    by_hand = f"<p class=soft>Edited by hand: {html.escape(edits)}.</p>" if edits else ""
     return (
-        f"<h1>{html.escape(read.name)}</h1>{described}<p class=volume>{headline}</p><p>{beside}</p>{hand}"
+        f"<h1>{html.escape(report.name)}</h1>{described}<p class=volume>{headline}</p><p>{beside}</p>{by_hand}"
         f'<div class="light {state}"><b role="img" aria-label="{state}"></b><div><p><strong>{html.escape(meaning)}</strong></p>'
-        f"{_list(told)}</div></div>"
+        f"{_list(advice)}</div></div>"
     )
 
 
-def _solid(read: _Read) -> str:
-    """Return the shape to turn, and the files to save."""
-    packed = solid.packed(read.roots, read.folder / "shape.ply")
+def _shape(report: _Report, surface: Mesh) -> str:
+    """Return the canvas with the shape, and the buttons that save files."""
+    packed = shape_data.pack_shape(surface, report.roots)
     data = {
-        "name": read.name,
-        "file": re.sub(r"[^A-Za-z0-9_-]+", "_", read.name) or "result",
-        "csv": trait_table.to_csv(read.traits, read.assessed),
-        "solid": packed,
+        "name": report.name,
+        "file": re.sub(r"[^A-Za-z0-9_-]+", "_", report.name) or "result",
+        "csv": trait_table.to_csv(report.traits, report.assessed),
+        "shape": packed,
     }
-    choices: tuple[str, ...] = ("order", "diameter", "depth") if read.roots else ("depth", "plain")
-    if "halves" in packed:
-        choices += ("uncertainty",)
-    options = "".join(f"<option value={choice}>colour by {choice}</option>" for choice in choices)
-    saved = ["csv", "stl", *(["rsml"] if read.roots else [])]
-    labels = {"csv": "Traits (CSV)", "stl": "Shape as shown (STL)", "rsml": "Centre lines (RSML)"}
+    options = "".join(f"<option value={by}>colour by {by}</option>" for by in packed["keys"]) + "<option value=plain>one colour</option>"
+    saved = ["csv", "stl", "glb", *(["rsml"] if report.roots else [])]
+    labels = {"csv": "Traits (CSV)", "stl": "Surface (STL)", "glb": "Surface with colours (GLB)", "rsml": "Centre lines (RSML)"}
     buttons = "".join(f"<button type=button data-file={name}>{labels[name]}</button>" for name in saved)
+    mean_mm = report.traits.mean_diameter_mm
+    checked = " checked" if mean_mm is not None and mean_mm < THIN_MM else ""  # the surface of thin roots has gaps
+    overlay = f"<label><input type=checkbox{checked}> centre lines</label>" if report.roots else ""
     return (
-        f'<div class=solid><canvas aria-label="the shape, to be turned"></canvas><select aria-label="colour">{options}</select>'
-        "<span class=legend></span>"
-        "<p>Drag to turn, scroll or pinch to come nearer, Shift to shift.</p></div>"
-        f"<p class=downloads>{buttons}<span class=soft>The exact surface is <code>shape.ply</code> in the result's folder.</span></p>"
+        f'<div class=solid><canvas aria-label="3D view of the shape"></canvas><div class=controls><div><select aria-label="colour">'
+        f"{options}</select>{overlay}<button type=button>reset view</button></div><div class=key></div></div>"
+        "<div class=below><p>Drag to rotate, scroll or pinch to zoom, Shift and drag to pan.</p><div class=bar></div></div></div>"
+        f"<p class=downloads>{buttons}<span class=soft>STL and GLB: closed surface with fewer triangles; the original is "
+        "<code>shape.ply</code> in the result's folder.</span></p>"
         f'<script type="application/json">{_inside_script(data)}</script>'
     )
 
 
 def _inside_script(data: Any) -> str:
-    """Return JSON that cannot end the script it stands in."""
+    """Return JSON in which nothing can end the script element."""
     return json.dumps(data, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _pictures(read: _Read) -> str:
-    """Return pictures from several sides with the outline of the roots."""
-    if read.dataset is None:
-        return "<p class=soft>The pictures are not where they were when this page was made.</p>"
-    pictures = Pictures.of(read.dataset, read.summary)
+def _pictures(report: _Report, surface: Mesh) -> str:
+    """Return pictures from several directions with the outline of the reconstruction."""
+    if report.dataset is None:
+        return "<p class=soft>The dataset was not found when this report was written.</p>"
+    pictures = Pictures.of(report.dataset, report.summary)
     if not pictures.files:
         return ""
-    lines = {k: Line(root.points_mm, root.diameters_mm, root.parent, ()) for k, root in enumerate(read.roots)}
-    mesh = None if lines else simpler(result_files.read_mesh(read.folder / "shape.ply"), OUTLINE_TRIANGLES)
-    around = np.concatenate([root.points_mm for root in read.roots]) if mesh is None else mesh.vertices_mm
-    shown, seen = [], set[int]()
-    for angle in ANGLES_DEG:
+    lines = shape_data.as_lines(report.roots)
+    around = np.concatenate([surface.vertices_mm, *(root.points_mm for root in report.roots)])
+    shown, used = [], set[int]()
+    for angle in AZIMUTHS_DEG:
         place = pictures.nearest(float(angle))
-        if place in seen:
+        if place in used:
             continue
-        seen.add(place)
+        used.add(place)
         try:
-            image = pictures.with_outline(place, mesh, OUTLINE) if mesh else pictures.drawn(place, lines, dict.fromkeys(lines, OUTLINE))
-        except UserError:  # a picture that cannot be read any more: the page is made without it
+            image = pictures.draw_outline(place, surface, lines)
+        except UserError:  # the picture can no longer be read: the report is written without it
             continue
         scale = image.shape[1] / pictures.views[place].camera.image_wh[0]
-        image = _cut(image, scale * (pictures.pixels(place, around[::8]) + 0.5) - 0.5)  # a margin is left about them
+        image = _crop(image, scale * (pictures.pixels(place, around[::8]) + 0.5) - 0.5)
         shown.append(_figure(_jpeg(image), f"{angle} degrees: {Path(pictures.files[place]).name}"))
     return f"<div class=pictures>{''.join(shown)}</div>"
 
 
-def _cut(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Cut a picture to what stands in it, in the picture's own proportions, and enlarge what became small.
-
-    A margin is left.
-    """
-    seen = pixels[np.isfinite(pixels).all(axis=1)]
-    if not len(seen):
+def _crop(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Crop a picture to pixels (N, 2) with a margin, in the picture's aspect ratio, and enlarge small crops."""
+    inside = pixels[np.isfinite(pixels).all(axis=1)]
+    if not len(inside):
         return image
     high, wide = image.shape[:2]
-    middle, half = (seen.min(axis=0) + seen.max(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0 * MARGIN
-    share = min(1.0, max(2.0 * half[0] / wide, 2.0 * half[1] / high, LEAST_CUT))
+    middle, half = (inside.min(axis=0) + inside.max(axis=0)) / 2.0, np.ptp(inside, axis=0) / 2.0 * MARGIN
+    share = min(1.0, max(2.0 * half[0] / wide, 2.0 * half[1] / high, SMALLEST_PART))
     size = np.array([share * wide, share * high])
     corner = np.clip(middle - size / 2.0, 0.0, np.array([wide, high]) - size).astype(int)
     cut = image[corner[1] : corner[1] + int(size[1]), corner[0] : corner[0] + int(size[0])]
@@ -266,14 +272,14 @@ def _figure(source: str, caption: str) -> str:
     return f'<figure><img alt="{text}" src="{source}"><figcaption>{text}</figcaption></figure>'
 
 
-def _plants(read: _Read) -> str:
-    """Return what is of each of several plants; nothing where there is one."""
-    if not read.summary.get("plants"):
+def _plants(report: _Report) -> str:
+    """Return the traits of each of several plants; empty for a single plant."""
+    if not report.summary.get("plants"):
         return ""
-    from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
+    from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
     rows = []
-    for own in result_traits.each(str(read.folder / "result.json"), read.summary, read.traits):
+    for own in result_traits.each(str(report.folder / "result.json"), report.summary, report.traits):
         numbers = [
             "not reliable" if own.assessed[field].verdict == "not reliable" else trait_table.shown(getattr(own.traits, field))
             for field in ("total_length_mm", "tips", "depth_mm")
@@ -282,43 +288,38 @@ def _plants(read: _Read) -> str:
         known = [f"{ml(own.traits.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high)]
         rows.append([str(own.subject), *(known if volume.verdict == "reliable" else [volume.verdict, ""]), *numbers])
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
-    verdict = read.assessed["total_length_mm"].verdict
+    verdict = report.assessed["total_length_mm"].verdict
     pairs = "".join(
-        f"<p>{'<br>'.join(html.escape(line.strip()) for line in one.lines(verdict))}</p>" for one in find_neighbours(read.roots)
+        f"<p>{'<br>'.join(html.escape(line.strip()) for line in one.lines(verdict))}</p>" for one in find_neighbours(report.roots)
     )
     return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) + pairs
 
 
-def _traits(read: _Read) -> str:
-    """Return every trait that is one number, with its interval where the result has one, and what it means."""
-    rows = []
-    for definition in trait_table.DEFINITIONS:
-        value = getattr(read.traits, definition.field)
-        name, shown, meaning = words.trait(definition, value)
-        interval = words.interval(definition, read.assessed[definition.field])
-        shown = words.volume(read.summary)[0] if definition.field == "volume_mm3" else shown
-        if value is not None:
-            rows.append([name, shown, interval, meaning])
-    note = "" if read.roots else "<p>No thin roots were found as centre lines, so that lengths, diameters and angles are not known.</p>"
-    return note + f"<div class=wide>{tables.table(rows, head=('', '', '90 % interval', 'what it is'), numbers=(1,))}</div>"
+def _traits(report: _Report) -> str:
+    """Return the table of all traits that are one number, with 90 % interval and definition."""
+    values = ((definition, getattr(report.traits, definition.field)) for definition in trait_table.DEFINITIONS)
+    rows = [words.trait_text(definition, value, report.assessed[definition.field]) for definition, value in values if value is not None]
+    missing = "<p>No centre lines were found, so that lengths, diameters and angles are not available.</p>"
+    head = ("trait", "value", "90 % interval", "definition")
+    return ("" if report.roots else missing) + f'<div class="wide traits">{tables.table(rows, head=head, numbers=(1,))}</div>'
 
 
 def _figures(folder: Path) -> str:
-    """Return the pictures of the result's folder."""
+    """Return the figures in the result's folder."""
     there = [(name, folder / "pictures" / name) for name in CAPTIONS if (folder / "pictures" / name).is_file()]
     return "".join(_figure(f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}", CAPTIONS[name]) for name, path in there)
 
 
-def _rig(read: _Read) -> str:
-    return "" if read.dataset is None else f"<figure class=rig>{rig_figure.svg(read.dataset.scene)}</figure>"
+def _rig(report: _Report) -> str:
+    return "" if report.dataset is None else f"<figure class=rig>{rig_figure.svg(report.dataset.scene)}</figure>"
 
 
-def _more(read: _Read) -> str:
-    """Return the tables for those who want to know: calibration, views, provenance."""
-    summary = read.summary
+def _details(report: _Report) -> str:
+    """Return tables of sizes, calibration, views and provenance."""
+    summary = report.summary
     parts = {
         "Sizes": tables.table(_sizes(summary), numbers=(1,)),
-        "What the scan calibrated by itself": tables.calibration(summary),
+        "Self-calibration": tables.calibration(summary),
         "Views": tables.views(summary),
         "Settings and versions": tables.table(_provenance(summary)),
     }
@@ -328,13 +329,13 @@ def _more(read: _Read) -> str:
 def _sizes(summary: dict[str, Any]) -> list[tuple[str, str]]:
     extents = [b - a for a, b in zip(summary["extents_min_mm"], summary["extents_max_mm"], strict=True)]
     mu, sigma = summary.get("root_mu_per_mm"), summary.get("root_mu_sigma_per_mm")
-    clear = "none: the roots are opaque" if mu is None else f"{mu:.2f} per mm" + ("" if sigma is None else f" ± {sigma:.2f}")
+    attenuation = "opaque" if mu is None else f"{mu:.2f} per mm" + ("" if sigma is None else f" ± {sigma:.2f}")
     return [
         ("Root extent (x, y, z)", " x ".join(f"{extent:.1f}" for extent in extents) + " mm"),
         ("Hull before trimming", f"{rounded(summary['hull_mm3'] / 1000.0)} ml"),
-        ("Part of the volume that is hull still", f"{rounded(summary['untrimmed_mm3'] / 1000.0)} ml"),
-        ("Water that too few views could see", f"{rounded(summary['blind_mm3'] / 1000.0)} ml"),
-        ("Light that roots absorb on its way through them", clear),
+        ("Part of the volume that is untrimmed hull", f"{rounded(summary['untrimmed_mm3'] / 1000.0)} ml"),
+        ("Water covered by too few views", f"{rounded(summary['blind_mm3'] / 1000.0)} ml"),
+        ("Attenuation of light in roots", attenuation),
         ("Views used", f"{sum(view['used'] for view in summary['views'])} of {len(summary['views'])}"),
         ("Computing time", f"{sum(summary['timings_s'].values()):.0f} s"),
     ]
@@ -352,7 +353,7 @@ def _list(sentences: Sequence[str]) -> str:
 
 
 def _dataset(summary: dict[str, Any], folder: Path, given: Dataset | Path | None) -> Dataset | None:
-    """Return the dataset; None where it is not where the result says, and nobody gave it."""
+    """Return the given dataset, or the one that the result names; None if that no longer exists."""
     try:
         found = given if isinstance(given, Dataset) else load_dataset(given or Path(str(summary.get("dataset", ""))))
         result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], folder, found)

@@ -1,4 +1,4 @@
-"""Write the pictures of a result."""
+"""Write the figures of a result."""
 
 from pathlib import Path
 
@@ -11,32 +11,30 @@ from rhizotwin.scenes.figures import png
 from rhizotwin.stored import result_files, stored_traits
 
 DPI = 130
-"""Letters of 9 pt are 16 px high."""
+"""Characters of 9 pt are 16 px high."""
 
 
 def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: Path | None = None) -> list[Path]:
     """Write ``pictures/*.png`` into a result folder.
 
-    A picture of the dataset that cannot be read any more is left out: the result is made already, and must not be lost
-    with it.
+    Pictures of the dataset that can no longer be read are left out, so that a finished result is not lost with them.
 
     Parameters
     ----------
     dataset : Path or Dataset
-        That the result was made from: its folder, or as it was loaded then.
+        Dataset of the result, or its folder.
     truth_mesh : Path or None
-        File of the true solid; where given, the shape is drawn beside it (``shape_and_truth.png``). Simulated data
-        only.
+        File of the true solid of simulated data, drawn beside the shape (``shape_and_truth.png``).
 
     Returns
     -------
     list of Path
-        What was written.
+        Files that were written.
 
     Raises
     ------
     UserError
-        If the result or the dataset lacks a file, or does not fit the other.
+        If the result or the dataset lacks a file, or they do not belong together.
     """
     result_folder = Path(result_folder)
     summary = result_files.read_summary(result_folder)

@@ -1,4 +1,4 @@
-"""The rig from the side as a drawing with dimensions and frames, made from the scene (SVG)."""
+"""Drawing of the rig from the side with dimensions and frames (SVG)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _MARGIN_MM = 45.0
 
 
 def svg(scene: Scene) -> str:
-    """Return a drawing to scale: panel, canister, water, net pot with strip, and a camera for each ring."""
+    """Draw panel, canister, water, net pot with marker strip, and a camera for each ring, to scale."""
     can, pot, water, strip, lights = scene.canister, scene.net_pot, scene.water, scene.strip, scene.lights
     rings = scene.plan.rings
     left = -lights.backlight_distance_mm - _MARGIN_MM

@@ -1,4 +1,4 @@
-"""Pictures of the found roots: centre lines from two sides beside the input, and where their length is."""
+"""Figures of the roots: centre lines from two sides beside a picture, and histograms of their length."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,7 +8,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rhizotwin import shading
+from rhizotwin import root_colours, shading
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import figures
 from rhizotwin.scenes import frames
@@ -19,27 +19,21 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Floats = NDArray[np.float64]
 
-ORDER_COLOURS = ("#222222", "#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e")
-"""Taproot first; the last stands for all higher orders."""
-THICKEST_PERCENT = 98.0
-"""Colours by diameter end here: a few thick points do not take the scale from the laterals."""
+ORDERS = tuple(tuple(channel / 255.0 for channel in rgb) for rgb in root_colours.ORDERS)
 LEAST_WIDTH_PT = 0.7
-"""Thinner lines hardly show."""
+"""Thinner lines are hardly visible."""
 PANEL_IN = 4.6
-"""Width of a panel: three stand side by side in 15 inches."""
+"""Width of a panel; three panels side by side take 15 inches."""
 MARGIN_MM = 4.0
-"""About the roots, so that none touches the frame."""
+"""Margin around the roots."""
 BAR_RGB = "#4c86b0"
 
 
 def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -> Figure:
-    """Draw from the front (upper row) and from the side.
-
-    The picture nearest to that side, the roots by diameter, and by order.
-    """
+    """Draw the nearest picture and the roots by diameter and by order, from the front (top row) and from the side."""
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
-    scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
+    scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, root_colours.THICKEST_PERCENT))), cmap="viridis")
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(points, side) for side in sides]
     tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
@@ -52,10 +46,10 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
             axes.set_title(f"by {by}, {side.name}", fontsize=9)
     bar = drawn.colorbar(scale, ax=list(grid[:, 1]), location="bottom", shrink=0.8, extend="max", aspect=40)
     bar.set_label("diameter (mm)")
-    highest = min(max(root.order for root in roots), len(ORDER_COLOURS) - 1)
-    orders = ScalarMappable(norm=Normalize(-0.5, highest + 0.5), cmap=ListedColormap(ORDER_COLOURS[: highest + 1]))
+    highest = min(max(root.order for root in roots), len(ORDERS) - 1)
+    orders = ScalarMappable(norm=Normalize(-0.5, highest + 0.5), cmap=ListedColormap(ORDERS[: highest + 1]))
     bar = drawn.colorbar(orders, ax=list(grid[:, 2]), location="bottom", shrink=0.8, ticks=range(highest + 1), aspect=40)
-    bar.set_label("order (0: taproot)")
+    bar.set_label("order (0: main root)")
     return drawn
 
 
@@ -75,9 +69,9 @@ def length_plots(traits: Traits) -> Figure:
         diameter.axvline(traits.median_diameter_mm, color="#c0392b", linestyle=":", label=f"median {traits.median_diameter_mm:.3f} mm")
         diameter.legend(fontsize=8)
     bins = np.array(traits.length_by_order_mm)
-    order.bar(np.arange(len(bins)), bins, color=[ORDER_COLOURS[min(k, len(ORDER_COLOURS) - 1)] for k in range(len(bins))])
+    order.bar(np.arange(len(bins)), bins, color=[ORDERS[min(k, len(ORDERS) - 1)] for k in range(len(bins))])
     order.set_xticks(range(len(bins)))
-    order.set_xlabel("order (0: taproot)")
+    order.set_xlabel("order (0: main root)")
     for axes, name in ((depth, "depth"), (diameter, "diameter"), (order, "order")):
         axes.set_title(f"length by {name}", fontsize=10)
         (axes.set_xlabel if axes is depth else axes.set_ylabel)("length (mm)")
@@ -86,12 +80,12 @@ def length_plots(traits: Traits) -> Figure:
 
 
 def _box(points_mm: Floats, side: shading.Side) -> figures.Box:
-    """Return the roots' frame with a margin, at least half as wide as high and half as high as wide."""
+    """Return the bounding box of the roots with a margin and an aspect ratio between 1:2 and 2:1."""
     return figures.box_around(points_mm, side, margin_mm=MARGIN_MM, narrowest=0.5, flattest=0.5)
 
 
 def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures.Box, scale: ScalarMappable | None) -> None:
-    """Draw roots as lines of true width, the far ones first."""
+    """Draw roots as lines of their width, the farthest first."""
     pieces, shades, diameters, depth = [], [], [], []
     for root in roots:
         seen = root.points_mm @ side.axes.T
@@ -100,7 +94,7 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures
         thick = (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0
         diameters.append(thick)
         if scale is None:
-            shades += [ORDER_COLOURS[min(root.order, len(ORDER_COLOURS) - 1)]] * len(thick)
+            shades += [ORDERS[min(root.order, len(ORDERS) - 1)]] * len(thick)
         else:
             shades += list(scale.to_rgba(thick))
     far_first = np.argsort(np.concatenate(depth), kind="stable")
@@ -114,10 +108,7 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures
 
 
 def _input(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, dataset: Dataset) -> None:
-    """Show the picture whose camera stands nearest to a side, cut to the roots.
-
-    Room is left for the lens that the water is.
-    """
+    """Show the picture of the camera nearest to a side, cropped to the roots; refraction magnifies them."""
     axes.set_xticks([])
     axes.set_yticks([])
     used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None]
@@ -130,14 +121,14 @@ def _input(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, data
     view = used[near]
     picture = figures.for_screen(dataset, view["file"])
     if picture is None:
-        axes.set_title(f"{view['file']} cannot be read any more", fontsize=9)
+        axes.set_title(f"{view['file']} can no longer be read", fontsize=9)
         return
     corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
     seen = frames.apply(np.array(view["cam_from_canister"], np.float64), corners)
     camera = dataset.scene.camera.as_pinhole()
     pixels = seen[:, :2] / seen[:, 2:] * np.array(camera.focal_px) + np.array(camera.principal_px)
     middle = pixels.mean(axis=0)
-    # the water shows the roots about n times wider, as high as they are
+    # refraction widens the roots about n times and keeps their height
     low, high = (middle + (corner - middle) * [dataset.scene.water.n_water, 1.1] for corner in (pixels.min(axis=0), pixels.max(axis=0)))
     width, height = camera.image_wh
     left, right = np.clip([low[0], high[0]], -0.5, width - 0.5)

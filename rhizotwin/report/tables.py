@@ -1,7 +1,4 @@
-"""The tables of a result's page: the volume and how far it can be trusted, the traits.
-
-Also what the scan calibrated by itself.
-"""
+"""Tables of the report: verdicts, calibration and views."""
 
 import html
 from collections.abc import Sequence
@@ -9,43 +6,46 @@ from collections.abc import Sequence
 import numpy as np
 
 from rhizotwin.recon.results.parts import Json
+from rhizotwin.report import words
 from rhizotwin.scenes import frames
 from rhizotwin.stored import calibration_table
 
 
 def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
-    """Return rows of text as HTML, escaped; ``numbers`` are the columns that are aligned to the right."""
+    """Return rows of text as an HTML table, escaped; columns in ``numbers`` are aligned to the right."""
     top = f"<tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr>" if head else ""
     body = ("".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row)) for row in rows)
     return f"<table>{top}{''.join(f'<tr>{row}</tr>' for row in body)}</table>"
 
 
-def calibration(summary: Json) -> str:
-    """Return what all views together gave, with uncertainties and the reprojection before and after.
+def verdict_cells(summary: Json) -> str:
+    """Return the first cells of a result's row in an overview: verdict, and volume with its 90 % interval."""
+    state = words.traffic_light(summary)[0]
+    verdict = "not reliable" if state == "bad" else "usable"
+    found, interval = words.volume_text(summary)
+    return f'<td class="verdict {state}"><b></b>{verdict}</td><td class=number>{found}<br><small class=soft>{interval}</small></td>'
 
-    Empty where the poses were given.
-    """
+
+def calibration(summary: Json) -> str:
+    """Return the parameters calibrated from all views, and residuals before and after; empty if poses were given."""
     rig = summary.get("rig") or {}
     rows = [
         (
             *(row.quantity, f"{row.given:.6g}", f"{row.found:.6g}", "" if row.sigma is None else f"{row.sigma:.2g}", row.unit),
-            "" if row.taken else "not sure enough: as given",
+            "" if row.taken else "too uncertain: given value used",
         )
         for row in calibration_table.rows(rig)
     ]
     parts = [table(rows, head=("quantity", "given", "found", "sigma", "unit", ""), numbers=(1, 2, 3))] if rows else []
-    off = [[what, f"{before:.4f}", f"{after:.4f}", unit] for what, before, after, unit in calibration_table.reprojection(rig)]
-    parts += [table(off, head=("what was off", "before", "after", "unit"), numbers=(1, 2))] if off else []
-    stood = [row for ring in rig.get("rings") or [] for row in _ring(ring)]
-    parts += [table(stood, head=("camera", "found", "sigma", "unit"), numbers=(1, 2))] if stood else []
+    off = [[name, f"{before:.4f}", f"{after:.4f}", unit] for name, before, after, unit in calibration_table.reprojection(rig)]
+    parts += [table(off, head=("residual", "before", "after", "unit"), numbers=(1, 2))] if off else []
+    poses = [row for ring in rig.get("rings") or [] for row in _ring(ring)]
+    parts += [table(poses, head=("camera", "found", "sigma", "unit"), numbers=(1, 2))] if poses else []
     return "".join(parts)
 
 
 def _ring(ring: Json) -> list[list[str]]:
-    """Return where a ring's camera stands.
-
-    Its covariance is of rotation (rad) and translation (mm) along the camera's axes.
-    """
+    """Return the pose of a ring's camera; its covariance is of rotation (rad) and translation (mm) in camera axes."""
     name = f"Camera of ring {ring['ring']}" + (f", placement {ring['placement'] + 1}" if ring.get("placement") else "")
     pose = frames.invert(np.array(ring["cam_from_rig"], np.float64))
     spread = np.sqrt(np.maximum(np.diag(np.array(ring["covariance"], np.float64)), 0.0))
@@ -53,14 +53,14 @@ def _ring(ring: Json) -> list[list[str]]:
     return [
         [f"{name}: distance from the table's axis", f"{np.hypot(*pose[:2, 3]):.3f}", f"{spread[5]:.3f}", "mm"],
         [f"{name}: height over the rim", f"{pose[2, 3]:.3f}", f"{spread[4]:.3f}", "mm"],
-        [f"{name}: looks up", f"{tilt:.4f}", f"{np.rad2deg(spread[0]):.4f}", "deg"],
-        [f"{name}: movement of its own from view to view", f"{ring['own_movement_mm']:.4f}", "", "mm"],
-        [f"{name}: turn of its own from view to view", f"{ring['own_movement_deg']:.4f}", "", "deg"],
+        [f"{name}: upward tilt", f"{tilt:.4f}", f"{np.rad2deg(spread[0]):.4f}", "deg"],
+        [f"{name}: movement between views", f"{ring['own_movement_mm']:.4f}", "", "mm"],
+        [f"{name}: rotation between views", f"{ring['own_movement_deg']:.4f}", "", "deg"],
     ]
 
 
 def views(summary: Json) -> str:
-    """Return what became of every picture."""
+    """Return the table of all views, with the reason why views were not used."""
 
     def number(value: float | None, digits: int, factor: float = 1.0) -> str:
         return "" if value is None else f"{factor * value:.{digits}f}"
@@ -75,7 +75,7 @@ def views(summary: Json) -> str:
             number(view.get("reprojection_px"), 3),
             number(view.get("fill"), 2, 100.0),
         ]
-        reason = "" if view["used"] else f"left out: {view.get('reason') or 'no reason given'}"
+        reason = "" if view["used"] else f"not used: {view.get('reason') or 'no reason recorded'}"
         rows.append(
             f"<tr{'' if view['used'] else ' class=out'}><td>{html.escape(str(view['file']))}</td>"
             + "".join(f'<td class="number">{cell}</td>' for cell in cells)

@@ -1,18 +1,22 @@
-"""What a result is worth and how it was made, in sentences for people."""
+"""Text of reports: the verdict on a result, its traits with units and intervals, and how it was obtained."""
 
 from __future__ import annotations
 
+import re
 from typing import Any, Literal
 
+from rhizotwin.recon.settings import TrustSettings
+from rhizotwin.recon.uncertainty.checks import NO_VOLUME
 from rhizotwin.scenes.assessment import Assessment
-from rhizotwin.scenes.said import between_ml, ml, rounded
-from rhizotwin.scenes.trait_table import Definition
+from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.said import between_ml, decimals, ml, rounded
+from rhizotwin.scenes.trait_table import DEFINITIONS, Definition
 
 Light = Literal["good", "fair", "bad"]
 
-LEAST_SHARE = 0.05
-"""Causes of uncertainty smaller than this share of the largest are not told one by one."""
-SAID = {
+SMALLEST_SHARE = 0.05
+"""Causes of uncertainty smaller than this share of the largest are not listed one by one."""
+LABELS = {
     "total_length_mm": "Total root length",
     "volume_mm3": "Volume",
     "surface_mm2": "Surface area",
@@ -28,145 +32,199 @@ SAID = {
     "bushiness": "Bushiness",
     "lower_length_share": "Share of the length in the lower two thirds",
     "roots": "Number of roots",
-    "tips": "Number of root ends",
+    "tips": "Number of root tips",
     "branch_points": "Number of branch points",
-    "angle_to_gravity_deg": "Angle to straight down",
+    "angle_to_gravity_deg": "Angle to the vertical",
     "angle_to_parent_deg": "Angle of laterals to their parents",
     "specific_root_length_m_per_g": "Specific root length",
     "tissue_density_g_per_ml": "Tissue density",
 }
-_ML = ("volume_mm3", "convex_hull_mm3")
-METHOD = (
-    "Roots were imaged in a round canister of nutrient solution before a diffuse backlight, {pictures} pictures round a turn. Cameras were "
-    "found from a strip of printed markers{by}, light was followed through air, acrylic and water in closed form, the share of each pixel "
-    "that roots cover was measured against the empty backlight, a hull was carved from it and {shape}. The 90 % interval of the volume "
-    "adds in quadrature the causes of uncertainty that the pictures themselves tell. The rig is that of R. Kliman, Design of a robotic "
-    "platform for plant root imaging and biomass estimation, Georgia Institute of Technology, 2022."
+"""Label of each trait, by its field in `scenes.traits.Traits`."""
+COUNTS = ("max_root_count", "median_root_count", "roots", "tips", "branch_points")
+CHECK_LABELS = {
+    "scan": "incomplete scan",
+    "exposure": "exposure",
+    "curve": "tone curve",
+    "sharpness": "focus",
+    "markers": "markers",
+    "canister": "position of the canister",
+    "motion": "motion during the scan",
+    "dirt": "light missing beside the roots",
+    "views": "too few views",
+    "sight": "views disagree",
+    "resolution": "resolution",
+    "corrections": "corrections contradict the pictures",
+}
+"""Short label of each check, by its name (`recon.uncertainty.checks`)."""
+IN_ML = ("volume_mm3", "convex_hull_mm3")
+UNITS = {"mm2": "mm²", "mm3": "ml", "deg": "degrees"}
+"""Units as they are shown, where they differ from those in files."""
+_METHOD = (
+    "{made} of roots in a round canister of nutrient solution in front of a diffuse backlight: {pictures} images around one rotation. "
+    "Camera poses were estimated from a strip of printed markers{by}. Rays were traced through air, acrylic and water in closed form. "
+    "The fraction of each pixel that roots cover was measured relative to the empty backlight, a visual hull was carved from these "
+    "silhouettes, and {shape}. The 90 % interval of the volume is the root sum of squares of all estimated causes of uncertainty. "
+    "The rig follows R. Kliman, Design of a robotic platform for plant root imaging and biomass estimation, Georgia Institute of "
+    "Technology, 2022."
 )
 
 
-def volume(summary: dict[str, Any]) -> tuple[str, str]:
-    """Return the volume in ml, and its interval, with the digits that the interval leaves."""
+def volume_text(summary: dict[str, Any]) -> tuple[str, str]:
+    """Return the volume in ml and its 90 % interval, rounded to the digits that the interval supports."""
     low, high = summary["volume_interval_mm3"]
-    found = summary["volume_mm3"]
-    half = max(high - found, found - low)
-    return f"{ml(found, half_mm3=half)} ml", f"{ml(low, half_mm3=half)} to {ml(high, half_mm3=half)} ml"
+    half = 0.5 * (high - low)
+    return f"{ml(summary['volume_mm3'], half_mm3=half)} ml", between_ml(low, high)
 
 
 def headline(summary: dict[str, Any]) -> tuple[str, str]:
-    """Return what stands first, and what goes with it; a scan that cannot give a volume has none there."""
-    found, interval = volume(summary)
+    """Return the first line of a report and the line below it."""
+    found, interval = volume_text(summary)
     if summary["volume_trusted"]:
         return f"volume {found}", f"90 % interval {interval}"
-    return "volume could not be determined", f"the shape found has {found} ({interval}), which is not to be trusted"
+    return "volume could not be determined", f"the reconstructed shape has {found} ({interval}), which is not reliable"
 
 
-def light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
-    """Return the traffic light, what it means, and what to do."""
+def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
+    """Return the state of a result, its meaning, and recommendations."""
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]
     bad = [check for check in checks if check.get("state") == "bad"]
     fair = [check for check in checks if check.get("state") == "fair"]
-    told = [" ".join(filter(None, (_sentence(check.get("found")), _sentence(check.get("advice"))))) for check in (*bad, *fair)]
+    advice = [" ".join(filter(None, (_sentence(check.get("found")), _sentence(check.get("advice"))))) for check in (*bad, *fair)]
     low, high = summary["volume_interval_mm3"]
     wide = max(high - summary["volume_mm3"], summary["volume_mm3"] - low) / max(summary["volume_mm3"], 1e-9)
     if not summary["volume_trusted"]:
-        told = told or [_sentence(str(summary["volume_verdict"]))]
-        return "bad", "Do not use this volume.", told
+        return "bad", "Do not use this volume.", advice or [_sentence(str(summary["volume_verdict"]))]
     if fair or summary["warnings"]:
-        told += [_sentence(str(warning)) for warning in summary["warnings"]]
-        return "fair", f"The volume can be used, within {100.0 * wide:.0f} %. Something could be better:", told
-    return "good", f"The volume can be used: with 90 % confidence it is within {100.0 * wide:.0f} %.", told
+        advice += [_sentence(str(warning)) for warning in summary["warnings"]]
+        return "fair", f"The volume can be used, within {100.0 * wide:.0f} %. Possible improvements:", advice
+    return "good", f"The volume can be used: with 90 % confidence it is within {100.0 * wide:.0f} %.", advice
 
 
-def budget(summary: dict[str, Any]) -> list[str]:
-    """Return the causes of uncertainty in sentences, the largest first."""
+def failure_reasons(summary: dict[str, Any]) -> list[str]:
+    """Return short reasons why a volume is not usable, for counting; empty if it is usable."""
+    if summary["volume_trusted"]:
+        return []
+    checks = [check for check in summary.get("checks") or [] if isinstance(check, dict) and check.get("state") == "bad"]
+    found = [CHECK_LABELS.get(str(check.get("name")), str(check.get("name"))) for check in checks]
+    (low, high), volume = summary["volume_interval_mm3"], summary["volume_mm3"]
+    widest = summary.get("settings", {}).get("trust", {}).get("widest", TrustSettings().widest)
+    if max(high - volume, volume - low) > widest * volume:
+        found.append("90 % interval too wide")
+    reason = str(summary.get("volume_verdict") or "other reasons").removeprefix(NO_VOLUME)
+    return found or [reason.partition(";")[0].partition(" (")[0]]
+
+
+def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
+    """Return the causes of uncertainty of the volume as sentences, the largest first."""
     terms = sorted(summary["volume_budget"], key=lambda term: -max(term["less_mm3"], term["more_mm3"]))
     largest = max((max(term["less_mm3"], term["more_mm3"]) for term in terms), default=0.0)
-    told = [term for term in terms if max(term["less_mm3"], term["more_mm3"]) >= LEAST_SHARE * largest > 0.0]
-    sentences = [f"The volume may be {_reach(term['less_mm3'], term['more_mm3'])}, because {term['why']}." for term in told]
-    if len(told) < len(terms):
-        sentences.append(f"{len(terms) - len(told)} other causes were looked at; each is less than a twentieth of the largest.")
+    listed = [term for term in terms if max(term["less_mm3"], term["more_mm3"]) >= SMALLEST_SHARE * largest > 0.0]
+    sentences = [f"The volume may be {_deviation(term['less_mm3'], term['more_mm3'])}, because {term['why']}." for term in listed]
+    if rest := len(terms) - len(listed):
+        sentences.append(f"{rest} other cause{'s' if rest > 1 else ''} of uncertainty: each below 5 % of the largest.")
     return sentences
 
 
-def trait(definition: Definition, value: float | int | None) -> tuple[str, str, str]:
-    """Return a trait's name, its value with unit, and what it means."""
-    name = SAID.get(definition.field, definition.name.replace("_", " ").capitalize())
-    meaning = definition.meaning
-    for field, said in SAID.items():  # tables name other columns by their keys
-        meaning = meaning.replace(field, said.lower()) if "_" in field else meaning
-    if value is None:
-        return name, "not known", meaning
-    if isinstance(value, int):
-        return name, str(value), meaning
-    if definition.field in _ML:
-        return name, f"{rounded(value / 1000.0)} ml", meaning
-    unit = {"mm2": "mm²", "deg": "degrees"}.get(definition.unit, definition.unit)
-    return name, f"{rounded(value)} {unit}".rstrip(), meaning
+def trait_text(definition: Definition, value: float | int | None, assessed: Assessment) -> tuple[str, str, str, str]:
+    """Return a trait's label, its value with unit, its 90 % interval or verdict, and its definition.
 
-
-def interval(definition: Definition, assessed: Assessment) -> str:
-    """Return the 90 % interval of a trait in the unit of `trait`, or why there is none."""
+    Value and interval have the digits that the interval supports, three significant digits where there is no interval.
+    """
+    label = LABELS.get(definition.field, definition.name.replace("_", " ").capitalize())
+    meaning = re.sub(r"\w+_\w+", lambda word: _FIELD_LABELS.get(word[0], word[0]), definition.meaning)
     if assessed.interval is None:
-        return assessed.verdict
+        return label, _with_unit(definition, value, None), assessed.verdict, meaning
     low, high = assessed.interval
-    if definition.field == "volume_mm3":
-        text = between_ml(low, high)
-    elif definition.field == "tips":
-        text = f"{low:.0f} to {high:.0f}"
-    else:
-        text = f"{rounded(low)} to {rounded(high)}"
-    return text if assessed.verdict == "reliable" else f"not reliable ({text})"
+    half = 0.5 * (high - low)
+    interval = f"{_number(definition, low, half)} to {_number(definition, high, half)}"
+    text = interval if assessed.verdict == "reliable" else f"{assessed.verdict}; {interval}"
+    return label, _with_unit(definition, value, half), text, meaning
 
 
-def roots_told(summary: dict[str, Any]) -> list[str]:
-    """Return a sentence on length, tips and mean diameter, and one on each reason why some are not to be trusted."""
-    told = summary.get("estimates") or []
-    if not told:
+_FIELD_LABELS = {key: LABELS[d.field].lower() for d in DEFINITIONS for key in (d.field, d.name) if "_" in key}
+
+
+def _with_unit(definition: Definition, value: float | int | None, half: float | None) -> str:
+    if value is None:
+        return "not available"
+    return f"{_number(definition, value, half)} {UNITS.get(definition.unit, definition.unit)}".rstrip()
+
+
+def _number(definition: Definition, value: float, half: float | None) -> str:
+    """Return a number of a trait in the unit that is shown.
+
+    Parameters
+    ----------
+    half : float or None
+        Half of its 90 % interval; None if there is none.
+    """
+    if definition.field in COUNTS:
+        return f"{value:.0f}"
+    scale = 1000.0 if definition.field in IN_ML else 1.0
+    return rounded(value / scale) if half is None else f"{value / scale:.{decimals(half / scale)}f}"
+
+
+def root_summary(summary: dict[str, Any]) -> list[str]:
+    """Return a line with length, tips and mean diameter, and the reason why some are not reliable."""
+    estimates = summary.get("estimates") or []
+    if not estimates:
         return []
     parts = []
-    for one in told:
-        before, after = _SHORT[one["name"]]
-        numbers = [f"{value:.0f}" if one["name"] == "tips" else rounded(value) for value in (one["value"], *one["interval"])]
-        parts.append(f"{before}{numbers[0]}{after} ({numbers[1]} to {numbers[2]}{'' if one['trusted'] else ', not reliable'})")
-    verdicts = [one["verdict"] for one in told if not one["trusted"]] if summary["volume_trusted"] else []
-    return [", ".join(parts), *verdicts[:1]]
+    for one in estimates:
+        before, after = _AROUND[one["name"]]
+        (low, high), counted = one["interval"], one["name"] in COUNTS
+        digits = 0 if counted else decimals(0.5 * (high - low))
+        value, low, high = (f"{number:.{digits}f}" for number in (one["value"], low, high))
+        parts.append(f"{before}{value}{after} ({'' if one['trusted'] else 'not reliable; '}{low} to {high})")
+    reasons = [one["verdict"] for one in estimates if not one["trusted"]] if summary["volume_trusted"] else []
+    return [", ".join(parts), *reasons[:1]]
 
 
-_SHORT = {"total_length_mm": ("length ", " mm"), "tips": ("", " tips"), "mean_diameter_mm": ("mean diameter ", " mm")}
-"""What stands before and behind a number on one line."""
+_AROUND = {"total_length_mm": ("length ", " mm"), "tips": ("", " tips"), "mean_diameter_mm": ("mean diameter ", " mm")}
+"""Text before and after the number, on one line."""
 
 
-def method(summary: dict[str, Any], *, roots: bool) -> str:
-    """Return a paragraph on how the numbers were made, with the versions, for a paper."""
+def is_simulated(dataset: Dataset | None) -> bool:
+    """Return whether the images of a dataset were rendered."""
+    return dataset is not None and ((dataset.folder / "truth").is_dir() or dataset.origin.get("program") == "rhizotwin simulate")
+
+
+def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) -> str:
+    """Return a paragraph for the methods section of a paper, with the versions of the software.
+
+    Parameters
+    ----------
+    roots : bool
+        Whether the result has centre lines.
+    simulated : bool
+        Whether the images were rendered.
+    """
     used = sum(view["used"] for view in summary["views"])
     versions = summary.get("versions", {})
-    shape = "tubes were fitted to all pictures at once where roots are too thin for it" if roots else "trimmed to what the pictures need"
-    by = " by one fit to all pictures" if summary.get("rig") else ", or given"
-    text = METHOD.format(pictures=used, by=by, shape=shape)
-    made = ", ".join(
-        f"{name} {number}" for name, number in versions.items() if name in ("rhizotwin", "python", "numpy", "mitsuba", "drjit")
+    tubes = "tubes were fitted to all images at once where roots are too thin for the hull"
+    text = _METHOD.format(
+        made="Simulated images" if simulated else "Images",
+        pictures=used,
+        by=" in one fit to all images" if summary.get("rig") else ", or given",
+        shape=tubes if roots else "the hull was trimmed to what the silhouettes require",
     )
+    named = ", ".join(f"{name} {versions[name]}" for name in versions if name in ("rhizotwin", "python", "numpy", "mitsuba", "drjit"))
     edits = summary.get("edits")
-    hand = (
-        ""
-        if not edits
-        else f" The result was corrected by hand ({edits['count']} edits, {100.0 * edits['volume_share']:+.1f} % of volume)."
-    )
-    return f"{text}{hand} Voxels: {summary['voxel_mm']:g} mm. Software: {made}."
+    by_hand = f" The result was edited by hand ({edits['count']} edits, {100.0 * edits['volume_share']:+.1f} % of volume)." if edits else ""
+    return f"{text}{by_hand} Voxel size: {summary['voxel_mm']:g} mm. Software: {named}."
 
 
-def _reach(less_mm3: float, more_mm3: float) -> str:
-    """Return how far a volume may be off to both sides."""
+def _deviation(less_mm3: float, more_mm3: float) -> str:
+    """Return by how much the volume may be smaller or larger."""
     less, more = rounded(less_mm3 / 1000.0, 2), rounded(more_mm3 / 1000.0, 2)
-    if less_mm3 < LEAST_SHARE * more_mm3:
+    if less_mm3 < SMALLEST_SHARE * more_mm3:
         return f"{more} ml larger"
-    if more_mm3 < LEAST_SHARE * less_mm3:
+    if more_mm3 < SMALLEST_SHARE * less_mm3:
         return f"{less} ml smaller"
     return f"{less} ml smaller or larger" if less == more else f"{less} ml smaller or {more} ml larger"
 
 
 def _sentence(text: str | None) -> str:
-    """Return text that begins with a capital and ends with a full stop."""
+    """Return text with a capital at its beginning and a full stop at its end."""
     text = (text or "").strip()
     return "" if not text else text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")

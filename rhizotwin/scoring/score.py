@@ -3,6 +3,7 @@
 The reconstruction itself never opens its ``truth`` folder.
 """
 
+import html
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -38,6 +39,9 @@ from rhizotwin.scoring.score_traits import TraitScore, compare_traits
 from rhizotwin.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
 from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
+
+SHOWN_LINES = 19
+"""Lines of a score's `repr`, besides the one that says how many are left."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +87,16 @@ class Score(VolumeScore):
         voxels = found.pop("voxels")
         found = {**found, **voxels}
         return {key: plain(value) for key, value in found.items()}
+
+    def __repr__(self) -> str:
+        """Return the first lines of the table."""
+        lines = self.table().splitlines()
+        rest = len(lines) - SHOWN_LINES
+        return "\n".join(lines if rest <= 1 else [*lines[:SHOWN_LINES], f"... {rest} more lines: print(score.table())"])
+
+    def _repr_html_(self) -> str:
+        """Return HTML for notebooks."""
+        return f"<pre>{html.escape(self.table())}</pre>"
 
     def table(self) -> str:
         """Return the score as lines of text for the terminal."""

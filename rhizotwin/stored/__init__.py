@@ -1,1 +1,1 @@
-"""Result folders read back: checked, as values, as tables."""
+"""Reading of result folders: checks, values and tables."""

@@ -1,4 +1,4 @@
-"""What a result's pictures told of its rig, as a table."""
+"""Table of the self-calibration of a result."""
 
 from dataclasses import dataclass
 
@@ -15,26 +15,23 @@ class Row:
 
     quantity: str
     given: float
-    """Before looking at the pictures."""
+    """Value before calibration."""
     found: float
     sigma: float | None
     """Standard deviation."""
     unit: str
     taken: bool
-    """Whether the reconstruction went on with what was found."""
+    """Whether the reconstruction used the calibrated value."""
 
     def text(self) -> str:
         """Return one line for the terminal."""
         sigma = "" if self.sigma is None else f" +- {self.sigma:.2g}"
-        kept = "" if self.taken else " (not sure enough: as given)"
+        kept = "" if self.taken else " (too uncertain: given value used)"
         return f"{self.quantity}: given {self.given:.6g}, found {self.found:.6g}{sigma} {self.unit}".rstrip() + kept
 
 
 def rows(rig: Json) -> list[Row]:
-    """Return the table "calibrated from the pictures" of a result's ``rig``.
-
-    Empty where the cameras were given and nothing was found.
-    """
+    """Return the rows of a result's ``rig``; empty if the cameras were given."""
     found: list[Row] = []
     if rig.get("n_water_found") is not None:
         taken = rig["n_water"] != rig["n_water_given"]
@@ -51,17 +48,17 @@ def rows(rig: Json) -> list[Row]:
             pose = np.array(rig[key])
             values = [*np.rad2deg(frames.to_rotvec(pose)[:2]), *pose[:2, 3]]
             sigma = rig.get(f"{key}_sigma") or [None] * 4
-            for what, value, spread in zip(("tilt x", "tilt y", "offset x", "offset y"), values, sigma, strict=True):
-                found.append(_row(f"{name}: {what}", 0.0, float(value), spread, "deg" if "tilt" in what else "mm"))
+            for part, value, spread in zip(("tilt x", "tilt y", "offset x", "offset y"), values, sigma, strict=True):
+                found.append(_row(f"{name}: {part}", 0.0, float(value), spread, "deg" if "tilt" in part else "mm"))
     if rig.get("sway_mm") is not None:
-        found.append(_row(f"sway of the roots {SWAY_AT_MM:g} mm below the net pot, root mean square", 0.0, rig["sway_mm"], None, "mm"))
+        found.append(_row(f"RMS sway of the roots {SWAY_AT_MM:g} mm below the net pot", 0.0, rig["sway_mm"], None, "mm"))
     if rig.get("table_correction_deg") is not None:
-        found.append(_row("table angles: spread about the commanded", 0.0, rig["table_correction_deg"], None, "deg"))
+        found.append(_row("table angles: deviation from the commanded angles", 0.0, rig["table_correction_deg"], None, "deg"))
     return found
 
 
 def reprojection(rig: Json) -> list[tuple[str, float, float, str]]:
-    """Return what was off before and after calibration: (what, before, after, unit)."""
+    """Return residuals before and after calibration: (name, before, after, unit)."""
     edges, roots = rig.get("canister_edges"), rig.get("roots")
     found = []
     if rig.get("reprojection_before_px") is not None and rig.get("reprojection_after_px") is not None:
@@ -77,8 +74,8 @@ def table(rig: Json) -> list[str]:
     """Return both tables as lines for the terminal."""
     lines = [f"  {row.text()}" for row in rows(rig)]
     if rig.get("n_water_given") is not None and rig.get("n_water_found") is None:
-        lines.append(f"  index of the water: {rig['n_water_given']:.6g} as given: no thin roots tell it")
-    lines += [f"  {what}: {before:.3f} {unit} off before, {after:.3f} {unit} after" for what, before, after, unit in reprojection(rig)]
+        lines.append(f"  index of the water: {rig['n_water_given']:.6g} as given: cannot be calibrated without thin roots")
+    lines += [f"  {name}: residual {before:.3f} {unit} before, {after:.3f} {unit} after" for name, before, after, unit in reprojection(rig)]
     return ["calibrated from the pictures:", *lines] if lines else []
 
 

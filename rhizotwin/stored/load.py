@@ -1,4 +1,4 @@
-"""A result folder read back as the value that was saved."""
+"""Loading of a result folder as a `Result`."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from rhizotwin.stored import result_files
 
 
 def load_result(folder: Path | str) -> Result:
-    """Read a result folder; its silhouettes are read when they are looked at.
+    """Load a result folder; its silhouettes are read on first use.
 
     Raises
     ------
     UserError
-        Where a file is missing or damaged.
+        If a file is missing or damaged.
     """
     folder = Path(folder)
     summary = result_files.read_summary(folder)
@@ -53,7 +53,7 @@ def load_result(folder: Path | str) -> Result:
         rig=summary.get("rig") or {},
         warnings=tuple(summary["warnings"]),
         checks=tuple(Check(**check) for check in summary.get("checks", ())),
-        estimates=tuple(Estimate(**{**told, "interval": tuple(told["interval"])}) for told in summary.get("estimates", ())),
+        estimates=tuple(Estimate(**{**one, "interval": tuple(one["interval"])}) for one in summary.get("estimates", ())),
         timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
         passes={kind: int(summary[kind]) for kind in get_args(Pass) if kind in summary},
         peak_memory_mib=float(summary.get("peak_memory_mib") or 0.0),
@@ -94,7 +94,7 @@ def _solid(folder: Path, summary: Json) -> Solid:
 
 
 def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
-    """Read the shoot, where there is one."""
+    """Read the shoot, if there is one."""
     if summary is None:
         return None
     mesh = result_files.read_mesh(folder / "shoot.ply")
@@ -142,7 +142,7 @@ def _term(term: Json) -> Term:
 
 @dataclass(frozen=True)
 class _Stored(Mapping[str, Silhouette]):
-    """Silhouettes in a result folder, by the frame's file."""
+    """Silhouettes in a result folder, by the file of the frame."""
 
     folder: Path
     files: tuple[str, ...]

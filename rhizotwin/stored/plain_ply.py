@@ -1,4 +1,4 @@
-"""Triangles of PLY files as results hold them, read without the copies that a reader of every form needs."""
+"""Fast reader of the PLY files that results contain."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _HEADER = re.compile(
     rb"ply\nformat binary_little_endian 1\.0\n(?:comment [^\n]*\n)*element vertex (\d{1,9})\nproperty float x\nproperty float y\n"
     rb"property float z\nelement face (\d{1,9})\nproperty list uchar u?int vertex_ind(?:ices|ex)\nend_header\n"
 )
-"""As trimesh writes them: single-precision corners, triangles (the PLY format, G. Turk 1994)."""
+"""Header that trimesh writes: single-precision vertices and triangles (PLY format, G. Turk 1994)."""
 _LONGEST = 1000
-"""Bytes of a header; ours has 250."""
+"""Largest length of a header, bytes; results have 250."""
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
-"""A face of that header: how many corners (3), and which."""
+"""A face: number of corners (3) and their indices."""
 
 
 def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Return vertices (V, 3) and triangles (F, 3); None for a file that has more, less or something else in it."""
+    """Return vertices (V, 3) and triangles (F, 3); None for a file with another header or size."""
     with path.open("rb") as stream:
         header = _HEADER.match(stream.read(_LONGEST))
         if header is None:

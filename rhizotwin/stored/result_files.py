@@ -1,4 +1,4 @@
-"""The files of a result folder (`recon.results.result` lists them), read back one by one."""
+"""Readers of the files of a result folder (`recon.results.result` lists them)."""
 
 import json
 import zipfile
@@ -25,18 +25,17 @@ if TYPE_CHECKING:
     from rhizotwin.scenes.neighbours import Neighbours
 
 MOST_SHAPE_MIB = 512
-"""Of a result's shape when unpacked, 40 bytes a leaf with the hull's, and of its surface, 25 bytes a triangle: 13
-million leaves, which stay within 2 GiB of memory."""
+"""Largest size of an unpacked shape (40 bytes per leaf, with the hull) and of a surface (25 bytes per triangle): 13
+million leaves, which need 2 GiB of memory."""
 RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
 )
-"""What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among
-them."""
+"""Names that may be in a result folder that a new result replaces; a log of corrections (edits.json) may not."""
 
 
 def read_summary(folder: Path) -> Json:
-    """Return ``result.json`` of a result folder; UserError where it is missing, damaged or of another version."""
+    """Read ``result.json`` of a result folder; UserError if it is missing, damaged or of another version."""
     path = Path(folder) / "result.json"
     if not path.is_file():
         check_readable(Path(folder), deep=False)
@@ -49,18 +48,18 @@ def read_summary(folder: Path) -> Json:
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
         raise UserError(f"{path} has schema_version {version!r}, this program reads {SCHEMA_VERSION}; reconstruct again.")
-    if said := summary_checks.wrong(summary):
-        raise UserError(f"{path} {said}; reconstruct again.")
+    if fault := summary_checks.find_fault(summary):
+        raise UserError(f"{path} {fault}; reconstruct again.")
     return summary
 
 
 def results_in(folders: Sequence[Path]) -> list[Path]:
-    """Return the results that folders are or hold, such as those of a batch.
+    """Return the results among folders, and those that the other folders contain, such as those of a batch.
 
     Raises
     ------
     UserError
-        Where a folder holds none; a path that is no folder is left to who reads it.
+        If a folder contains no result. Other paths are returned unchecked.
     """
     found: list[Path] = []
     for folder in folders:
@@ -75,30 +74,24 @@ def results_in(folders: Sequence[Path]) -> list[Path]:
 
 
 def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:
-    """Return the drawing of a result's shape, (H, W, 3) BGR; None where there is none that can be decoded."""
-    import cv2  # not for those who look at no picture
+    """Read the figure of a result's shape, (H, W, 3) BGR; None if it is missing or cannot be decoded."""
+    import cv2  # loaded on first use
 
     file = folder / "pictures" / "shape.png"
     data = np.frombuffer(read_file(file, most_mib=MOST_PICTURE_MIB) if file.is_file() else b"", np.uint8)
-    # from bytes: OpenCV ends the process at a name that is no UTF-8
+    # from bytes: OpenCV terminates the process for names that are not UTF-8
     image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     return None if image is None else image.astype(np.uint8)
 
 
 def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
-    """Return the marker strip that a result was measured by.
-
-    None in results of earlier versions, UserError where it is damaged.
-    """
-    told = summary.get("strip")
-    return None if told is None else from_plain(MarkerStrip, told, Place(str(Path(folder) / "result.json")).at("strip"))
+    """Read the marker strip of a result; None in results of earlier versions, UserError if it is damaged."""
+    strip = summary.get("strip")
+    return None if strip is None else from_plain(MarkerStrip, strip, Place(str(Path(folder) / "result.json")).at("strip"))
 
 
 def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
-    """Return the leaves of ``shape.npz``, or those of the hull before trimming.
-
-    UserError where missing, damaged or empty.
-    """
+    """Read the leaves of ``shape.npz``, or those of the untrimmed hull; UserError if missing, damaged or empty."""
     path, prefix = Path(folder) / "shape.npz", "hull_" if hull else ""
     if not path.is_file():
         raise UserError(f"{path} does not exist; reconstruct again.")
@@ -121,24 +114,24 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
         shapes = f"{leaves.low.shape}, {leaves.size.shape} and {leaves.occupancy.shape}"
         raise UserError(f"{path} has leaves, size and occupancy of shapes {shapes}, not (N, 3), (N,) and (N,); reconstruct again.")
     if not count:
-        raise UserError(f"{path} holds no leaves: nothing was reconstructed, so there is nothing to look at.")
+        raise UserError(f"{path} has no leaves: nothing was reconstructed.")
     return leaves
 
 
 def check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
-    """Refuse an archive that would fill the memory, before it is unpacked."""
+    """Reject an archive that is too large for the memory, before it is unpacked."""
     size_mib = sum(part.file_size for part in parts) / 2**20
     if size_mib > MOST_SHAPE_MIB:
-        raise UserError(f"{path} holds {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; use larger voxels.")
+        raise UserError(f"{path} has {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; use larger voxels.")
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Return a mesh file's vertices and faces; UserError where it is missing, damaged or without faces."""
+    """Read vertices and faces of a mesh file; UserError if it is missing, damaged or without faces."""
     if not Path(path).is_file():
-        raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
+        raise UserError(f"{path} does not exist; it should contain a triangle mesh.")
     check_size(path, Path(path).stat(), most_mib=MOST_SHAPE_MIB)
     plain = plain_ply.read(Path(path))
-    mesh = _of_any_kind(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
+    mesh = _read_any_mesh(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
     vertices, faces = mesh.vertices_mm, mesh.faces
     if not len(faces) or not np.isfinite(vertices).all():
         raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
@@ -147,29 +140,29 @@ def read_mesh(path: Path) -> Mesh:
     return mesh
 
 
-def _of_any_kind(path: Path) -> Mesh:
+def _read_any_mesh(path: Path) -> Mesh:
     loaded = load_geometry(path, "mesh")
-    if not hasattr(loaded, "faces"):  # points alone
+    if not hasattr(loaded, "faces"):  # points only
         raise UserError(f"{path} has no triangles and must have some.")
     return Mesh.of(loaded)
 
 
 def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
-    """Load what trimesh reads from a file of anybody: a Trimesh, or of points what it finds.
+    """Load a mesh or points of any format that trimesh reads.
 
     Parameters
     ----------
     path : Path
         The file.
     kind : {"mesh", "points"}
-        What it should hold.
+        Expected content.
 
     Raises
     ------
     UserError
-        Where it is damaged or holds no such thing.
+        If it is damaged or has other content.
     """
-    import trimesh  # takes half a second, and results hold plain files
+    import trimesh  # takes half a second to load
 
     try:
         return trimesh.load(path, process=False, force="mesh" if kind == "mesh" else None)
@@ -178,15 +171,15 @@ def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
 
 
 def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":
-    """Return how the plants of a result lie to each other; empty where there is one, or no roots were found."""
-    from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
+    """Return the distances between the plants of a result; empty for one plant or without roots."""
+    from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
     file = folder / "roots.rsml"
     return find_neighbours(rsml.read_rsml(file)) if file.is_file() else ()
 
 
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:
-    """Return a grey 8 or 16 bit picture (H, W) scaled to 0..1; UserError where missing, damaged or of another size."""
+    """Read a grey picture (8 or 16 bit) as (H, W), 0..1; UserError if missing, damaged or of another size."""
     if not path.is_file():
         raise UserError(f"{path} does not exist; make its folder again.")
     picture = decode_grey(read_file(path, most_mib=MOST_PICTURE_MIB), where=str(path))
@@ -197,16 +190,16 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
 
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
-    """Raise a UserError where a result was not made from this dataset, as the hash of its manifest tells.
+    """Raise a UserError if a result was not made from a dataset, by the hash of its manifest.
 
     Parameters
     ----------
     dataset_sha256, scene : str
-        What the result says.
+        Values of the result.
     where : Path or str
-        Of the result, for the message.
+        Location of the result, for the message.
     dataset : Dataset
-        What is to be shown or scored with it.
+        The dataset.
     """
     if dataset_sha256 != dataset.sha256:
         raise UserError(

@@ -1,4 +1,4 @@
-"""Traits of stored results: measured again, and as one table for many."""
+"""Traits of stored results, and a table of many results."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,12 +13,12 @@ from rhizotwin.stored import result_files
 
 
 def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a result folder; without a mass, with the one that was given at the reconstruction.
+    """Measure the traits of a result folder; default mass: the one given to the reconstruction.
 
     Raises
     ------
     UserError
-        Where a file of the result is missing or damaged.
+        If a file of the result is missing or damaged.
     """
     summary = result_files.read_summary(result_folder)
     mesh = result_files.read_mesh(result_folder / "shape.ply")
@@ -27,21 +27,21 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
 
 
 def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a ``result.json`` with its surface and roots; without a mass, with its own.
+    """Measure the traits from ``result.json``, surface and roots.
 
     Parameters
     ----------
     summary : Json
         ``result.json``.
     surface, roots : Mesh, sequence of Root
-        Of the same result.
+        Surface and roots of the same result.
     mass_g : float or None
-        Mass of the roots; None: the summary's own.
+        Mass of the roots; None: that of the summary.
 
     Returns
     -------
     Traits
-        Of the whole pot.
+        Traits of all plants together.
     """
     return of_shape(
         surface,

@@ -1,4 +1,4 @@
-"""What each value of ``result.json`` must be like, so that nobody who reads it meets something else."""
+"""Validation of ``result.json``: the type of each value."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -11,11 +11,11 @@ from rhizotwin.scenes import trait_table
 
 Fits: TypeAlias = Callable[[Any], bool]
 LARGEST = 1e15
-"""No number of a result is as large: cubic millimetres, seconds, mebibytes."""
+"""Limit of all numbers of a result (cubic millimetres, seconds, mebibytes)."""
 
 
-def wrong(summary: Json) -> str:
-    """Say what is wrong with the content of ``result.json``; empty where nothing is."""
+def find_fault(summary: Json) -> str:
+    """Return a description of the first fault in ``result.json``; empty if there is none."""
     missing = [key for key in _THERE if key not in summary]
     if missing:
         return f"lacks the key {missing[0]!r}"
@@ -48,7 +48,7 @@ def _list(fits: Fits, count: int | None = None) -> Fits:
 
 
 def _with(there: dict[str, Fits], maybe: dict[str, Fits] | None = None) -> Fits:
-    """Return the check of an object: keys that it must have, and keys that it may have."""
+    """Return the check of an object with required and optional keys."""
 
     def fits(value: Any) -> bool:
         if not isinstance(value, dict) or any(key not in value for key in there):
@@ -79,7 +79,7 @@ _VIEW = _with(
         ),
     },
 )
-"""What became of a picture."""
+"""A view."""
 _RING = _with(
     {
         "ring": _number,
@@ -90,11 +90,11 @@ _RING = _with(
     },
     {"placement": _or_none(_number)},
 )
-"""Where a ring's camera stands."""
+"""Pose of a ring's camera."""
 _EDGES = _with({}, dict.fromkeys(("count", "before_mm", "after_mm", "radius_excess_mm", "oval_mm", "oval_deg"), _or_none(_number)))
-"""What the canister's edges told."""
+"""Calibration from the canister's edges."""
 _ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
-"""What the roots told of the cameras."""
+"""Calibration from the roots."""
 _RIG = _with(
     {},
     {
@@ -114,7 +114,7 @@ _RIG = _with(
         ),
     },
 )
-"""What was calibrated from the pictures (`recon.results.calibrated`)."""
+"""Self-calibration (`recon.results.calibrated`)."""
 _CHECK = _only(
     _with(
         {"name": _text, "state": _text, "unit": _text, "found": _text, "advice": _text},
@@ -122,12 +122,12 @@ _CHECK = _only(
     ),
     {field.name for field in fields(Check)},
 )
-"""A light of the traffic light."""
+"""A check of the scan."""
 _ESTIMATE = _only(
     _with({"name": _text, "value": _number, "interval": _numbers(2), "trusted": _truth, "verdict": _text}),
     {field.name for field in fields(Estimate)},
 )
-"""A number of the roots with its interval."""
+"""An estimate with its interval."""
 _THERE: dict[str, Fits] = {
     "scene": _text,
     "dataset_sha256": _text,

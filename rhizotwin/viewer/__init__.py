@@ -1,1 +1,1 @@
-"""Results and scans in a browser: served by this machine to those who have the address with its token."""
+"""The viewer of results and the live page of scans, for browsers that have the address with its token."""

@@ -1,4 +1,7 @@
-"""The viewer: results in 3D, their pictures through the water, and corrections. All browsers see one state."""
+"""The viewer: results in 3D, pictures with the outline of the reconstruction, and corrections.
+
+All browsers share one state.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections import log as logs
-from rhizotwin.corrections.lines import below
+from rhizotwin.corrections.lines import descendants
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import guard, picking
@@ -22,35 +25,33 @@ from rhizotwin.viewer.picking import Ray, Screen
 Array = NDArray[np.float64]
 
 _PREPARE_AFTER_S = 3.0
-"""Between the first browser and the work that only corrections need: by then a day-30 plant is drawn."""
+"""Delay of the preparation of corrections after the first browser connects: a day-30 plant is drawn by then."""
 
 
 class Viewer(Drawing):
-    """Results served to browsers, to be chosen from and corrected."""
+    """Results served to browsers: selection and corrections."""
 
-    # choosing
+    # selection
 
     def clicked(self, ray: Ray, *, more: bool = False) -> None:
-        """Answer a click into the scene.
+        """Handle a click into the scene.
 
         Parameters
         ----------
+        ray : Ray
+            From the eye through the click.
         more : bool
-            Add to what is chosen.
+            Add to the selection.
         """
         with self.lock:
-            if self.standing is not None:
+            if self.picture is not None:
                 return
             if self.look.click == CLICKS[1]:
                 self._click_voxel(ray, more=more)
                 return
-            hit = picking.root_at(self.strung(), ray)
-            if hit is None and not self._click_beside(ray):
-                if not more:
-                    self.choose_nothing()
-                return
+            hit = picking.root_at(self.nodes(), ray)
             if hit is None:
-                self.answer()
+                self._click_background(ray, more=more)
                 return
             number, point = hit
             if self.look.click == CLICKS[0]:
@@ -64,25 +65,25 @@ class Viewer(Drawing):
                 self._measure_at(point)
             else:
                 kind = {CLICKS[3]: "cut", CLICKS[4]: "tip", CLICKS[5]: "base"}[self.look.click]
-                self.do(kind, roots=[number], point_mm=tuple(float(x) for x in point))
+                self.correct(kind, roots=[number], point_mm=tuple(float(x) for x in point))
                 return
-            self.answer()
+            self.show_selection()
 
-    def _click_beside(self, ray: Ray) -> bool:
-        """Answer a click that meets no root: measure on the shape itself; tell whether that was meant."""
-        if self.look.click != CLICKS[2]:
-            return False
-        hit = self._voxel_at(ray)
+    def _click_background(self, ray: Ray, *, more: bool) -> None:
+        """Handle a click beside all roots: measure on the shape itself, or clear the selection."""
+        hit = self._voxel_at(ray) if self.look.click == CLICKS[2] else None
         if hit is not None:
             self._measure_at(hit[1])
-        return hit is not None
+            self.show_selection()
+        elif not more:
+            self.deselect()
 
     def _measure_at(self, point_mm: Array) -> None:
         self.measured = [*self.measured, point_mm] if len(self.measured) < 2 else [point_mm]
 
     def _voxel_at(self, ray: Ray) -> tuple[int, Array] | None:
-        """Return the row of the voxel that a ray meets first, and where."""
-        solid, rows = self.shown.session.measure().solid, self._voxel_rows()
+        """Return the row of the first voxel on a ray, and the point there."""
+        solid, rows = self.shown.session.measure().solid, self.voxel_rows()
         hit = picking.voxel_at(solid.centre_mm[rows], np.asarray(0.5 * solid.size[rows] * solid.voxel_mm), ray)
         return None if hit is None else (int(rows[hit[0]]), hit[1])
 
@@ -93,130 +94,148 @@ class Viewer(Drawing):
             self.roots.clear()
         if hit is not None:
             self.voxels ^= {hit[0]}
-        self.answer()
+        self.show_selection()
 
-    def choose_rectangle(self, screen: Screen, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Choose what shows inside a rectangle.
-
-        Voxels where they are shown or clicked, else the roots that lie wholly inside.
-        """
+    def select_rectangle(self, screen: Screen, low: tuple[float, float], high: tuple[float, float]) -> None:
+        """Select inside a rectangle: voxels if they are displayed, else roots that are completely inside."""
         with self.lock:
             if self.look.click == CLICKS[1] or "voxels" in self.look.layers:
-                rows = self._voxel_rows()
+                rows = self.voxel_rows()
                 inside = screen.inside(self.shown.session.measure().solid.centre_mm[rows], low, high)
                 self.voxels |= {int(row) for row in rows[inside]}
             else:
                 points = {k: np.concatenate([part.points_mm for part in parts]) for k, parts in self.visible().items()}
                 self.roots += [k for k, at in points.items() if k not in self.roots and screen.inside(at, low, high).all()]
-            self.answer()
+            self.show_selection()
 
-    def choose_box(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> None:
-        """Choose the voxels whose middles lie in a box."""
+    def select_box(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> None:
+        """Select the voxels whose centres are in a box."""
         with self.lock:
             measured = self.shown.session.measure()
             rows = measured.solid.leaves_in(low_mm, high_mm)
             self.voxels = {int(row) for row in rows[rows < len(measured.volumes_mm3)] if measured.volumes_mm3[row] > 1e-9}
-            self.answer()
+            self.show_selection()
 
-    def choose_nothing(self) -> None:
-        """Choose nothing."""
+    def select_root(self, number: int) -> None:
+        """Select one root."""
+        with self.lock:
+            self.roots, self.voxels = [number], set()
+            self.show_selection()
+
+    def deselect(self) -> None:
+        """Clear the selection."""
         with self.lock:
             self.roots, self.voxels, self.measured = [], set(), []
-            self.answer()
+            self.show_selection()
 
     # corrections
 
     def prepare(self) -> None:
-        """Do what the first click and the first correction would wait for, and measure what needs no haste."""
-        self.strung()
+        """Load data that the first click and the first correction need."""
+        self.nodes()
         _ = self.shown.session.solid
-        self.drawn()
 
-    def do(self, kind: str, **what: Any) -> None:
-        """Make a correction and show what it comes to."""
+    def correct(self, kind: str, **fields: Any) -> None:
+        """Apply a correction (`corrections.log.Edit`) and display the result."""
         with self.lock:
             try:
-                self.shown.session.do(logs.edit(kind, **what))
-                self.told = ""
+                self.shown.session.do(logs.edit(kind, **fields))
+                self.message = ""
             except UserError as error:
-                self.say(str(error))
+                self.notify(str(error))
                 return
             self.voxels.clear()
             self.refresh()
 
     def delete(self, *, laterals: bool = False) -> None:
-        """Take away what is chosen."""
+        """Delete the selected roots and voxels."""
         with self.lock:
             rows, roots = sorted(self.voxels), list(self.roots)
             if not rows and not roots:
-                self.say("nothing is chosen")
+                self.notify("nothing is selected")
                 return
             if roots:
-                if laterals:  # those that hang on others that are chosen go with them
+                if laterals:  # laterals of selected roots are deleted with them
                     lines = self.shown.session.state.lines
-                    under = {below_one for k in roots for below_one in below(lines, k)[1:]}
+                    under = {one for k in roots for one in descendants(lines, k)[1:]}
                     roots = [k for k in roots if k not in under]
-                self.do("delete roots", roots=roots, laterals=laterals)
+                self.correct("delete roots", roots=roots, laterals=laterals)
             if rows:
-                self.do("delete voxels", runs=logs.runs(rows))
+                self.correct("delete voxels", runs=logs.runs(rows))
 
     def pair(self, kind: str) -> None:
-        """Join or hang the two chosen roots, in the order of the clicks."""
+        """Apply a correction to two selected roots, in the order of selection."""
         if len(self.roots) != 2:
-            self.say("choose two roots: click the first, then click the second with Shift held")
+            self.notify("select two roots: click the first, then click the second while holding Shift")
             return
-        self.do(kind, roots=self.roots)
+        self.correct(kind, roots=self.roots)
 
     def restore(self) -> None:
-        """Bring back what was taken away last and is still away; what was cut of other roots stays cut."""
+        """Restore the roots or voxels that were deleted last and are still deleted."""
         with self.lock:
-            roots, rows = self.shown.session.taken_last()
+            roots, rows = self.shown.session.last_deleted()
             if not roots and not len(rows):
-                self.say("nothing was taken away")
+                self.notify("nothing was deleted")
                 return
             if len(rows):
-                self.do("restore voxels", runs=logs.runs([int(row) for row in rows]))
+                self.correct("restore voxels", runs=logs.runs([int(row) for row in rows]))
             if roots:
-                self.do("restore roots", roots=roots)
+                self.correct("restore roots", roots=roots)
 
-    def fit_again(self) -> None:
-        """Fit the roots to the pictures again."""
-        from rhizotwin.corrections import refit  # with what computes
+    def refit(self) -> None:
+        """Refit the roots to the pictures."""
+        from rhizotwin.corrections.refit import fitter  # loads the engine
 
         shown = self.shown
         if shown.dataset is None:
-            self.say("fitting again needs the pictures: start `rhizotwin view RESULT DATASET`")
+            self.notify("refitting needs the pictures: start `rhizotwin view RESULT DATASET`")
             return
-        self.say("fitting the roots to the pictures again ...")
-        shown.session.refit = refit.fitter(shown.session.folder, shown.dataset)
-        self.do("fit")
+        self.notify("refitting the roots to the pictures ...")
+        shown.session.refit = fitter(shown.session.folder, shown.dataset)
+        self.correct("fit")
 
     def undo(self) -> None:
-        """Take the last correction back."""
+        """Undo the last correction."""
         with self.lock:
             self.shown.session.undo()
             self.refresh()
 
+    def undo_to(self, count: int) -> None:
+        """Undo corrections until ``count`` of them are left."""
+        with self.lock:
+            while len(self.shown.session.log.edits) > count:
+                self.shown.session.undo()
+            self.refresh()
+
+    def look_from(self, client: viser.ClientHandle, view: str) -> None:
+        """Set the camera of a browser to a preset view (`scene3d.VIEWS`)."""
+        if self.picture is not None:
+            self.enter_picture(None, client)
+        with client.atomic():
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+            client.camera.position = self.scene.camera_position(view, aspect=client.camera.aspect)
+            client.camera.look_at, client.camera.fov = self.scene.home[0], np.deg2rad(40.0)
+
     def redo(self) -> None:
-        """Make a correction again that was undone."""
+        """Redo the correction that was undone last."""
         with self.lock:
             self.shown.session.redo()
             self.refresh()
 
     def save(self) -> None:
-        """Write the log beside the result."""
+        """Save the corrections as ``edits.json`` in the result's folder."""
         path = self.shown.session.save()
-        self.say(f"wrote {path}; rhizotwin edit {path.parent} --apply {path} -o NEW makes the corrected result")
+        self.notify(f"wrote {path}; next: rhizotwin edit {path.parent} --apply {path} -o NEW_RESULT")
 
 
 def ray_of(origin: Sequence[float], direction: Sequence[float]) -> Ray:
-    """Return a browser's ray."""
+    """Return a ray with a unit direction."""
     way = np.asarray(direction, np.float64)
     return Ray(np.asarray(origin, np.float64), way / np.linalg.norm(way))
 
 
 def screen_of(client: viser.ClientHandle) -> Screen:
-    """Return how a browser looks."""
+    """Return the camera of a browser."""
     camera = client.camera
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = viser.transforms.SO3(np.asarray(camera.wxyz)).as_matrix()
@@ -230,18 +249,18 @@ def start(folders: Sequence[Path], dataset: Path | None, *, host: str = guard.LO
     Raises
     ------
     UserError
-        Where a result cannot be read, or nothing can be served.
+        If a result cannot be read, or the port cannot be used.
     """
     return show(guard.serve(host=host, port=port), folders, dataset)
 
 
 def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) -> Viewer:
-    """Show results to browsers, which may have come already.
+    """Show results to browsers, which may be connected already.
 
     Raises
     ------
     UserError
-        Where a result cannot be read.
+        If a result cannot be read.
     """
     from rhizotwin.viewer import panels
 

@@ -1,4 +1,4 @@
-"""What browsers see of a result: layers, colours, clipping, what is chosen, and the picture that they stand in."""
+"""The state of the viewer and how it is drawn: layers, colours, clipping, selection, and the displayed picture."""
 
 from __future__ import annotations
 
@@ -13,55 +13,57 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from rhizotwin import root_colours
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.viewer import colours
+from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
-from rhizotwin.viewer.picking import Strung
+from rhizotwin.viewer.picking import Nodes
 from rhizotwin.viewer.scene3d import CANISTER, Scene3d, field_of_view, quaternion
 from rhizotwin.viewer.shown import Shown
 
 Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
 Triple = tuple[float, float, float]
 Parts = Mapping[int, tuple[Line, ...]]
 
-LAYERS = ("roots", "surface", "voxels", "canister", "cameras", "truth")
-CLICKS = ("choose a root", "choose a voxel", "measure", "cut here", "end it here", "plant begins here")
-TRUTH = ("over", "beside", "distance colours")
+LAYERS = ("surface", "centre lines", "tubes", "voxels", "canister", "cameras", "truth", "scale bar")
+CLICKS = ("select a root", "select a voxel", "measure a distance", "cut the root here", "end the root here", "set the base of the plant")
+TRUTH = ("overlaid", "beside", "as colours of distance")
 _ASIDE_MM = 60.0
 _APART_S = 0.02
-"""What is sent farther apart than viser gathers messages (1/60 s) comes in two parcels."""
+"""Longer than the interval in which viser collects messages (1/60 s), so that two messages arrive separately."""
 _FAR_MM = 1e9
 """Beyond everything."""
 
 
 @dataclass
 class Look:
-    """How the result is shown."""
+    """How the result is displayed."""
 
-    layers: set[str] = field(default_factory=lambda: {"roots", "canister"})
-    """Cameras wait until they are asked for: their pictures would hold up the first picture, and each after it."""
+    layers: set[str] = field(default_factory=lambda: {"surface", "canister", "scale bar"})
+    """Without cameras: their pictures would delay the first frame and each one after it."""
     colour: str = "order"
     truth: str = TRUTH[0]
     low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
     high_mm: Triple = (_FAR_MM, _FAR_MM, _FAR_MM)
-    """What lies outside of these corners is cut away, canister frame."""
+    """Corners of the clipping box, canister frame."""
     click: str = CLICKS[0]
 
     @property
-    def whole(self) -> bool:
-        """Tell whether nothing is cut away."""
+    def is_unclipped(self) -> bool:
+        """Return whether everything is inside the clipping box."""
         return max(self.low_mm) <= -_FAR_MM and min(self.high_mm) >= _FAR_MM
 
     def inside(self, points_mm: Array) -> NDArray[np.bool_]:
-        """Tell which points (N, 3) show."""
+        """Return which points (N, 3) are inside the clipping box."""
         return np.asarray(((points_mm >= self.low_mm) & (points_mm <= self.high_mm)).all(axis=1))
 
 
 class Drawing:
-    """Results drawn for browsers, as the state says."""
+    """Results drawn for browsers according to the state."""
 
     def __init__(self, served: Served, folders: Sequence[Path], dataset: Path | None = None) -> None:
         self.served, self.look = served, Look()
@@ -71,26 +73,29 @@ class Drawing:
         self._place = 0
         self.lock = threading.RLock()
         self.roots: list[int] = []
-        """Chosen, in the order of the clicks."""
+        """Selected roots, in the order of selection."""
         self.voxels: set[int] = set()
+        """Selected voxels."""
         self.measured: list[Array] = []
-        self.standing: int | None = None
-        """The picture that browsers stand in."""
+        self.picture: int | None = None
+        """Number of the displayed picture; None: 3D view."""
         self._visible: tuple[object, Parts] | None = None
-        self._strung: tuple[Parts, Strung] | None = None
+        self._nodes: tuple[Parts, Nodes] | None = None
+        self._keys: dict[str, object] = {}
+        """State in which each layer was drawn last."""
         self.on_change: list[Callable[[], None]] = []
-        """Called when what the panels say may have changed."""
-        self.on_drawn: list[Callable[[], None]] = []
-        """Called after that, when the scene has followed: for what takes longer."""
-        self._surfaces = ThreadPoolExecutor(max_workers=1, thread_name_prefix="surface")
-        """Nobody waits for surfaces: with the next correction they may be old already."""
-        self.told = ""
-        """The last sentence to the user."""
+        """Called when the panels may have to change."""
+        self.on_measured: list[Callable[[], None]] = []
+        """Called in the background when traits may have changed."""
+        self._background = ThreadPoolExecutor(max_workers=1, thread_name_prefix="surface")
+        """Draws surfaces: no correction waits for them, since the next one may replace them."""
+        self.message = ""
+        """The last message to the user."""
         self.load(0)
 
     @property
     def shown(self) -> Shown:
-        """Return the result that is shown."""
+        """Return the displayed result."""
         return self._loaded[self._place]
 
     @property
@@ -99,57 +104,53 @@ class Drawing:
         return [folder.name or str(folder) for folder in self._folders]
 
     def load(self, place: int) -> None:
-        """Show another result."""
+        """Display another result."""
         with self.lock:
             if place not in self._loaded:
                 self._loaded[place] = Shown(self._folders[place], self._dataset)
             self._place = place
             self.roots, self.voxels, self.measured = [], set(), []
             self.scene.clear()
-            self.standing = None
+            self._keys.clear()
+            self.picture = None
             self.served.server.scene.set_background_image(None)
-            shown = self.shown
-            points = np.concatenate(
-                [line.points_mm for line in shown.session.state.lines.values()] or [shown.session.measure().solid.centre_mm]
-            )
-            self.scene.look_at(points, rim_mm=60.0)
-            if not shown.session.state.lines:
-                self.look.layers |= {"surface"}
+            lines = self.shown.session.state.lines.values()
+            points = np.concatenate([line.points_mm for line in lines] or [self.shown.session.measure().solid.centre_mm])
+            self.scene.set_home(points)
+            if self.has_gaps:
+                self.look.layers |= {"centre lines"}
             self.refresh()
 
+    @property
+    def has_gaps(self) -> bool:
+        """Return whether most roots are so thin that the surface has gaps, which centre lines fill."""
+        lines = self.shown.session.state.lines.values()
+        return bool(lines) and float(np.median(np.concatenate([line.diameters_mm for line in lines]))) < THIN_MM
+
     def changed(self) -> None:
-        """Let the panels follow."""
+        """Update the panels."""
         for follow in self.on_change:
             follow()
 
-    def drawn(self) -> None:
-        """Let follow what takes longer."""
-        for follow in self.on_drawn:
-            follow()
-
-    def say(self, text: str) -> None:
-        """Tell the user something."""
-        self.told = text
+    def notify(self, text: str) -> None:
+        """Show a message to the user."""
+        self.message = text
         self.changed()
 
     def unsaved(self) -> int:
-        """Return how many corrections are in no log."""
+        """Return the number of corrections that were not saved."""
         return sum(shown.session.unsaved for shown in self._loaded.values())
 
-    # what is drawn
+    # drawing
 
-    def answer(self) -> None:
-        """Let the panels follow, then mark what is chosen."""
+    def show_selection(self) -> None:
+        """Update the panels, then highlight the selection."""
         with self.lock:
-            self._tell()
-            self._draw_chosen()
+            self._update_panels()
+            self._draw_selection()
 
-    def _tell(self) -> None:
-        """Let the panels follow at once.
-
-        A browser shows what comes with nothing for the scene beside it before it draws the scene again, which software
-        takes long for.
-        """
+    def _update_panels(self) -> None:
+        """Update the panels in a message of their own: browsers apply it before they draw the next frame."""
         lines = self.shown.session.state.lines
         self.roots = [number for number in self.roots if number in lines]
         self.changed()
@@ -157,33 +158,64 @@ class Drawing:
         time.sleep(_APART_S)
 
     def refresh(self) -> None:
-        """Let the panels follow, and draw what has changed: a large surface takes longer than the number."""
+        """Update the panels and draw everything that changed; surfaces follow in the background."""
         with self.lock:
-            self._tell()
+            self._update_panels()
             self._draw()
-        self._surfaces.submit(self._draw_surface_or_say)
-        self.drawn()
+        self._background.submit(self._finish)
+
+    def _finish(self) -> None:
+        """Draw surfaces and measure traits in the background, where errors become messages."""
+        try:
+            self._draw_surface()
+            for follow in self.on_measured:
+                follow()
+        except UserError as error:
+            self.notify(str(error))
+
+    def wait(self) -> None:
+        """Wait until surfaces are drawn and traits measured."""
+        self._background.submit(lambda: None).result()
+
+    @property
+    def _edited(self) -> tuple[object, ...]:
+        return id(self.shown), self.shown.session.log.edits
 
     def _draw(self) -> None:
-        """Draw all but surfaces."""
+        """Draw everything but surfaces; tubes replace a surface until it is ready."""
         with self.served.server.atomic():
             session, look, shown = self.shown.session, self.look, self.shown
-            if "roots" in look.layers and self.standing is None:
-                shade, _ = colours.colouring(look.colour, session.state.lines)
-                key = look.colour if look.colour in colours.OF_ONE else f"{look.colour} {len(session.log.edits)}"
+            here = self.picture is None
+            waiting = here and "surface" in look.layers and self._keys.get("edits of surface") != self._edited
+            with_tubes = "tubes" in look.layers or waiting
+            shade, _ = root_colours.colour_roots(look.colour, session.state.lines)
+            if with_tubes and here:
+                key = look.colour if look.colour in root_colours.PER_ROOT else f"{look.colour} {len(session.log.edits)}"
                 self.scene.show_roots(self.visible(), shade, key=key)
+            if self._is_new("lines", ("centre lines" in look.layers, look.colour, look.low_mm, look.high_mm, *self._edited)):
+                self.scene.show_centre_lines(self.visible() if "centre lines" in look.layers else {}, shade)
             self._draw_voxels()
             if "canister" in look.layers and shown.dataset is not None and CANISTER not in self.scene:
                 self.scene.show_canister(shown.dataset.scene)
             if "cameras" in look.layers and shown.pictures is not None and "/cameras/0" not in self.scene:
-                self.scene.show_cameras(shown.pictures, self.stand)
-            here = self.standing is None
-            for layer, prefix in (("roots", "/roots"), ("canister", "/rig"), ("cameras", "/cameras")):
+                self.scene.show_cameras(shown.pictures, self.enter_picture)
+            if self._is_new("scale", (here and "scale bar" in look.layers, id(shown))):
+                self.scene.show_scale_bar(visible=here and "scale bar" in look.layers)
+            self.scene.set_visible("/roots", visible=here and with_tubes)
+            self.scene.set_visible("/surface", visible=here and not waiting)
+            for layer, prefix in (("centre lines", "/lines"), ("canister", "/rig"), ("cameras", "/cameras")):
                 self.scene.set_visible(prefix, visible=here and layer in look.layers)
-            self._draw_chosen()
+            self._draw_selection()
 
-    def cut_away(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
-        """Show only what lies between two places along an axis; None: no end."""
+    def _is_new(self, layer: str, state: object) -> bool:
+        """Return whether the state of a layer differs from that in which it was drawn, and remember it."""
+        if self._keys.get(layer) == state:
+            return False
+        self._keys[layer] = state
+        return True
+
+    def clip(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
+        """Display only what is between two coordinates along an axis; None: no limit."""
         for name, value, none in (("low_mm", low_mm, -_FAR_MM), ("high_mm", high_mm, _FAR_MM)):
             corner = list(getattr(self.look, name))
             corner[axis] = none if value is None else value
@@ -191,48 +223,57 @@ class Drawing:
         self.refresh()
 
     def visible(self) -> Parts:
-        """Return the parts of roots that are not cut away."""
+        """Return the parts of roots inside the clipping box."""
         lines, look = self.shown.session.state.lines, self.look
         key = (id(lines), look.low_mm, look.high_mm)
         if self._visible is None or self._visible[0] != key:
-            found = {number: (line,) if look.whole else _parts(line, look.inside(line.points_mm)) for number, line in lines.items()}
+            found = {number: (line,) if look.is_unclipped else _parts(line, look.inside(line.points_mm)) for number, line in lines.items()}
             self._visible = key, {number: parts for number, parts in found.items() if parts}
         return self._visible[1]
 
-    def strung(self) -> Strung:
-        """Return the nodes of the roots that can be clicked."""
+    def nodes(self) -> Nodes:
+        """Return the nodes of the roots that can be picked."""
         parts = self.visible()
-        if self._strung is None or self._strung[0] is not parts:
-            self._strung = parts, Strung.of((number, line) for number, lines in parts.items() for line in lines)
-        return self._strung[1]
-
-    def _draw_surface_or_say(self) -> None:
-        """Draw surfaces in their own thread, where nobody else hears what goes wrong."""
-        try:
-            self._draw_surface()
-        except UserError as error:
-            self.say(str(error))
+        if self._nodes is None or self._nodes[0] is not parts:
+            self._nodes = parts, Nodes.of((number, line) for number, lines in parts.items() for line in lines)
+        return self._nodes[1]
 
     def _draw_surface(self) -> None:
         look, shown = self.look, self.shown
-        wanted = "surface" in look.layers and self.standing is None
-        compared = "truth" in look.layers and self.standing is None and shown.truth is not None
-        coloured = compared and look.truth == TRUTH[2]
-        key = (wanted or coloured, coloured, len(shown.session.log.edits), id(shown), look.low_mm, look.high_mm)
-        if key != getattr(self, "_surface_key", None):
-            self._surface_key = key
-            mesh = self._cut(shown.surface_now()) if wanted or coloured else None
-            self.scene.show_surface(mesh, colours=shown.distance_colours(mesh) if mesh is not None and coloured else None)
-        truth_key = (compared and not coloured, look.truth, id(shown), look.low_mm, look.high_mm)
-        if truth_key != getattr(self, "_truth_key", None):
-            self._truth_key = truth_key
-            aside = _ASIDE_MM if look.truth == TRUTH[1] else 0.0
-            truth = self._cut(shown.truth) if truth_key[0] and shown.truth is not None else None
-            self.scene.show_surface(truth, name="/truth", aside_mm=aside)
+        here, edited = self.picture is None, self._edited
+        compared = here and "truth" in look.layers and shown.truth is not None
+        by_distance = compared and look.truth == TRUTH[2]
+        wanted = here and ("surface" in look.layers or by_distance)
+        translucent = "centre lines" in look.layers and not self.has_gaps
+        how = "distance" if by_distance else look.colour
+        if self._is_new("surface", (wanted, how, translucent, look.low_mm, look.high_mm, edited)):
+            mesh = self._clipped(shown.surface()) if wanted else None
+            colours = None if mesh is None else shown.distance_colours(mesh) if by_distance else self._surface_colours(mesh)
+            if self._edited == edited:  # else a later correction draws it
+                self.scene.show_surface(mesh, colours, translucent=translucent)
+                self._keys["edits of surface"] = edited if wanted else None
+                with self.lock:
+                    self._draw()
+        if self._is_new("truth", (compared and not by_distance, look.truth, id(shown), look.low_mm, look.high_mm)):
+            truth = self._clipped(shown.truth) if compared and not by_distance and shown.truth is not None else None
+            self.scene.show_truth(truth, aside_mm=_ASIDE_MM if look.truth == TRUTH[1] else 0.0)
 
-    def _cut(self, mesh: Mesh) -> Mesh | None:
-        """Return what of a surface is not cut away; None where that is nothing."""
-        if self.look.whole:
+    def _surface_colours(self, mesh: Mesh) -> Bytes | None:
+        """Return the colours of vertices (V, 3) from the nearest point of a centre line; None without roots."""
+        from rhizotwin import surface_mesh
+
+        lines = self.shown.session.state.lines
+        if not lines:
+            return None
+        shade, _ = root_colours.colour_roots(self.look.colour, lines)
+        points = np.concatenate([line.points_mm for line in lines.values()])
+        radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
+        shades = np.concatenate([shade(number, line) for number, line in lines.items()])
+        return shades[surface_mesh.nearest_root(mesh.vertices_mm, points, radii)]
+
+    def _clipped(self, mesh: Mesh) -> Mesh | None:
+        """Return the part of a surface inside the clipping box; None if there is none."""
+        if self.look.is_unclipped:
             return mesh
         faces = mesh.faces[self.look.inside(mesh.vertices_mm)[mesh.faces].all(axis=1)]
         used, index = np.unique(faces, return_inverse=True)
@@ -240,69 +281,67 @@ class Drawing:
 
     def _draw_voxels(self) -> None:
         session, look = self.shown.session, self.look
-        wanted = "voxels" in look.layers and self.standing is None
-        key = (wanted, look.low_mm, look.high_mm, len(session.log.edits), id(session))
-        if key == getattr(self, "_voxel_key", None):
+        wanted = "voxels" in look.layers and self.picture is None
+        if not self._is_new("voxels", (wanted, look.low_mm, look.high_mm, *self._edited)):
             return
-        self._voxel_key = key
-        rows = self._voxel_rows() if wanted else np.zeros(0, np.int64)
+        rows = self.voxel_rows() if wanted else np.zeros(0, np.int64)
         measured = session.measure()
         solid, room = measured.solid, (measured.solid.size[rows] * measured.solid.voxel_mm) ** 3
         self.scene.show_voxels(solid.centre_mm[rows], measured.volumes_mm3[rows] / room, solid.voxel_mm)
 
-    def _voxel_rows(self) -> NDArray[np.int64]:
-        """Return the voxels that are there and not cut away."""
+    def voxel_rows(self) -> NDArray[np.int64]:
+        """Return the rows of the occupied voxels inside the clipping box."""
         measured, look = self.shown.session.measure(), self.look
         there = measured.volumes_mm3 > 1e-9
-        if not look.whole:
+        if not look.is_unclipped:
             there &= look.inside(measured.solid.centre_mm[: len(there)])
         return np.flatnonzero(there)
 
-    def _draw_chosen(self) -> None:
+    def _draw_selection(self) -> None:
         session = self.shown.session
         solid = session.measure().solid
         rows = np.array(sorted(self.voxels), np.int64)
-        here = self.standing is None
-        centre_mm = solid.centre_mm[rows] if len(rows) else np.zeros((0, 3))  # all middles take a tenth of a second
-        self.scene.show_chosen([session.state.lines[k] for k in self.roots] if here else [], centre_mm, solid.voxel_mm)
+        here = self.picture is None
+        centre_mm = solid.centre_mm[rows] if len(rows) else np.zeros((0, 3))  # all centres take a tenth of a second
+        self.scene.show_selected([session.state.lines[k] for k in self.roots] if here else [], centre_mm, solid.voxel_mm)
         self.scene.show_measure(self.measured if here else [])
 
     # pictures
 
-    def stand(self, place: int | None, client: viser.ClientHandle | None = None) -> None:
-        """Stand in a picture, with the reconstruction drawn over it through the water; None goes back to 3D."""
+    def enter_picture(self, place: int | None, client: viser.ClientHandle | None = None) -> None:
+        """Display a picture with the outline of the reconstruction, from its camera; None returns to the 3D view."""
         pictures, server = self.shown.pictures, self.served.server
         with self.lock:
-            if pictures is None or (place is None and self.standing is None):
+            if pictures is None or (place is None and self.picture is None):
                 return
-            self.standing = None if place is None else place % len(pictures.views)
+            self.picture = None if place is None else place % len(pictures.views)
+        if self.picture is not None:
+            self.shown.surface()  # may take seconds, without the lock
+        with self.lock:
             self._draw_picture()
             self.refresh()
         clients = server.get_clients().values() if client is None else [client]
         for one in clients:
             with one.atomic():
-                if self.standing is None:
+                if self.picture is None:
                     start = server.initial_camera
                     one.camera.position, one.camera.look_at, one.camera.fov = start.position, start.look_at, start.fov
                 else:
-                    pose = frames.invert(pictures.views[self.standing].cam_from_canister)
+                    pose = frames.invert(pictures.views[self.picture].cam_from_canister)
                     one.camera.wxyz, one.camera.position = quaternion(pose[:3, :3]), pose[:3, 3]
-                    one.camera.fov = field_of_view(pictures.views[self.standing])
+                    one.camera.fov = field_of_view(pictures.views[self.picture])
 
     def _draw_picture(self) -> None:
-        server, pictures = self.served.server, self.shown.pictures
-        if self.standing is None or pictures is None:
+        server, pictures, shown = self.served.server, self.shown.pictures, self.shown
+        if self.picture is None or pictures is None:
             server.scene.set_background_image(None)
             return
-        lines = self.shown.session.state.lines if "roots" in self.look.layers else {}
-        orders = colours.order_of(lines)
-        shades = {number: colours.ORDERS[min(orders[number], len(colours.ORDERS) - 1)] for number in lines}
-        shades |= dict.fromkeys([number for number in self.roots if number in lines], (255, 170, 0))
-        server.scene.set_background_image(pictures.drawn(self.standing, lines, shades), format="jpeg", jpeg_quality=90)
+        image = pictures.draw_outline(self.picture, shown.surface(), shown.session.state.lines, selected=self.roots)
+        server.scene.set_background_image(image, format="jpeg", jpeg_quality=90)
 
 
 def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
-    """Return the stretches of a root whose nodes show."""
+    """Return the stretches of a root whose nodes are inside the clipping box."""
     if inside.all():
         return (line,)
     shown = np.flatnonzero(inside)

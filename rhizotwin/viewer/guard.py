@@ -1,8 +1,7 @@
-"""A viser server that answers only those who know its token.
+"""A viser server with token authentication.
 
-The printed address carries the token; the first answer turns it into a cookie, which the browser then sends with the
-page and with the websocket. A websocket must also come from the page's own origin: a page of another port of this
-machine shares its cookies.
+The printed address contains the token. The first response stores it in a cookie, which the browser sends with the page
+and the websocket. A websocket must also have the origin of the page, because pages of other ports share the cookies.
 """
 
 from __future__ import annotations
@@ -29,22 +28,22 @@ from websockets.http11 import Request, Response
 from rhizotwin.scenes.errors import UserError
 
 LOCAL = "127.0.0.1"
-REFUSED = b"This page needs the whole address that `rhizotwin` printed, with its token.\n"
+REFUSED = b"This page needs the complete address that `rhizotwin` printed, with its token.\n"
 _LOOK_S = 0.01
-"""Between two looks whether pages may have what is shown."""
+"""Interval in which waiting websockets check `Served.open`."""
 Answer = Callable[[Any, Request], Response | None]
 
 
 @dataclass(frozen=True)
 class Served:
-    """A running server and how to reach it."""
+    """A running server and its address."""
 
     server: viser.ViserServer
     host: str
     port: int
     token: str
     open: threading.Event
-    """Set when pages may have what is shown; until then they load, and wait for it."""
+    """Set when the content is ready; until then pages load and wait."""
 
     @property
     def address(self) -> str:
@@ -52,60 +51,60 @@ class Served:
         return f"http://{self.host}:{self.port}/?token={self.token}"
 
     def stop(self) -> None:
-        """End it."""
-        with redirect_stdout(io.StringIO()):  # viser says that it stopped
+        """Stop the server."""
+        with redirect_stdout(io.StringIO()):  # viser prints a message
             self.server.stop()
 
 
 def serve(*, host: str = LOCAL, port: int = 8080, title: str = "rhizotwin") -> Served:
-    """Start a server; where the port is taken, at the next free one.
+    """Start a server at a port, or at the next free one.
 
-    Browsers may load the page at once, while what is shown is being read: they get it when `Served.open` is set.
+    Browsers can load the page at once; its content follows when `Served.open` is set.
 
     Raises
     ------
     UserError
-        Where the address is not this machine's, or no port is free.
+        If the address is not of this machine, or no port is free.
     """
     token, is_open = secrets.token_urlsafe(24), threading.Event()
     try:
-        with _guarded(token, is_open), redirect_stdout(io.StringIO()):  # viser's own greeting lacks the token
+        with _guarded(token, is_open), redirect_stdout(io.StringIO()):  # viser prints an address without the token
             server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     except OSError as error:
-        raise UserError(f"nothing can be served at {host}:{port} ({error}); choose another --host or --port") from None
+        raise UserError(f"cannot serve at {host}:{port} ({error}); choose another --host or --port") from None
     return Served(server, host, server.get_port(), token, is_open)
 
 
 @contextmanager
 def _guarded(token: str, is_open: threading.Event) -> Iterator[None]:
-    """Let servers that start meanwhile ask for the token; viser has no hook for it of its own."""
+    """Make servers that start in this context check the token; viser has no hook for it."""
     started = websockets.asyncio.server.serve
 
-    def ask_first(*arguments: Any, process_request: Answer, **more: Any) -> Any:
-        async def ask(connection: Any, request: Request) -> Response | None:
+    def start_guarded(*arguments: Any, process_request: Answer, **more: Any) -> Any:
+        async def check(connection: Any, request: Request) -> Response | None:
             found = answer(token, process_request, connection, request)
             while found is None and not is_open.is_set():  # a websocket
                 await asyncio.sleep(_LOOK_S)
             return found
 
-        return started(*arguments, process_request=ask, **more)
+        return started(*arguments, process_request=check, **more)
 
-    with patch.object(websockets.asyncio.server, "serve", ask_first):
+    with patch.object(websockets.asyncio.server, "serve", start_guarded):
         yield
 
 
 def answer(token: str, inner: Answer, connection: Any, request: Request) -> Response | None:
-    """Refuse a request without the token, turn one in the address into a cookie, and let ``inner`` answer the rest."""
+    """Reject requests without the token, store a token in the address as a cookie, and forward the rest."""
     host = _only(request, "Host")
     name = f"rhizotwin_{host.rpartition(':')[2]}"
-    asked = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
+    given = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
     is_socket = _only(request, "Upgrade").lower() == "websocket"
     if not host or (is_socket and _netloc(_only(request, "Origin")) != host):
         return _refused()
-    if not (_same(asked, token) or _same(_cookie(request, name), token)):
+    if not (_same(given, token) or _same(_cookie(request, name), token)):
         return _refused()
     found = inner(connection, request)
-    if found is not None and _same(asked, token):
+    if found is not None and _same(given, token):
         found.headers["Set-Cookie"] = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
     if found is not None:
         found.headers["Referrer-Policy"] = "no-referrer"
@@ -116,7 +115,7 @@ def answer(token: str, inner: Answer, connection: Any, request: Request) -> Resp
 
 
 def _only(request: Request, name: str) -> str:
-    """Return a header's value; empty where it is missing or there several times, which no browser sends."""
+    """Return the value of a header; empty if it is missing or repeated, which no browser does."""
     values = request.headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 

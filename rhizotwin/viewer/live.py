@@ -1,4 +1,4 @@
-"""A scan while it runs: what its pictures show, kept for the page, and the page's wish to pause, go on or stop."""
+"""State of a running scan for its live page: pictures so far, pause and stop."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ from rhizotwin.scenes.pictures import Grey
 from rhizotwin.viewer.sketch import Sketch
 
 CARVE_EVERY = 4
-"""Pictures between two sketches: a sketch takes seconds, beside the scan."""
+"""Pictures between two sketches; a sketch takes seconds, in parallel with the scan."""
 HOLD_S = 0.5
-"""Between two looks at a rig that waits."""
+"""Interval in which a paused scan checks whether to continue."""
 MOST_LINES = 6
 FRUSTUM_PX = 90
-"""Width of the pictures that stay with their cameras."""
+"""Width of the pictures shown at their cameras."""
 
 
 class Live(Onlooker):
-    """Looks on at a scan for the browsers.
+    """Observer of a scan for browsers.
 
     Parameters
     ----------
-    scene : as the scan knows it.
-    paused : wait before the first picture.
+    scene : Scene
+        Scene of the scan.
+    paused : bool
+        Wait before the first picture.
     """
 
     watches_motion = True
@@ -42,10 +44,10 @@ class Live(Onlooker):
         self.scene = scene
         self.total = self.done = 0
         self.looks: list[Look] = []
-        """Of this run, the last one last."""
+        """Pictures of this run, in order."""
         self.lines: list[str] = []
         self.panel: tuple[float, float] | None = None
-        """Darkest and brightest twentieth of the panel, of full scale."""
+        """5th and 95th percentile of the backlight, as fractions of full scale."""
         self.cells_mm: NDArray[np.float64] = np.zeros((0, 3))
         self.cell_mm = 1.0
         self.on_change: list[Callable[[], None]] = []
@@ -57,25 +59,25 @@ class Live(Onlooker):
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="sketch")
         self._begun_s, self._held_s = time.monotonic(), 0.0
 
-    # what the scan tells
+    # calls of the scan
 
     def on_plan(self, total: int, done: int) -> None:
-        """Hear how many pictures there are."""
+        """Store the number of pictures."""
         self.total, self.done, self._begun_s = total, done, time.monotonic()
         self._changed()
 
     def on_look(self, look: Look) -> None:
-        """Keep what a picture shows, and sketch now and then."""
+        """Store a picture, and update the sketch now and then."""
         self.done += 1
-        if self.looks:  # only the last one is shown in full
+        if self.looks:  # only the last one is shown in full size
             before = self.looks[-1]
-            self.looks[-1] = replace(before, image=smaller(before.image, FRUSTUM_PX))
+            self.looks[-1] = replace(before, image=shrink(before.image, FRUSTUM_PX))
         self.looks.append(look)
-        self._worker.submit(self._take_in, look)
+        self._worker.submit(self._process, look)
         self._changed()
 
     def on_drop(self, files: list[str]) -> None:
-        """Forget pictures that were taken out."""
+        """Remove pictures that were discarded."""
         self.looks = [look for look in self.looks if look.frame.file not in files]
         self.done -= len(files)
         for file in files:
@@ -83,12 +85,12 @@ class Live(Onlooker):
         self._changed()
 
     def on_line(self, text: str) -> None:
-        """Keep the last lines."""
+        """Store the last lines of output."""
         self.lines = [*self.lines, text][-MOST_LINES:]
         self._changed()
 
     def holds(self) -> bool:
-        """Wait a little where the scan is paused; end it where a browser asked for that."""
+        """Wait a moment if the scan is paused; raise KeyboardInterrupt if it was stopped."""
         with self._wake:
             begun_s = time.monotonic()
             if self.paused and not self._stop:
@@ -98,17 +100,17 @@ class Live(Onlooker):
                 raise KeyboardInterrupt
             return self.paused
 
-    # what browsers ask for
+    # calls of browsers
 
     def pause(self, *, paused: bool) -> None:
-        """Wait before the next picture, or go on."""
+        """Pause before the next picture, or continue."""
         with self._wake:
             self.paused = paused
             self._wake.notify_all()
         self._changed()
 
     def stop(self) -> None:
-        """End the scan as Ctrl-C does: lights off, arm parked; what was taken is kept."""
+        """Stop the scan like Ctrl-C: lights off, arm parked, pictures kept."""
         with self._wake:
             self._stop = True
             self._wake.notify_all()
@@ -116,24 +118,24 @@ class Live(Onlooker):
 
     @property
     def stopping(self) -> bool:
-        """Whether the scan was asked to end."""
+        """Whether the scan was stopped."""
         return self._stop
 
     def left_s(self) -> float | None:
-        """Return the time left by that of the pictures so far, pauses left out; None before two of them."""
+        """Estimate the remaining time from the pictures so far, without pauses; None before two pictures."""
         taken = len(self.looks)
         if taken < 2:
             return None
         return (time.monotonic() - self._begun_s - self._held_s) / taken * (self.total - self.done)
 
     def close(self) -> None:
-        """Finish the last sketch and tell the browsers that the scan is over."""
+        """Finish the last sketch and mark the scan as finished."""
         self._worker.submit(self._carve)
         self._worker.shutdown(wait=True)
         self.ended = True
         self._changed()
 
-    def _take_in(self, look: Look) -> None:
+    def _process(self, look: Look) -> None:
         frame = look.frame
         if look.sighting is not None:
             self._sketch.add(frame.file, frame.ring, look.image, look.sighting.cam_from_canister)
@@ -146,14 +148,14 @@ class Live(Onlooker):
         self._changed()
 
     def _changed(self) -> None:
-        """Let the page follow; nothing that goes wrong there may harm the scan."""
+        """Update the page; errors there must not affect the scan."""
         for follow in self.on_change:
             with suppress(Exception):
                 follow()
 
 
-def smaller(image: Grey, width_px: int) -> Grey:
-    """Return a picture at most so wide."""
+def shrink(image: Grey, width_px: int) -> Grey:
+    """Resize a picture to at most a width."""
     height, width = image.shape
     if width <= width_px:
         return image

@@ -1,4 +1,4 @@
-"""What a click or a rectangle on the screen means: the root or voxel it meets."""
+"""Picking: the root or voxel under a click, and points inside a rectangle on the screen."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _REACH = 0.006
-"""A click this near to a root, over its distance from the eye, means it (4 pixels of a 900 pixel window)."""
+"""Largest distance between a click and a root that is picked, over the distance from the eye (4 of 900 pixels)."""
 
 
 @dataclass(frozen=True)
-class Strung:
-    """The nodes of all roots in a row."""
+class Nodes:
+    """The nodes of all roots, concatenated."""
 
     point_mm: Array
     """(N, 3)"""
@@ -27,22 +27,22 @@ class Strung:
     root: Index
 
     @classmethod
-    def of(cls, lines: Iterable[tuple[int, Line]]) -> Strung:
-        """Return the nodes of roots, or of parts of them, with their numbers."""
+    def of(cls, lines: Iterable[tuple[int, Line]]) -> Nodes:
+        """Return the nodes of numbered roots or parts of roots."""
         none = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
-        parts = [_filled(number, line.points_mm, line.diameters_mm) for number, line in lines]
+        parts = [_with_midpoints(number, line.points_mm, line.diameters_mm) for number, line in lines]
         return cls(*(np.concatenate(part) for part in zip(none, *parts, strict=True)))
 
 
 @dataclass(frozen=True)
 class Ray:
-    """A line of sight."""
+    """A ray from the eye."""
 
     origin_mm: Array
     direction: Array
 
     def nearness(self, point_mm: Array) -> tuple[Array, Array]:
-        """Return how far along the ray points (N, 3) lie, and how far beside it."""
+        """Return the distances (N,) of points (N, 3) along the ray and from it."""
         away = point_mm - self.origin_mm
         along = away @ self.direction
         return along, np.sqrt(np.maximum(np.einsum("ij,ij->i", away, away) - along**2, 0.0))
@@ -50,7 +50,7 @@ class Ray:
 
 @dataclass(frozen=True)
 class Screen:
-    """How a browser looks at the scene."""
+    """The camera of a browser."""
 
     camera_from_world: Array
     """4x4, OpenCV's axes."""
@@ -59,7 +59,7 @@ class Screen:
     aspect: float
 
     def inside(self, point_mm: Array, low: tuple[float, float], high: tuple[float, float]) -> NDArray[np.bool_]:
-        """Tell which points (N, 3) show inside a rectangle; corners are from 0 to 1, from the upper left."""
+        """Return which points (N, 3) are inside a rectangle; corners are from 0 to 1, from the upper left."""
         seen = point_mm @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             half = np.tan(self.fov / 2.0) * seen[:, 2]
@@ -67,13 +67,10 @@ class Screen:
         return np.asarray((seen[:, 2] > 0.0) & (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
 
 
-def root_at(strung: Strung, ray: Ray) -> tuple[int, Array] | None:
-    """Return the root that a ray meets first, and where; None where it meets none.
-
-    Of roots that the ray only passes near, the nearest beside it counts.
-    """
-    along, beside = ray.nearness(strung.point_mm)
-    gap = beside - strung.radius_mm
+def root_at(nodes: Nodes, ray: Ray) -> tuple[int, Array] | None:
+    """Return the first root on a ray and the point there, else the root nearest to the ray; None if none is near."""
+    along, beside = ray.nearness(nodes.point_mm)
+    gap = beside - nodes.radius_mm
     hit = (along > 0.0) & (gap < 0.0)
     if hit.any():
         best = int(np.flatnonzero(hit)[along[hit].argmin()])
@@ -82,14 +79,11 @@ def root_at(strung: Strung, ray: Ray) -> tuple[int, Array] | None:
         if not near.any():
             return None
         best = int(np.flatnonzero(near)[(gap[near] / along[near]).argmin()])
-    return int(strung.root[best]), strung.point_mm[best]
+    return int(nodes.root[best]), nodes.point_mm[best]
 
 
 def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> tuple[int, Array] | None:
-    """Return the row of the voxel that a ray meets first, by the slab test of its box, and where it enters.
-
-    None where it meets none.
-    """
+    """Return the row of the first voxel on a ray and the point where the ray enters it, by the slab test; or None."""
     along, beside = ray.nearness(centre_mm)
     near = np.flatnonzero((along > 0.0) & (beside < np.sqrt(3.0) * half_mm))
     if not len(near):
@@ -105,8 +99,8 @@ def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> tuple[int, Array] | 
     return int(near[first_in]), ray.origin_mm + enters[first_in] * ray.direction
 
 
-def _filled(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index]:
-    """Return the nodes of a root, with one in the middle of each piece."""
+def _with_midpoints(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index]:
+    """Return the nodes of a root, with one in the middle of each segment."""
     middle = (points_mm[1:] + points_mm[:-1]) / 2.0
     radius = np.concatenate([diameters_mm, (diameters_mm[1:] + diameters_mm[:-1]) / 2.0]) / 2.0
     return np.concatenate([points_mm, middle]), radius, np.full(len(radius), number)

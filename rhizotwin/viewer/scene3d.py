@@ -1,4 +1,4 @@
-"""What stands in the 3D view: roots, surface, voxels, canister, cameras, truth."""
+"""The 3D scene of the viewer: surface, centre lines, tubes, voxels, canister, cameras, truth and scale bar."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rhizotwin import shading
+from rhizotwin import root_colours, shading
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.results.parts import Mesh
@@ -17,59 +17,81 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import tubes
-from rhizotwin.viewer.glb import Triangles, glb, joined
+from rhizotwin.viewer.glb import Triangles, concatenate, glb
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Colouring = Callable[[int, Line], Bytes]
 
 CHUNK = 64
-"""Roots drawn as one mesh: a correction sends only the meshes that it changes."""
+"""Roots per mesh: after a correction only the meshes that changed are sent."""
 MOST_TRIANGLES = 400_000
-"""More are drawn with fewer corners a tube, or coarser; a laptop draws this many without effort."""
+"""With more triangles than this, tubes have fewer corners."""
 CANISTER = "/rig/canister"
 _CORNERS = (tubes.MOST, 8, 6, 5, 4, 3)
-_SURFACE_RGB = (222, 160, 92)
 _TRUTH_RGB = (108, 158, 205)
-_CHOSEN_RGB = (255, 210, 0)
+_SELECTED_RGB = (255, 210, 0)
 _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
 _AMBIENT = 1.6
-"""With viser's lamps (3.0 from above, 0.4 from below) the flanks of hanging roots then keep their colours."""
+"""Added to viser's lights (3.0 from above, 0.4 from below), so that the sides of roots keep their colours."""
+_LIGHT = np.array([0.5, -0.45, 0.74])
+_OPACITY = 110
+"""Of 255: a surface with centre lines inside."""
+VIEWS: dict[str, tuple[float, float, float]] = {
+    "Reset": (1.15, -0.75, 0.35),
+    "Front": (1.0, 0.0, 0.0),
+    "Side": (0.0, -1.0, 0.0),
+    "Top": (1e-3, 0.0, 1.0),
+}
+"""Preset views: direction from the shape to the camera."""
 
 
 class Scene3d:
-    """The 3D view of one result, kept up to date."""
+    """The 3D scene of one result."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._chunks: dict[int, tuple[list[Line], str]] = {}
         self._handles: dict[str, viser.SceneNodeHandle] = {}
+        self.home: tuple[Array, Array] = np.zeros(3), np.ones(3)
+        """Centre and half extents of the shape."""
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
-        # Shadows, and the picture of a hall that viser lights things by, tell nothing and halve a laptop's frames.
+        # Shadows and viser's environment map add no information and halve the frame rate of a laptop.
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.configure_environment_map(None)
         server.scene.add_light_ambient("/light", intensity=_AMBIENT)
 
-    def look_at(self, points_mm: Array, *, rim_mm: float) -> None:
-        """Let new browsers begin with all points in view."""
+    def set_home(self, points_mm: Array) -> None:
+        """Set the initial camera of new browsers so that all points are in view."""
         low, high = points_mm.min(axis=0), points_mm.max(axis=0)
-        middle, reach = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), 0.2 * rim_mm)
+        self.home = (low + high) / 2.0, np.maximum((high - low) / 2.0, 2.0)
         start = self._server.initial_camera
-        start.look_at, start.fov, start.near, start.far = middle, np.deg2rad(40.0), 1.0, 5000.0
-        start.position = middle + np.array([1.15, -0.75, 0.35]) * reach
+        start.fov, start.near, start.far = np.deg2rad(40.0), 1.0, 5000.0
+        start.look_at, start.position = self.home[0], self.camera_position("Reset")
+
+    def camera_position(self, view: str, *, aspect: float = 1.0) -> Array:
+        """Return the camera position of a preset view at which the whole shape fits into the picture."""
+        middle, half = self.home
+        toward = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
+        right = np.cross([0.0, 0.0, 1.0], toward)
+        right /= np.linalg.norm(right)
+        wide, high, deep = (float(np.abs(axis) @ half) for axis in (right, np.cross(toward, right), toward))
+        return np.asarray(middle + toward * (deep + 1.15 * max(high, wide / min(aspect, 1.0)) / np.tan(np.deg2rad(20.0))))
 
     def show_roots(self, lines: Mapping[int, Sequence[Line]], colours: Colouring, *, key: str) -> None:
-        """Draw roots as tubes; chunks that are as they were stay.
+        """Draw roots as tubes; unchanged chunks are kept.
 
         Parameters
         ----------
         lines : mapping of int to sequence of Line
-            The parts of each root that show.
+            The visible parts of each root.
+        colours : callable
+            Returns the colours of the points of a root.
         key : str
-            Changes where the colours do.
+            Identifies the colours; a change redraws all roots.
         """
         nodes = sum(len(line.points_mm) for parts in lines.values() for line in parts)
         most = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])
@@ -85,38 +107,71 @@ class Scene3d:
             before = self._chunks.get(chunk)
             if before is not None and before[1] == key and list(map(id, before[0])) == list(map(id, now)):
                 continue
-            self._add_triangles(f"/roots/{chunk}", tubes.of_lines(now, [colours(*one) for one in named], most=most))
+            self._add_triangles(f"/roots/{chunk}", tubes.mesh_lines(now, [colours(*one) for one in named], most=most))
             self._chunks[chunk] = (now, key)
 
-    def show_chosen(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
-        """Mark the chosen roots and voxels."""
-        self.drop("/chosen/roots")
-        self.drop("/chosen/voxels")
+    def show_selected(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
+        """Highlight the selected roots and voxels."""
+        self.drop("/selected/roots")
+        self.drop("/selected/voxels")
         if lines:
             wider = [replace(line, diameters_mm=1.25 * line.diameters_mm + 0.05) for line in lines]
-            shades = [np.tile(np.array(_CHOSEN_RGB, np.uint8), (len(line.points_mm), 1)) for line in lines]
-            self._add_triangles("/chosen/roots", tubes.of_lines(wider, shades))
+            shades = [np.tile(np.array(_SELECTED_RGB, np.uint8), (len(line.points_mm), 1)) for line in lines]
+            self._add_triangles("/selected/roots", tubes.mesh_lines(wider, shades))
         if len(voxels_mm):
-            self._keep("/chosen/voxels", self._points("/chosen/voxels", voxels_mm, np.array(_CHOSEN_RGB, np.uint8), 1.1 * voxel_mm))
+            self._keep("/selected/voxels", self._points("/selected/voxels", voxels_mm, np.array(_SELECTED_RGB, np.uint8), 1.1 * voxel_mm))
 
     def show_voxels(self, centre_mm: Array, share: Array, voxel_mm: float) -> None:
-        """Draw voxels as squares, the fuller the darker."""
+        """Draw voxels as squares: more saturated with a larger occupancy, shaded by the slope of the surface."""
         self.drop("/voxels")
         if len(centre_mm):
-            colours = np.asarray(255 - np.clip(share, 0.15, 1.0)[:, None] * (255 - _VOXEL_RGB), np.uint8)
+            light = 0.45 + 0.55 * np.maximum(_outward(centre_mm, share) @ _LIGHT, 0.0)
+            colours = np.asarray(light[:, None] * (255 - np.clip(share, 0.15, 1.0)[:, None] * (255 - _VOXEL_RGB)), np.uint8)
             self._keep("/voxels", self._points("/voxels", centre_mm, colours, voxel_mm))
 
-    def show_surface(self, mesh: Mesh | None, *, name: str = "/surface", colours: Bytes | None = None, aside_mm: float = 0.0) -> None:
-        """Draw a surface, coarser where it has too many triangles; None takes it away."""
+    def show_surface(self, mesh: Mesh | None, colours: Bytes | None = None, *, name: str = "/surface", translucent: bool = False) -> None:
+        """Draw a surface with colours of its vertices (V, 3); None removes it."""
         self.drop(name)
-        if mesh is None:
+        if mesh is None or not len(mesh.faces):
             return
-        vertices, faces = mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), mesh.faces
-        if colours is not None:
-            self._add_triangles(name, Triangles(vertices, _normals(vertices, faces), faces, colours))
-        else:
-            colour, opacity = (_TRUTH_RGB, 0.55) if name == "/truth" else (_SURFACE_RGB, None)
-            self._add_mesh(name, vertices, faces, colour, opacity=opacity)
+        shades = np.tile(np.array(root_colours.SURFACE, np.uint8), (len(mesh.vertices_mm), 1)) if colours is None else colours
+        if translucent:
+            shades = np.column_stack([shades, np.full(len(shades), _OPACITY, np.uint8)])
+        self._add_triangles(name, Triangles(mesh.vertices_mm, shading.unit_normals(mesh), mesh.faces, shades))
+
+    def show_truth(self, mesh: Mesh | None, *, aside_mm: float) -> None:
+        """Draw the true surface, translucent, shifted along y; None removes it."""
+        if mesh is not None:
+            mesh = Mesh(vertices_mm=mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), faces=mesh.faces)
+        colours = None if mesh is None else np.tile(np.array(_TRUTH_RGB, np.uint8), (len(mesh.vertices_mm), 1))
+        self.show_surface(mesh, colours, name="/truth", translucent=True)
+
+    def show_centre_lines(self, lines: Mapping[int, Sequence[Line]], colours: Colouring) -> None:
+        """Draw centre lines, darker than the surface, two pixels wide; an empty mapping removes them."""
+        self.drop("/lines")
+        parts = [(number, line) for number, several in lines.items() for line in several]
+        if parts:
+            points = np.concatenate([np.stack([line.points_mm[:-1], line.points_mm[1:]], axis=1) for _, line in parts])
+            shades = np.concatenate([colours(number, line)[:-1] for number, line in parts])
+            dark = np.repeat((0.5 * shades).astype(np.uint8)[:, None], 2, axis=1)
+            self._keep("/lines", self._server.scene.add_line_segments("/lines", points, dark, thickness=2.0, thickness_units="screen"))
+
+    def show_scale_bar(self, *, visible: bool) -> None:
+        """Draw a vertical scale bar of 1, 2 or 5 times a power of ten beside the shape."""
+        self.drop("/scale/bar")
+        self.drop("/scale/label")
+        if not visible:
+            return
+        middle, half = self.home
+        power = 10.0 ** np.floor(np.log10(half[2]))
+        length = next(k * power for k in (5.0, 2.0, 1.0) if k * power <= half[2])
+        foot = middle + np.array([0.0, 1.2 * half[1] + 3.0, -half[2]])
+        ends = foot + np.outer([0.0, 1.0], [0.0, 0.0, length])
+        tick = np.array([0.0, 0.04 * length, 0.0])
+        points, add = np.stack([ends, *(np.stack([end - tick, end + tick]) for end in ends)]), self._server.scene
+        self._keep("/scale/bar", add.add_line_segments("/scale/bar", points, _BLACK, thickness=3.0, thickness_units="screen"))
+        beside = ends.mean(axis=0) + 2.0 * tick
+        self._keep("/scale/label", add.add_label("/scale/label", f"{length:g} mm", position=beside, anchor="center-left"))
 
     def show_canister(self, scene: Scene) -> None:
         """Draw canister, water, net pot and marker strip."""
@@ -138,10 +193,10 @@ class Scene3d:
                 ends = middle - half, middle + half
                 parts.append(_wall(pot.outer_radius_mm - 0.2, low, low + strip.marker_mm, (*_BLACK, 204), *ends, steps=3))
         parts.append(_disc(can.inner_radius_mm, can.floor_z_mm, (150, 170, 185, 110)))
-        self._add_triangles(CANISTER, joined(parts), see_through=True)
+        self._add_triangles(CANISTER, concatenate(parts), lit=False)
 
     def show_cameras(self, pictures: Pictures, clicked: Callable[[int, viser.ClientHandle], None]) -> None:
-        """Draw the cameras with their pictures; a click stands in one."""
+        """Draw the cameras with their pictures; a click calls ``clicked``."""
         for place, view in enumerate(pictures.views):
             high = view.camera.image_wh[1]
             handle = self.show_camera(str(place), view, pictures.picture(place)[:: max(1, high // 90), :: max(1, high // 90)])
@@ -172,7 +227,7 @@ class Scene3d:
         return handle
 
     def show_measure(self, points_mm: Sequence[Array]) -> None:
-        """Draw the points that are measured between, and the line."""
+        """Draw the points of a distance measurement and the line between them."""
         self.drop("/measure/points")
         self.drop("/measure/line")
         if points_mm:
@@ -182,7 +237,7 @@ class Scene3d:
             self._keep("/measure/line", line)
 
     def set_visible(self, prefix: str, *, visible: bool) -> None:
-        """Show or hide all that has a name with a prefix."""
+        """Show or hide everything whose name has a prefix."""
         for name, handle in self._handles.items():
             if name.startswith(prefix) and handle.visible != visible:
                 handle.visible = visible
@@ -191,21 +246,13 @@ class Scene3d:
         return name in self._handles
 
     def clear(self) -> None:
-        """Take everything away."""
+        """Remove everything."""
         for name in list(self._handles):
             self.drop(name)
         self._chunks.clear()
 
-    def _add_mesh(
-        self, name: str, vertices: Array, faces: NDArray[np.int64], colour: tuple[int, int, int], *, opacity: float | None
-    ) -> None:
-        handle = self._server.scene.add_mesh_simple(
-            name, vertices, faces, color=colour, opacity=opacity, side="double", cast_shadow=False, receive_shadow=False
-        )
-        self._keep(name, handle)
-
-    def _add_triangles(self, name: str, triangles: Triangles, *, see_through: bool = False) -> None:
-        data = glb(triangles, see_through=see_through)
+    def _add_triangles(self, name: str, triangles: Triangles, *, lit: bool = True) -> None:
+        data = glb(triangles, lit=lit)
         self._keep(name, self._server.scene.add_glb(name, data, cast_shadow=False, receive_shadow=False))
 
     def _points(self, name: str, points_mm: Array, colours: Bytes, size_mm: float) -> viser.SceneNodeHandle:
@@ -217,7 +264,7 @@ class Scene3d:
         self._handles[name] = handle
 
     def drop(self, name: str) -> None:
-        """Take something away."""
+        """Remove an object."""
         handle = self._handles.pop(name, None)
         if handle is not None:
             handle.remove()
@@ -229,13 +276,19 @@ def field_of_view(view: View) -> float:
 
 
 def quaternion(rotation: Array) -> Array:
-    """Return a rotation matrix as w, x, y, z."""
+    """Return the quaternion (w, x, y, z) of a rotation matrix."""
     return np.asarray(viser.transforms.SO3.from_matrix(rotation).wxyz)
 
 
-def _normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    normals = shading.vertex_normals(Mesh(vertices_mm=vertices, faces=faces))
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+def _outward(centre_mm: Array, share: Array, *, neighbours: int = 24) -> Array:
+    """Return outward unit directions (N, 3) of voxels: away from the mass of their neighbours."""
+    from scipy.spatial import cKDTree  # loaded on first use
+
+    count = min(neighbours, len(centre_mm))
+    _, near = cKDTree(centre_mm).query(centre_mm, count, workers=-1)
+    near = near.reshape(len(centre_mm), count)
+    away = ((centre_mm[:, None] - centre_mm[near]) * share[near][..., None]).sum(axis=1)
+    return np.asarray(away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9))
 
 
 def _wall(
@@ -247,7 +300,7 @@ def _wall(
     end: float = 2.0 * np.pi,
     steps: int = 72,
 ) -> Triangles:
-    """Return a part of a cylinder's wall about z, seen from inside: the half before the roots is left out."""
+    """Return part of a cylinder's wall about z, visible from inside only: the near half does not hide the roots."""
     angle = np.linspace(begin, end, steps + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = np.concatenate([np.column_stack([radius * ring, np.full(len(ring), z)]) for z in (low, high)])
@@ -258,7 +311,7 @@ def _wall(
 
 
 def _disc(radius: float, z: float, colour: tuple[int, int, int, int], steps: int = 72) -> Triangles:
-    """Return a disc that is seen from above."""
+    """Return a disc that is visible from above."""
     angle = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(steps, z)], axis=1)])
     a = np.arange(steps)

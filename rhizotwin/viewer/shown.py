@@ -1,47 +1,48 @@
-"""One result as the viewer holds it.
-
-Its corrections, pictures, surface and truth, each read when it is first asked for.
-"""
+"""A result in the viewer, with edits, pictures, surface and truth, each loaded on first use."""
 
 from __future__ import annotations
 
+import threading
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.corrections.session import Measured, Session
+from rhizotwin import surface_mesh
+from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.traits import Traits, measure_traits
-from rhizotwin.simpler import simpler
+from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files
 from rhizotwin.through_water import Pictures
-from rhizotwin.viewer.scene3d import MOST_TRIANGLES
 
-_EMPTY_MM3 = 1e-9
+TRIANGLES = 100_000
+"""Most triangles of a displayed surface."""
 FARTHEST_MM = 1.0
-"""Distance colours end here."""
+"""End of the colour scale of distances to the truth."""
 
 
 class Shown:
-    """A result with all that can be shown of it."""
+    """A result with everything that the viewer can display of it."""
 
     def __init__(self, folder: Path, dataset_folder: Path | None) -> None:
         self.session = Session(folder)
         self._given = dataset_folder
-        self._surface_now: tuple[object, Mesh] | None = None
+        self._loading = threading.Lock()
+        self._mesh: tuple[object, Mesh] | None = None
+        self._surface: tuple[object, Mesh] | None = None
+        self._traits: tuple[object, Traits] | None = None
 
     @property
     def name(self) -> str:
-        """Return what to call it."""
+        """Return the name of its folder."""
         return self.session.folder.name or str(self.session.folder)
 
     @cached_property
     def dataset(self) -> Dataset | None:
-        """Return the dataset that it was made from; None where it is no longer there and none was given."""
+        """Return the given dataset, or the one that the result names; None if that no longer exists."""
         folder = self._given or Path(str(self.session.summary["dataset"]))
         try:
             found = load_dataset(folder)
@@ -59,56 +60,55 @@ class Shown:
 
     @property
     def truth_file(self) -> Path | None:
-        """Return where the true solid of a simulated dataset lies."""
+        """Return the file of the true solid of a simulated dataset."""
         file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
         return file if file is not None and file.is_file() else None
 
     @cached_property
     def truth(self) -> Mesh | None:
-        """Return the true solid of a simulated dataset."""
-        return None if self.truth_file is None else simpler(result_files.read_mesh(self.truth_file), MOST_TRIANGLES)
+        """Return the true solid of a simulated dataset, closed and with few triangles."""
+        return None if self.truth_file is None else _for_display(result_files.read_mesh(self.truth_file))
 
-    def surface_now(self) -> Mesh:
-        """Return the surface as corrected."""
+    def surface(self) -> Mesh:
+        """Return the edited surface, closed and with few triangles."""
+        with self._loading:
+            edits = self.session.log.edits
+            if self._surface is None or self._surface[0] != edits:
+                self._surface = edits, _for_display(self._full_mesh())
+            return self._surface[1]
+
+    def traits(self) -> Traits:
+        """Measure the traits of the edited result, as the report of the corrected result does."""
+        from rhizotwin.corrections import corrected
+        from rhizotwin.stored import stored_traits
+
+        with self._loading:
+            edits = self.session.log.edits
+            if self._traits is None or self._traits[0] != edits:
+                mesh = self._full_mesh()
+                summary = corrected.summarise(self.session, mesh) if edits else self.session.summary
+                self._traits = edits, stored_traits.of_summary(summary, mesh, self.session.state.roots() if edits else self.session.roots)
+            return self._traits[1]
+
+    def _full_mesh(self) -> Mesh:
+        """Return the edited surface with all its triangles."""
         from rhizotwin.corrections import corrected
 
         edits = self.session.log.edits
-        if self._surface_now is None or self._surface_now[0] != edits:
-            whole = corrected.read_mesh(self.session) if edits else result_files.read_mesh(self.session.folder / "shape.ply")
-            self._surface_now = edits, simpler(whole, MOST_TRIANGLES)
-        return self._surface_now[1]
-
-    def traits(self) -> Traits:
-        """Measure the traits as corrected, from centre lines and voxels; the surface's area is left out."""
-        measured, roots = self.session.measure(), self.session.state.roots()
-        points = np.concatenate([_ends(measured), *(root.points_mm for root in roots)])
-        if not len(points):
-            points = np.zeros((1, 3))
-        mass_g = self.session.summary.get("mass_g") if measured.volume_mm3 > 0.0 else None
-        return measure_traits(roots, points, volume_mm3=measured.volume_mm3, surface_mm2=0.0, mass_g=mass_g)
+        if self._mesh is None or self._mesh[0] != edits:
+            self._mesh = edits, corrected.read_mesh(self.session) if edits else result_files.read_mesh(self.session.folder / "shape.ply")
+        return self._mesh[1]
 
     def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
-        """Return the vertices' colours by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
-        from matplotlib import colormaps
-
+        """Return colours of vertices by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
+        from rhizotwin import root_colours
         from rhizotwin.scoring import surface_distance
 
         if self.truth is None:
             raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")
         away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)
-        return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(away / FARTHEST_MM, 0.0, 1.0))), np.uint8)
+        return root_colours.scale_colours(away / FARTHEST_MM)
 
 
-def _ends(measured: Measured) -> NDArray[np.float64]:
-    """Return the corners (N, 3) of each column's lowest and highest voxel: all that a hull needs."""
-    solid, rows = measured.solid, np.flatnonzero(measured.volumes_mm3 > _EMPTY_MM3)
-    if not len(rows):
-        return np.zeros((0, 3))
-    low, size = solid.low[rows], solid.size[rows]
-    order = np.lexsort((low[:, 1], low[:, 0]))
-    low, high = low[order], (low + size[:, None])[order]
-    first = np.flatnonzero(np.concatenate([[True], (np.diff(low[:, :2], axis=0) != 0).any(axis=1)]))
-    bottom, top = np.minimum.reduceat(low[:, 2], first), np.maximum.reduceat(high[:, 2], first)
-    widest = np.maximum.reduceat(high[:, :2], first, axis=0)
-    corners = [np.column_stack([low[first, :2], bottom]), np.column_stack([widest, top])]
-    return np.asarray(solid.origin_mm + solid.voxel_mm * np.concatenate(corners), np.float64)
+def _for_display(mesh: Mesh) -> Mesh:
+    return surface_mesh.simplify(surface_mesh.close(mesh), TRIANGLES)

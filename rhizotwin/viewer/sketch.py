@@ -1,7 +1,7 @@
-"""A sketch of the roots from the pictures so far: cells that every picture leaves room for, halved as they become few.
+"""A coarse visual hull of the roots from the pictures so far, for the live page of a scan.
 
-It is for a person who watches a scan, not for measuring: the cameras are those of the markers in single pictures, the
-backlight is the brightest that each pixel has shown, and cells end at a millimetre.
+It is not for measurements: cameras are estimated from single pictures, the backlight is the brightest value of each
+pixel so far, and the smallest cells have an edge of a millimetre.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from rhizotwin.scenes.pictures import Grey
 Array = NDArray[np.float64]
 
 WIDEST_PX = 400
-"""Pictures are made smaller than this first: 250 mm are then 0.6 mm a pixel, finer than the cells."""
+"""Pictures are reduced to this width: 0.6 mm per pixel for 250 mm, finer than the cells."""
 DARK = 0.85
-"""Share of the backlight below which something stands in the way: noise and panel are even to some per cent, and a root
-of 0.2 mm covers a third of such a pixel."""
+"""Fraction of the backlight below which a pixel is dark: noise and non-uniformity are a few per cent, and a root of 0.2
+mm covers a third of such a pixel."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
 MOST_CELLS = 40_000
-"""Cells are not halved beyond this; a browser's software draws them at once."""
+"""Largest number of cells after halving; software rendering draws them at once."""
 SPARE_PX = 1.0
-"""How far a dark pixel may lie from where the camera of a single picture puts it."""
+"""Tolerance of projected positions, for the error of a camera from a single picture."""
 LEAST_SEEN = 3
-"""Cells that fewer pictures see are left out: nothing is known of them yet."""
+"""Smallest number of pictures that cover a cell."""
 _REACH = 0.95
-"""Share of the radius within which every view sees (R_o / n_water)."""
+"""Fraction of the radius within which all views see (R_o / n_water)."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A small picture with its camera."""
+    """A reduced picture with its camera."""
 
     file: str
     view: View
@@ -48,17 +48,17 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Outline:
-    """What a picture shows to be empty."""
+    """The empty region in a picture."""
 
     view: View
     water: NDArray[np.bool_]
-    """(H, W) where the water is seen."""
+    """(H, W) pixels of water."""
     away_px: NDArray[np.float32]
-    """(H, W) from each pixel to what is dark in the water."""
+    """(H, W) distance of each pixel to the nearest dark pixel in the water."""
 
 
 class Sketch:
-    """Grows with the pictures of a scan."""
+    """A visual hull that is refined with each picture."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene, self._optics = scene, Optics.from_scene(scene)
@@ -68,21 +68,18 @@ class Sketch:
         self._seen: dict[int, list[_Seen]] = {}
 
     def add(self, file: str, ring: int, image: Grey, cam_from_canister: Array) -> None:
-        """Take a picture (H, W) with its camera (4, 4) in."""
+        """Add a picture (H, W) with its camera pose (4, 4)."""
         small = cv2.resize(image, self._camera.image_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
         view = View(camera=self._camera, cam_from_canister=cam_from_canister)
         self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max))
 
     def drop(self, file: str) -> None:
-        """Forget a picture that was taken out."""
+        """Remove a picture that was discarded."""
         for ring, seen in self._seen.items():
             self._seen[ring] = [one for one in seen if one.file != file]
 
     def evenness(self, ring: int) -> tuple[float, float] | None:
-        """Return the darkest and the brightest twentieth of the panel behind the water, of full scale.
-
-        None before a picture.
-        """
+        """Return the 5th and 95th percentile of the backlight, as fractions of full scale; None without pictures."""
         seen = self._seen.get(ring)
         if not seen:
             return None
@@ -94,10 +91,7 @@ class Sketch:
         return float(low), float(high)
 
     def carve(self) -> tuple[Array, float]:
-        """Return the middles (N, 3) of the cells that no picture rules out, and the edge of a cell (mm).
-
-        In the canister's frame.
-        """
+        """Return centres (N, 3), canister frame, of the cells that no picture excludes, and their edge, mm."""
         outlines = [found for seen in self._seen.values() for found in self._outlines(seen)]
         edge_mm = COARSEST_MM
         middles = self._grid(edge_mm)
@@ -114,7 +108,7 @@ class Sketch:
             middles = (middles[:, None] + corner).reshape(-1, 3)
 
     def _grid(self, edge_mm: float) -> Array:
-        """Return the cells that every view sees, were it at their height."""
+        """Return the cells that a view at their height would see from all sides."""
         optics = self._optics
         reach = _REACH * min(optics.inner_radius_mm, optics.outer_radius_mm / optics.n_water)
         side = np.arange(-reach, reach + edge_mm, edge_mm)
@@ -123,7 +117,7 @@ class Sketch:
         return np.column_stack([x, y, z])[np.hypot(x, y) < reach]
 
     def _outlines(self, seen: list[_Seen]) -> list[_Outline]:
-        """Return the outlines of a ring's pictures; none before the panel is known."""
+        """Return the empty regions of a ring's pictures; none until the backlight is known."""
         if len(seen) < LEAST_SEEN:
             return []
         panel = np.max([one.image for one in seen], axis=0)
@@ -136,14 +130,14 @@ class Sketch:
         return found
 
     def _look(self, middles: Array, edge_mm: float, outline: _Outline) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Tell which cells (N,) a picture sees, and which of them it shows to be empty."""
+        """Return which cells (N,) a picture covers, and which of them are empty in it."""
         view = outline.view
         px = cameras.project_inner(view, self._optics, middles)
         height, width = outline.water.shape
         at = np.round(np.nan_to_num(px, nan=-1.0)).astype(np.int64)
         seen = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
         seen[seen] = outline.water[at[seen, 1], at[seen, 0]]
-        # half a cell's diagonal, were it the nearest to the camera, and as large as the water shows it
+        # half of a cell's diagonal at the nearest distance, magnified by the water
         half_px = (
             view.camera.focal_px[0] * 0.5 * np.sqrt(3.0) * edge_mm * self._optics.n_water / (view.rho_mm - self._optics.outer_radius_mm)
         )

@@ -1,4 +1,4 @@
-"""Roots as tubes for the screen: no more nodes along them and no more corners around them than can be seen."""
+"""Roots as tubes for display, with as few nodes and corners as the screen resolves."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.root_mesh import tube
-from rhizotwin.viewer.glb import Triangles, joined
+from rhizotwin.viewer.glb import Triangles, concatenate
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Index = NDArray[np.int64]
 
 OFF_MM, OFF_SHARE = 0.05, 0.08
-"""A tube that is drawn is nowhere farther from the round one than this, or than this share of its radius where that is
-more: with a plant of 130 mm on a screen of 1,000 pixels a third of a pixel; of thick ones the outline shows it."""
+"""Largest distance between a displayed tube and the exact one, absolute and relative to its radius: a third of a pixel
+for a plant of 130 mm on a screen of 1,000 pixels."""
 FEWEST, MOST = 4, 10
-"""Corners around a tube; its normals are round whatever they are."""
+"""Corners around a tube."""
 _COLOUR_STEP = 24.0
-"""A colour between two nodes that are drawn is no farther off (of 255), which cannot be seen beside another tube."""
+"""Largest error (of 255) of colours interpolated between two displayed nodes."""
 _ROUNDS = 6
-"""How often every other node may go: of 64 one is left."""
+"""Rounds in which every other node may be dropped: at most 63 of 64."""
 
 
-def of_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOST) -> Triangles:
-    """Return the tubes of roots or of parts of them.
+def mesh_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOST) -> Triangles:
+    """Return the tubes of roots or parts of roots.
 
     Parameters
     ----------
     lines : sequence of Line
-        Centre lines and diameters; one or more.
+        One or more.
     colours : sequence of (P, 3) uint8 array
-        At each point of each of them.
+        Colours at the points of each line.
     most : int
-        Corners around a tube at most.
+        Largest number of corners around a tube.
 
     Returns
     -------
@@ -44,8 +44,8 @@ def of_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOS
         Closed at all ends.
     """
     ends = np.cumsum([len(line.points_mm) for line in lines])
-    shown = np.split(kept(lines, np.concatenate(colours)), ends[:-1])
-    return joined([_tube(line, shade, np.flatnonzero(keep), most) for line, shade, keep in zip(lines, colours, shown, strict=True)])
+    shown = np.split(select_nodes(lines, np.concatenate(colours)), ends[:-1])
+    return concatenate([_tube(line, shade, np.flatnonzero(keep), most) for line, shade, keep in zip(lines, colours, shown, strict=True)])
 
 
 def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Triangles:
@@ -59,38 +59,36 @@ def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Triangles:
     return Triangles(vertices, normals, faces, np.concatenate([np.repeat(shades, around, axis=0), shades[[0, -1]]]))
 
 
-def kept(lines: Sequence[Line], colours: Bytes) -> NDArray[np.bool_]:
-    """Return which points of roots are drawn.
-
-    The others are, by place, radius and colour, near to what lies straight between those.
+def select_nodes(lines: Sequence[Line], colours: Bytes) -> NDArray[np.bool_]:
+    """Return which points of roots are displayed: position, radius and colour of the others can be interpolated.
 
     Parameters
     ----------
     lines : sequence of Line
     colours : (N, 3) uint8 array
-        At the points of all lines in a row.
+        Colours of the points of all lines, concatenated.
 
     Returns
     -------
     (N,) bool array
-        Both ends of each line are among them.
+        True at both ends of each line.
     """
     counts = np.array([len(line.points_mm) for line in lines])
     radii = np.concatenate([line.diameters_mm for line in lines]) / 2.0
-    told = np.column_stack([np.concatenate([line.points_mm for line in lines]), radii, colours.astype(np.float64)])
+    values = np.column_stack([np.concatenate([line.points_mm for line in lines]), radii, colours.astype(np.float64)])
     off = _off_mm(radii)
     last = np.cumsum(counts) - 1
-    fixed = np.zeros(len(told), bool)
+    fixed = np.zeros(len(values), bool)
     fixed[last], fixed[last - counts + 1] = True, True
-    keep, every = np.ones(len(told), bool), np.arange(len(told))
+    keep, every = np.ones(len(values), bool), np.arange(len(values))
     for round_ in range(2 * _ROUNDS):
         rank = np.cumsum(keep) - 1
-        tried = keep & (fixed | (rank % 2 == round_ % 2))  # without every other one
+        tried = keep & (fixed | (rank % 2 == round_ % 2))  # candidates without every other node
         some = np.flatnonzero(tried)
         span = np.minimum(np.cumsum(tried) - 1, len(some) - 2)
         begin, end = some[span], some[span + 1]
         share = ((every - begin) / (end - begin))[:, None]
-        away = np.abs(told - (1.0 - share) * told[begin] - share * told[end])
+        away = np.abs(values - (1.0 - share) * values[begin] - share * values[end])
         far = (np.linalg.norm(away[:, :3], axis=1) > off) | (away[:, 3] > off) | (away[:, 4:] > _COLOUR_STEP).any(axis=1)
         wrong = np.zeros(len(some), bool)
         wrong[span[far]] = True
@@ -106,6 +104,6 @@ def _off_mm(radius_mm: Array) -> Array:
 
 
 def corners(radius_mm: float) -> int:
-    """Return how many corners a tube needs: the middles of its flats lie as near to the circle as is asked for."""
+    """Return the number of corners of a tube, from the largest distance between its flats and the circle."""
     inside = 1.0 - float(_off_mm(np.array(radius_mm))) / max(radius_mm, OFF_MM)
     return int(np.clip(np.ceil(np.pi / np.arccos(inside)), FEWEST, MOST))

@@ -1,4 +1,4 @@
-"""Numbers and sentences for people, as HTML; everything that comes from files is escaped."""
+"""Texts of the viewer's panel as HTML; everything from files is escaped."""
 
 from __future__ import annotations
 
@@ -10,25 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.corrections.log import Edit
 from rhizotwin.corrections.session import Measured
 from rhizotwin.recon.results import assessments
-from rhizotwin.report import words as said
-from rhizotwin.scenes.said import ml
+from rhizotwin.report import words
+from rhizotwin.root_colours import Key, half_widths, order_name
+from rhizotwin.scenes.said import ml, rounded
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.scenes.traits import Traits
-from rhizotwin.viewer.colours import half_width
 
 Array = NDArray[np.float64]
 
-NOT_AT_ONCE = ("volume_mm3", "surface_mm2")
-"""Traits that the panel has elsewhere, or that need the surface drawn anew."""
+_PADDED = "<div style='padding:0.3em 0.8em'>"
 
 
 def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
-    """Return the volume with its interval in ml and the roots' length, and what corrections made of it."""
+    """Return the volume with its interval and the length of the roots; after corrections also the new volume."""
     found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
-    half = max(high - found, found - low)
-    headline, beside = said.headline(summary)
+    headline, beside = words.headline(summary)
     text = f"<b>{headline.removeprefix('volume ')}</b>, {beside}"
     if not summary["volume_trusted"]:
         text += f"<details style='font-size:0.85em'><summary>Why</summary>{html.escape(str(summary['volume_verdict']))}</details>"
@@ -36,69 +35,102 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
     if edits:
         moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
         by = f"{moved:+.2f} %" if abs(moved) >= 0.005 else "unchanged to 0.01 %"
-        text += f"<br>as corrected: <b>{ml(measured.volume_mm3, half_mm3=half)} ml</b> ({by}), {roots}"
+        text += f"<br>as corrected: <b>{ml(measured.volume_mm3, half_mm3=0.5 * (high - low))} ml</b> ({by}), {roots}"
     elif measured.roots:
         text += f"<br>{roots}"
-    return f"<div style='padding:0.3em 0.8em'>{text}</div>"
+    return f"{_PADDED}{text}</div>"
 
 
-def root(number: int, lines: Lines, order: int, pictures: Sequence[str] = ()) -> str:
-    """Return what a root is: length, order, angles, diameters, and the pictures that show it best."""
+def root_name(number: int, line: Line, order: int) -> str:
+    """Return the entry of a root in a list."""
+    return f"root {number}: {order_name(order)}, {line.length_mm:.1f} mm"
+
+
+def root(number: int, lines: Lines, order: int) -> str:
+    """Return length, order, angles and diameter of a root."""
     line = lines[number]
     parent = lines.get(line.parent)
-    angles = f"{_to_gravity_deg(line):.0f}° to straight down (mean)"
+    angles = f"{_to_vertical_deg(line):.0f}° to the vertical (mean)"
     laterals = sum(other.parent == number for other in lines.values())
     rows = [
-        ("length", f"{line.length_mm:.1f} mm, end {'seen' if line.tip_seen else 'hidden by others'}"),
-        ("order", f"{order} ({'main root' if order == 0 else 'lateral' if order == 1 else 'lateral of a lateral'}), {laterals} laterals"),
+        ("length", f"{line.length_mm:.1f} mm, tip {'visible' if line.tip_seen else 'hidden by other roots'}"),
+        ("order", f"{order_name(order)}; {laterals} lateral{'' if laterals == 1 else 's'}"),
         ("angle", angles if parent is None else f"{angles}, {_to_parent_deg(line, parent):.0f}° to its parent"),
         ("diameter", _mean_diameter(line)),
     ]
-    if pictures:
-        rows.append(("seen best in", ", ".join(html.escape(name) for name in pictures)))
     cell = "padding-right:0.8em;white-space:nowrap;vertical-align:top"
     table = "".join(f"<tr><td style='{cell}'>{name}</td><td>{value}</td></tr>" for name, value in rows)
     return f"<div style='padding:0 0.8em;font-size:0.85em'><b>Root {number}</b><table>{table}</table></div>"
 
 
-def chosen(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
-    """Return what is chosen."""
+def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
+    """Return the size of the selection."""
     if not roots and not voxels:
-        return "<div style='padding:0.3em 0.8em'>Nothing is chosen: click a root, or hold Shift and drag a rectangle.</div>"
+        return f"{_PADDED}Nothing is selected: click a root, or hold Shift and drag a rectangle.</div>"
     parts = []
     if roots:
         parts.append(f"{roots} root{'' if roots == 1 else 's'}, {length_mm:.1f} mm")
     if voxels:
-        parts.append(f"{voxels} voxel{'' if voxels == 1 else 's'}, {volume_mm3:.2f} mm³")
-    return f"<div style='padding:0.3em 0.8em'>Chosen: <b>{' and '.join(parts)}</b></div>"
+        parts.append(f"{voxels} voxel{'' if voxels == 1 else 's'}, {rounded(volume_mm3 / 1000.0)} ml")
+    return f"{_PADDED}Selected: <b>{' and '.join(parts)}</b></div>"
 
 
-def traits(found: Traits, *, corrected: bool, summary: dict[str, Any]) -> str:
-    """Return the traits as they are now with their 90 % intervals; corrected ones are not assessed."""
+def edit(one: Edit) -> str:
+    """Return a correction in a few words."""
+    if one.roots:
+        return f"{one.do} ({', '.join(str(number) for number in one.roots[:4])}{', ...' if len(one.roots) > 4 else ''})"
+    return f"{one.do} ({sum(count for _, count in one.runs)})" if one.runs else one.do
+
+
+def history(edits: Sequence[Edit]) -> str:
+    """Return the list of corrections, the last one first."""
+    if not edits:
+        return note("No corrections yet.")
+    last_first = list(enumerate(edits, start=1))[::-1]
+    rows = "".join(f"<li value='{k}'>{html.escape(edit(one))} <small>{html.escape(one.who)}</small></li>" for k, one in last_first)
+    style = "margin:0.2em 0;padding-left:1.8em;max-height:14em;overflow-y:auto"
+    return f"{_PADDED}<b>{len(edits)} correction{'' if len(edits) == 1 else 's'}</b><ol reversed style='{style}'>{rows}</ol></div>"
+
+
+def colour_key(key: Key) -> str:
+    """Return a colour key: swatches with labels, or a scale with the labels of its ends."""
+    box = "display:inline-block;height:0.8em;border-radius:3px;margin:0 0.4em 0 0;vertical-align:-0.05em"
+    swatches = "".join(
+        f"<div><span style='{box};width:0.9em;background:rgb{rgb}'></span>{html.escape(label)}</div>" for rgb, label in key.swatches
+    )
+    scale = ""
+    if key.ends is not None:
+        low, high = (html.escape(end) for end in key.ends)
+        colours = "#440154,#3b528b,#21918c,#5ec962,#fde725"
+        scale = f"{low} <span style='{box};width:5em;margin:0 0.3em;background:linear-gradient(90deg,{colours})'></span>{high}"
+    return f"<div style='padding:0.1em 0.8em;font-size:0.85em'>{swatches}{scale}</div>"
+
+
+def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
+    """Return the table of traits with their 90 % intervals, which are unknown after corrections."""
     rows = []
     assessed = assessments.assess(summary, found)
     for definition in DEFINITIONS:
         value = getattr(found, definition.field)
-        name, shown, meaning = said.trait(definition, value)
-        if value is None or definition.field in NOT_AT_ONCE:
+        if value is None:
             continue
-        interval = "not assessed" if corrected else said.interval(definition, assessed[definition.field])
-        between = f"<br><small>{html.escape(interval)}</small>"
+        name, shown, interval, meaning = words.trait_text(definition, value, assessed[definition.field])
+        below = f"<br><small>{html.escape('not assessed after corrections' if edited else interval)}</small>"
         rows.append(
             f"<tr title='{html.escape(meaning)}'><td style='padding-right:0.8em'>{html.escape(name)}</td>"
-            f"<td>{html.escape(shown)}{between}</td></tr>"
+            f"<td>{html.escape(shown)}{below}</td></tr>"
         )
-    head = "<b>As corrected</b>" if corrected else "Point at a line for what it means."
-    return f"<div style='padding:0.3em 0.8em'>{head}<table>{''.join(rows)}</table></div>"
+    head = "<b>As corrected</b>" if edited else "Point at a line for its definition."
+    return f"{_PADDED}{head}<table>{''.join(rows)}</table></div>"
 
 
 def note(text: str) -> str:
     """Return a sentence, escaped."""
-    return f"<div style='padding:0.3em 0.8em'>{html.escape(text)}</div>"
+    return f"{_PADDED}{html.escape(text)}</div>"
 
 
 def profile(line: Line, *, width: int = 300, height: int = 76) -> str:
-    """Return a root's diameter along its length as SVG."""
+    """Return a plot of the diameter along a root (SVG)."""
     way, most = line.way_mm, max(float(line.diameters_mm.max()), 1e-6)
     x = 30 + (width - 40) * way / max(float(way[-1]), 1e-6)
     y = 8 + (height - 28) * (1.0 - line.diameters_mm / most)
@@ -116,14 +148,14 @@ def _steps(line: Line) -> tuple[Array, Array]:
     return step, np.linalg.norm(step, axis=1)
 
 
-def _to_gravity_deg(line: Line) -> float:
+def _to_vertical_deg(line: Line) -> float:
     step, size = _steps(line)
     return float(np.rad2deg(np.arccos(np.clip(-step[:, 2] / np.maximum(size, 1e-12), -1.0, 1.0)) @ size / max(size.sum(), 1e-12)))
 
 
 def _mean_diameter(line: Line) -> str:
-    """Return the mean diameter with its 90 % half-width: errors along one root go together."""
-    half_mm = half_width(line)
+    """Return the mean diameter with its 90 % half-width; errors along a root are assumed fully correlated."""
+    half_mm = half_widths(line)
     text = f"{_mean(line, line.diameters_mm):.2f}"
     return f"{text} mm on average" if half_mm is None else f"{text} ± {_mean(line, half_mm):.2f} mm on average (90 %)"
 

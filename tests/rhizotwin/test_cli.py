@@ -113,7 +113,7 @@ MISTAKES = [
     ("import pictures --masks --scene sphere_20mm -o d", "--cameras JSON"),
     ("score no_such_result no_such_dataset", "no_such_result"),
     ("score no_such_result", "--volume-ml"),
-    ("score no_such_result --truth a.stl --volume-ml 8", "give one thing"),
+    ("score no_such_result --truth a.stl --volume-ml 8", "give one reference"),
     ("score no_such_result --truth no_such.stl", "no_such.stl"),
     ("score no_such_result --volume-ml 0", "--volume-ml"),
     ("scenes sphere_20mm", "-o FILE"),

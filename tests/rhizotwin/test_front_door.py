@@ -73,7 +73,7 @@ def test_traits_have_units_and_are_a_pandas_frame_where_pandas_is(found: Reconst
 
 def test_a_notebook_shows_picture_and_number(found: Reconstructed) -> None:
     shown = found.result._repr_html_()
-    for part in ("data:image/png;base64,", f"{found.result.volume_mm3:.1f} mm", "trusted"):
+    for part in ("data:image/png;base64,", f"<b>{found.result.volume_mm3 / 1000.0:.2f}", "verdict"):
         assert part in shown
 
 

@@ -188,7 +188,7 @@ def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path:
 def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path) -> None:
     for method in ("hull", "thesis", "regularised"):
         said = command.works("reconstruct", made, "-o", tmp_path / method, "--method", method, "--quiet").out
-        assert "not to be trusted" in said
+        assert "not reliable" in said
         assert json.loads((tmp_path / method / "result.json").read_text())["settings"]["method"] == method
     found = json.loads(command.works("score", tmp_path / "hull", made, "--json").out)
     assert found["volume_trusted"] is False

@@ -111,7 +111,7 @@ def test_parent_and_base_change_the_tree_and_not_the_volume(plant: Plant):
     before = session.measure().volume_mm3
     session.do(log.edit("parent", roots=[2, 1]))
     assert [root.order for root in session.state.roots()] == [0, 1, 2, 1]
-    with pytest.raises(UserError, match="which hangs on it"):
+    with pytest.raises(UserError, match="which is its descendant"):
         session.do(log.edit("parent", roots=[1, 2]))
     session.do(log.edit("base", roots=[0], point_mm=tuple(plant.roots[0].points_mm[-1])))
     assert session.state.lines[0].points_mm[0] == pytest.approx(plant.roots[0].points_mm[-1])
@@ -189,8 +189,8 @@ def edit(**changes: object) -> dict[str, object]:
         (edit(do="explode"), "'explode'"),
         (edit(file="/etc/passwd"), "unknown key 'file'"),
         (edit(do="delete roots", roots=["x"]), "'x'"),
-        (edit(point_mm=[0, 0, float("nan")]), "no point"),
-        (edit(do="delete box", box_mm=[]), "no readable log"),
+        (edit(point_mm=[0, 0, float("nan")]), "not a point"),
+        (edit(do="delete box", box_mm=[]), "not a readable log"),
         ({"schema_version": 99}, "schema_version"),
     ],
 )

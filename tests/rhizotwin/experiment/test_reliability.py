@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin.batch import overview
-from rhizotwin.batch.jobs import Job
+from rhizotwin.batches import overview
+from rhizotwin.batches.jobs import Job
 from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import left_out, read_all
@@ -128,7 +128,7 @@ def test_a_method_without_uncertainty_has_no_verdict(ball_result: Callable[..., 
     assert {one.verdict for one in found.values()} == {"not assessed"}
 
 
-def test_a_batch_says_which_volumes_are_not_reliable(ball_result: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_batch_counts_the_volumes_that_are_not_usable(ball_result: Callable[..., Path], tmp_path: Path) -> None:
     bad = {"volume_trusted": False, "volume_verdict": "this scan cannot give a volume: too dark"}
     for name, changes in (("good", {}), ("bad", bad)):
         ball_result(name, volume_budget=[TERM], **changes)
@@ -137,5 +137,5 @@ def test_a_batch_says_which_volumes_are_not_reliable(ball_result: Callable[..., 
         for name in ("good", "bad")
     ]
     _, sentence = overview.write(tmp_path, jobs, ())
-    assert sentence == "1 of 2 volumes are not reliable: bad: too dark"
+    assert sentence == "1 of 2 volumes usable; not usable: 1 x too dark"
     assert sentence in (tmp_path / "overview.html").read_text(encoding="utf-8")

@@ -1,6 +1,7 @@
 """The page of a result: what it says, that nothing in it asks a network, and that a real browser draws it."""
 
 import base64
+import json
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -9,14 +10,19 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
+from rhizotwin import surface_mesh
 from rhizotwin.corrections import log
 from rhizotwin.corrections.corrected import write as write_corrected
 from rhizotwin.corrections.session import Session
-from rhizotwin.report import page, rig_figure, solid, words
+from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.report import page, rig_figure, shape_data, words
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.assessment import Assessment, Verdict
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import read_rsml
+from rhizotwin.scenes.trait_table import DEFINITIONS
 from tests.conftest import Reconstructed
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS
@@ -35,7 +41,7 @@ def test_the_page_of_a_solid_body(found: Reconstructed, scan):
     assert 1 <= whole.count("data:image/jpeg;base64,") <= 4
     made = scan(voxel_mm=1.0, lost=(3,))
     text = page.write(made.result, dataset=made.dataset).read_text(encoding="utf-8")
-    for part in ("a ball &lt;6 mm&gt;", "2 markers found, 4 are needed", "No thin roots were found", "Root extent (x, y, z)"):
+    for part in ("a ball &lt;6 mm&gt;", "2 markers found, 4 are needed", "No centre lines were found", "Root extent (x, y, z)"):
         assert part in text
     assert "data-file=rsml" not in text
 
@@ -118,10 +124,10 @@ def test_a_browser_draws_the_page_from_disk(browser: Any, plant: plants.Plant, w
     turned = _pixels(canvas).astype(int)
     assert np.abs(turned - before).mean() > 0.05
     shown.get_by_label("colour").select_option("uncertainty")
-    shown.get_by_text("the diameter is certain").wait_for()
+    shown.get_by_text("diameter ±0 %").wait_for()
     _wait_until_drawn(shown, 2)
     assert np.abs(_pixels(canvas).astype(int) - turned).mean() > 0.05
-    for kind, beginning in (("csv", b"trait,"), ("rsml", b"<?xml"), ("stl", b"\0" * 80)):
+    for kind, beginning in (("csv", b"trait,"), ("rsml", b"<?xml"), ("stl", b"\0" * 80), ("glb", b"glTF\2\0\0\0")):
         with shown.expect_download(timeout=PATIENCE_MS) as waiting:
             shown.locator(f"button[data-file={kind}]").click()
         assert Path(waiting.value.path()).read_bytes().startswith(beginning)
@@ -151,21 +157,43 @@ def test_centre_lines_saved_from_the_page_are_those_of_the_result(browser: Any, 
 def test_one_page_for_many(plant: plants.Plant, tmp_path: Path):
     text = page.write_many([plant.result, plant.result], tmp_path / "many.html").read_text(encoding="utf-8")
     assert text.count("<canvas") == 2
-    assert text.count("can be used</td>") == 2
+    assert text.count("usable</td>") == 2
+    assert "<h1>2 of 2 volumes usable</h1>" in text
 
 
 def test_a_page_says_what_was_corrected_and_that_its_pictures_are_gone(plant: plants.Plant, tmp_path: Path):
     session = Session(plant.result)
     session.do(log.edit("delete roots", roots=[1], who="ann <x>"))
     write_corrected(session, tmp_path / "new")
-    assert "Corrected by hand: 1 edit by ann &lt;x&gt;, -" in page.write(tmp_path / "new").read_text(encoding="utf-8")
+    assert "Edited by hand: 1 edit by ann &lt;x&gt;, -" in page.write(tmp_path / "new").read_text(encoding="utf-8")
     summary = tmp_path / "new" / "result.json"
     summary.write_text(summary.read_text().replace(str(plant.dataset), "/gone"))
-    assert "The pictures are not where they were" in page.write(tmp_path / "new").read_text(encoding="utf-8")
+    assert "The dataset was not found" in page.write(tmp_path / "new").read_text(encoding="utf-8")
+
+
+def test_the_surface_saved_from_the_page_is_that_of_the_result_and_closed(browser: Any, plant: plants.Plant, tmp_path: Path):
+    shown = browser.new_page()
+    shown.goto(page.write(plant.result).as_uri())
+    volumes = []
+    for kind, per_mm in (("stl", 1.0), ("glb", 1e-3)):
+        with shown.expect_download(timeout=PATIENCE_MS) as waiting:
+            shown.locator(f"button[data-file={kind}]").click()
+        waiting.value.save_as(tmp_path / f"saved.{kind}")
+        saved = trimesh.load_mesh(tmp_path / f"saved.{kind}")
+        assert saved.is_watertight
+        volumes.append(saved.volume / per_mm**3)
+    assert volumes == pytest.approx([trimesh.load_mesh(plant.result / "shape.ply").volume] * 2, rel=0.01)
+    data = (tmp_path / "saved.glb").read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    view = json.loads(data[20 : 20 + size])["bufferViews"][2]
+    colours = np.frombuffer(data, np.uint8, view["byteLength"], 28 + size + view["byteOffset"]).reshape(-1, 4)
+    assert len(np.unique(colours, axis=0)) == 2  # main root and laterals
+    shown.close()
 
 
 def test_the_shape_is_packed_to_micrometres(plant: plants.Plant):
-    packed = solid.packed(plant.roots, plant.result / "shape.ply")
+    surface = surface_mesh.close(Mesh.of(trimesh.load_mesh(plant.result / "shape.ply")))
+    packed = shape_data.pack_shape(surface, plant.roots)["roots"]
     steps = np.frombuffer(base64.b64decode(packed["points"]), "<u2").reshape(-1, 3)
     points = np.array(packed["origin"]) + packed["scale"] * steps
     assert points == pytest.approx(np.concatenate([root.points_mm for root in plant.roots]), abs=1e-3)
@@ -186,26 +214,55 @@ SUMMARY: dict[str, Any] = {
 
 
 def test_the_volume_has_no_false_precision_and_is_not_at_the_head_where_it_cannot_be_trusted():
-    assert words.volume(SUMMARY) == ("137.1 ml", "128.0 to 146.0 ml")
-    assert words.budget(SUMMARY)[:2] == [
+    assert words.volume_text(SUMMARY) == ("137.1 ml", "128.0 to 146.0 ml")
+    assert words.uncertainty_causes(SUMMARY)[:2] == [
         "The volume may be 8.0 ml smaller or larger, because of one thing.",
         "The volume may be 3.0 ml larger, because of another.",
     ]
-    assert "1 other causes" in words.budget(SUMMARY)[2]
+    assert "1 other cause of" in words.uncertainty_causes(SUMMARY)[2]
     assert words.headline(SUMMARY)[0] == "volume 137.1 ml"
     headline, beside = words.headline(SUMMARY | {"volume_trusted": False})
     assert headline == "volume could not be determined"
     assert "137.1 ml" in beside
-    assert "not to be trusted" in beside
+    assert "not reliable" in beside
 
 
 def test_the_light_follows_checks_and_trust():
     check = {"name": "motion", "state": "fair", "found": "roots sway by 0.3 px", "advice": "wait longer"}
-    assert words.light(SUMMARY)[0] == "good"
-    state, _, told = words.light(SUMMARY | {"checks": [check]})
+    assert words.traffic_light(SUMMARY)[0] == "good"
+    state, _, told = words.traffic_light(SUMMARY | {"checks": [check]})
     assert (state, told) == ("fair", ["Roots sway by 0.3 px. Wait longer."])
-    assert words.light(SUMMARY | {"checks": [check | {"state": "bad"}], "volume_trusted": False})[0] == "bad"
-    assert words.light(SUMMARY | {"volume_trusted": False, "volume_verdict": "no"})[2] == ["No."]
+    assert words.traffic_light(SUMMARY | {"checks": [check | {"state": "bad"}], "volume_trusted": False})[0] == "bad"
+    assert words.traffic_light(SUMMARY | {"volume_trusted": False, "volume_verdict": "no"})[2] == ["No."]
+
+
+def test_counts_are_whole_and_numbers_have_the_digits_that_the_interval_leaves():
+    definitions = {definition.field: definition for definition in DEFINITIONS}
+
+    def shown(field: str, value: float, interval: tuple[float, float] | None = None, verdict: Verdict = "reliable") -> tuple[str, ...]:
+        return words.trait_text(definitions[field], value, Assessment(verdict=verdict, interval=interval))
+
+    assert shown("max_root_count", 9.0)[:2] == ("Most roots at one height", "9")
+    assert shown("tips", 32, (29.6, 34.2))[1:3] == ("32", "30 to 34")
+    assert shown("total_length_mm", 806.93, (786.0, 824.0))[1:3] == ("807 mm", "786 to 824")
+    assert shown("mean_diameter_mm", 3.4042, (3.29, 3.51))[1:3] == ("3.40 mm", "3.29 to 3.51")
+    assert shown("convex_hull_mm3", 137070.0)[1] == "137 ml"
+    assert shown("total_length_mm", 486.0, (399.0, 518.0), "not reliable")[2] == "not reliable; 399 to 518"
+    assert shown("bushiness", 1.5)[3] == "most roots at one height over roots at a typical height (GiA Roots)"
+    assert shown("roots", 3)[3] == "number of roots, taproots and laterals of every order"
+
+
+def test_a_simulated_scan_is_called_simulated(plant: plants.Plant):
+    text = page.write(plant.result).read_text(encoding="utf-8")
+    assert "Images of roots in a round canister" in text
+    assert "imulated" not in text
+    (plant.dataset / "truth").mkdir()
+    try:
+        text = page.write(plant.result).read_text(encoding="utf-8")
+    finally:
+        (plant.dataset / "truth").rmdir()
+    assert "Simulated images of roots in a round canister" in text
+    assert "Simulated scan: a plant &lt;of paper&gt;" in text
 
 
 def test_the_rig_is_drawn_with_its_dimensions():

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import page
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import measure_traits
+
+EMPTY = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))
 
 
 def rod(plant: str, x: float) -> Root:
@@ -39,7 +42,7 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
         "volume_interval_mm3": (240.0, 260.0),
     }
     traits = measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=252.0, surface_mm2=502.0)
-    shown = page._plants(page._Read(Path("result"), summary, roots, traits, None))
+    shown = page._plants(page._Report(Path("result"), summary, roots, EMPTY, traits, None))
     assert (" ml</td>" in shown) is trusted
     assert (">40</td>" in shown) is trusted  # their lengths
     assert ("not reliable" in shown) is not trusted

@@ -34,8 +34,8 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
     assert by_name["canister relative to the marker strip: offset y"].sigma == 0.002
     text = "\n".join(calibration_table.table(RIG))
     assert "index of the water: given 1.333, found 1.3341 +- 0.0002" in text
-    assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (not sure enough: as given)" in text
-    assert "roots, sideways: 0.090 px off before, 0.050 px after" in text
+    assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (too uncertain: given value used)" in text
+    assert "roots, sideways: residual 0.090 px before, 0.050 px after" in text
     assert calibration_table.table({}) == [], "cameras that were given leave none"
 
 

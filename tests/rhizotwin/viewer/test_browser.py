@@ -1,6 +1,7 @@
 """The viewer in a real browser: the first picture, picking, correcting, saving, and two browsers with one state."""
 
 import http.client
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,10 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from rhizotwin.corrections import corrected, log
 from rhizotwin.corrections.session import Session
-from rhizotwin.viewer import app
+from rhizotwin.viewer import app, capture
 from rhizotwin.viewer.app import Viewer, screen_of
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS, wait
@@ -63,29 +65,32 @@ def click_root(page: Any, viewer: Viewer, number: int) -> None:
 def test_a_person_removes_debris_with_three_clicks_and_saves(browser: Any, viewer: Viewer, tmp_path: Path):
     clean = plants.make(tmp_path / "clean")
     page, complaints = opened(browser, viewer)
-    page.get_by_role("tab", name="Correct").click()
-    viewer.strung()
+    page.get_by_role("tab", name="Edit").click()
+    viewer.nodes()
+    delete = page.get_by_role("button", name="Delete (Del)")
+    assert delete.is_disabled()
     click_root(page, viewer, 4)
     wait(lambda: viewer.roots == [4], "the click to choose the fibre")
-    page.get_by_text("Root 4").wait_for()
-    page.get_by_role("button", name="First").click()
+    page.get_by_text("Root 4", exact=True).wait_for()
     pictures = viewer.shown.pictures
     assert pictures is not None
     best = pictures.best_for(viewer.shown.session.state.lines[4])[0]
-    wait(lambda: viewer.standing == best, "the picture that shows it best")
+    page.get_by_role("button", name=f"Best seen in view_{best:03d}").click()
+    wait(lambda: viewer.picture == best, "the picture that shows it best")
     page.get_by_role("button", name="Back to 3D").first.click()
-    wait(lambda: viewer.standing is None, "the way back")
+    wait(lambda: viewer.picture is None, "the way back")
     assert viewer.roots == [4]
-    page.get_by_role("button", name="Delete", exact=True).click()
+    delete.click()
     wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go")
     expected = Session(clean.result).measure().volume_mm3
     assert viewer.shown.session.measure().volume_mm3 == pytest.approx(expected, rel=5e-3)
-    page.get_by_text("1 edit: delete roots").wait_for()
-    page.get_by_role("button", name="Undo").click()
+    page.get_by_text("1 correction", exact=True).wait_for()
+    page.get_by_text("delete roots (4)").first.wait_for()
+    page.get_by_role("button", name="Undo (Ctrl+Z)").click()
     wait(lambda: 4 in viewer.shown.session.state.lines, "the fibre to come back")
-    page.get_by_role("button", name="Redo").click()
+    page.get_by_role("button", name="Redo (Ctrl+Y)").click()
     wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go again")
-    page.get_by_role("button", name="Save").click()
+    page.get_by_role("button", name="Save corrections (Ctrl+S)").click()
     folder = viewer.shown.session.folder
     wait((folder / log.LOG_NAME).is_file, "the log")
     again = Session(folder)
@@ -107,30 +112,53 @@ def test_the_picture_shows_roots(browser: Any, viewer: Viewer):
         return float(((blue - red > 60) & (green > 40)).mean())  # laterals are blue
 
     with_roots = wait(lambda: blue() if blue() > 1e-3 else 0.0, "roots in the picture")
-    page.get_by_role("tab", name="Look").click()
+    page.get_by_role("tab", name="View").click()
     page.get_by_role("combobox", name="Colour by").click(timeout=60_000)
     page.get_by_role("option", name="uncertainty").click(timeout=60_000)
     wait(lambda: viewer.look.colour == "uncertainty", "other colours")
-    page.get_by_text("the diameter is certain").wait_for()
+    page.get_by_text("diameter ±0 %").wait_for()
     viewer.look.colour = "order"
     viewer.refresh()
-    page.get_by_text("grey: main root").wait_for()
-    page.get_by_label("Roots", exact=True).click()
-    wait(lambda: "roots" not in viewer.look.layers, "roots to be switched off")
+    page.get_by_text("main root", exact=True).wait_for()
+    page.get_by_label("Centre lines", exact=True).click()
+    page.get_by_label("Surface", exact=True).click()
+    wait(lambda: not viewer.look.layers & {"surface", "centre lines"}, "roots to be switched off")
     wait(lambda: blue() < 0.3 * with_roots, "the picture to follow")
+    page.close()
+
+
+def test_views_screenshot_movie_and_the_list_of_roots(browser: Any, viewer: Viewer):
+    page, complaints = opened(browser, viewer)
+    client = max(viewer.served.server.get_clients().items())[1]
+    viewer.wait()
+    page.get_by_text("Front", exact=True).click()
+    front = viewer.scene.camera_position("Front", aspect=client.camera.aspect)
+    wait(lambda: np.allclose(client.camera.position, front, atol=0.1), "the view from the front")
+    with page.expect_download(timeout=PATIENCE_MS) as waiting:
+        page.get_by_role("button", name="Save screenshot (PNG)").click()
+    shot = Image.open(waiting.value.path())
+    assert np.ptp(np.asarray(shot.convert("L"))) > 50
+    movie = Image.open(io.BytesIO(capture.turntable(client, frames=3)))
+    assert movie.n_frames == 3
+    frames = [np.asarray(frame.convert("L")).astype(int) for frame in ImageSequence.Iterator(movie)]
+    assert np.abs(frames[0] - frames[1]).max() > 50
+    page.get_by_role("combobox", name="Root").click()
+    page.get_by_role("option", name="root 2: lateral, 1st order").click()
+    wait(lambda: viewer.roots == [2], "the root of the list")
+    assert not complaints
     page.close()
 
 
 def test_another_browser_has_the_same_state(browser: Any, viewer: Viewer):
     page, _ = opened(browser, viewer)
-    page.get_by_role("tab", name="Look").click()
-    assert page.get_by_label("Roots", exact=True).is_checked()
+    page.get_by_role("tab", name="View").click()
+    assert page.get_by_label("Surface", exact=True).is_checked()
     other, _ = opened(browser, viewer)
-    other.get_by_role("tab", name="Look").click()
-    other.get_by_label("Roots", exact=True).click()
-    wait(lambda: "roots" not in viewer.look.layers, "roots to be switched off")
+    other.get_by_role("tab", name="View").click()
+    other.get_by_label("Surface", exact=True).click()
+    wait(lambda: "surface" not in viewer.look.layers, "roots to be switched off")
     page.bring_to_front()  # a page behind another one is not drawn
-    wait(lambda: not page.get_by_label("Roots", exact=True).is_checked(), "the first browser to follow")
+    wait(lambda: not page.get_by_label("Surface", exact=True).is_checked(), "the first browser to follow")
     page.close()
     other.close()
 

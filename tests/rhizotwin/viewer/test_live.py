@@ -67,7 +67,7 @@ def test_what_the_page_says():
     said = live_page.meters(dark, (0.1, 0.4))
     assert "bad; at least 20 %" in said
     assert "darkest part 25 % of the brightest" in said
-    assert "2.0 % of the picture still moved" in said
+    assert "2.0 % of the picture moving" in said
     assert live_page.duration(89.0) == "89 s"
     assert live_page.duration(600.0) == "10 min"
     live.close()
@@ -90,12 +90,12 @@ def test_a_person_watches_a_scan_of_the_twin(browser: Any, tmp_path: Path):
         scanned.start()
         page.get_by_text("Paused:").wait_for()
         page.get_by_text("0 of 4 pictures").wait_for()
-        page.get_by_role("button", name="Go on").click()
+        page.get_by_role("button", name="Continue").click()
         wait(lambda: live.done == 4, "the pictures")
         page.get_by_text("4 of 4 pictures").wait_for()
         page.get_by_text("Focus", exact=True).wait_for()
         page.get_by_text("Exposure", exact=True).wait_for()
-        page.get_by_text("After the stop", exact=True).wait_for()
+        page.get_by_text("Motion after stop", exact=True).wait_for()
         source = page.locator("img").first.get_attribute("src")
         assert source is not None
         assert source.startswith(("blob:", "data:"))

@@ -36,16 +36,16 @@ def shades(*lines: Line) -> list[np.ndarray]:
 def test_straight_roots_need_few_nodes_and_keep_ends_and_changes_of_colour():
     one, other = straight(65), straight(40)
     colours = np.concatenate(shades(one, other))
-    keep = tubes.kept([one, other], colours)
+    keep = tubes.select_nodes([one, other], colours)
     assert keep[[0, 64, 65, 104]].all()
     assert keep.sum() < 12
     colours[30:33] = 255
-    assert tubes.kept([one, other], colours)[[29, 30, 32, 33]].all()
+    assert tubes.select_nodes([one, other], colours)[[29, 30, 32, 33]].all()
 
 
 def test_what_is_left_out_is_near_what_is_drawn():
     root = winding()
-    keep = np.flatnonzero(tubes.kept([root], shades(root)[0]))
+    keep = np.flatnonzero(tubes.select_nodes([root], shades(root)[0]))
     assert len(keep) < 0.4 * len(root.points_mm)
     every = np.arange(len(root.points_mm))
     between = np.stack([np.interp(every, keep, root.points_mm[keep, k]) for k in range(3)], axis=1)
@@ -61,7 +61,7 @@ def test_flats_lie_near_to_the_circle():
 
 
 def test_normals_point_outward():
-    solid = tubes.of_lines([winding(), straight(65)], shades(winding(), straight(65)))
+    solid = tubes.mesh_lines([winding(), straight(65)], shades(winding(), straight(65)))
     assert np.linalg.norm(solid.normals, axis=1) == pytest.approx(np.ones(len(solid.normals)))
     a, b, c = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
@@ -69,10 +69,10 @@ def test_normals_point_outward():
     assert trimesh.Trimesh(solid.vertices_mm, solid.faces).is_watertight
 
 
-@pytest.mark.parametrize("see_through", [False, True])
-def test_files_are_read_by_others_as_they_were_meant(see_through: bool):
-    solid = tubes.of_lines([winding()], shades(winding()))
-    data = glb(solid, see_through=see_through)
+@pytest.mark.parametrize("lit", [True, False])
+def test_files_are_read_by_others_as_they_were_meant(lit: bool):
+    solid = tubes.mesh_lines([winding()], shades(winding()))
+    data = glb(solid, lit=lit)
     found = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh", process=False)
     assert np.asarray(found.vertices) == pytest.approx(solid.vertices_mm, abs=1e-5)
     assert (np.asarray(found.faces) == solid.faces).all()
@@ -81,7 +81,7 @@ def test_files_are_read_by_others_as_they_were_meant(see_through: bool):
     begin = [28 + length + view["byteOffset"] for view in described["bufferViews"]]
     normals = np.frombuffer(data, "<f4", solid.normals.size, begin[1]).reshape(-1, 3)
     assert normals == pytest.approx(solid.normals, abs=1e-6)
-    assert ("alphaMode" in described["materials"][0]) == see_through
+    assert ("alphaMode" in described["materials"][0]) != lit
     light = ((GREY / 255.0 + 0.055) / 1.055) ** 2.4  # IEC 61966-2-1: glTF's colours are linear in light
     kept = np.frombuffer(data, np.uint8, 4, begin[2])
     assert kept / 255.0 == pytest.approx([*light, 1.0], abs=0.5 / 255)

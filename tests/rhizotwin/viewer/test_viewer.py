@@ -11,13 +11,15 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
+from rhizotwin import root_colours
+from rhizotwin.corrections import log
 from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored.result_files import read_summary
 from rhizotwin.through_water import Pictures
-from rhizotwin.viewer import app, colours, guard, picking, words
+from rhizotwin.viewer import app, capture, guard, picking, scene3d, words
 from rhizotwin.viewer.app import Viewer
 from rhizotwin.viewer.drawing import CLICKS
 from tests.rhizotwin import plant as plants
@@ -76,7 +78,7 @@ def test_a_click_finds_the_voxel_that_its_ray_enters_first():
 
 def test_voxels_are_chosen_in_a_box_and_deleted_quickly(viewer: Viewer):
     before = viewer.shown.session.measure().volume_mm3
-    viewer.choose_box((-20.0, -20.0, -60.0), (20.0, 20.0, -45.0))
+    viewer.select_box((-20.0, -20.0, -60.0), (20.0, 20.0, -45.0))
     assert len(viewer.voxels) > 200
     begin = time.perf_counter()
     viewer.delete()
@@ -88,11 +90,11 @@ def test_voxels_are_chosen_in_a_box_and_deleted_quickly(viewer: Viewer):
 
 def test_what_cannot_be_done_is_said(viewer: Viewer):
     viewer.delete()
-    assert viewer.told == "nothing is chosen"
+    assert viewer.message == "nothing is selected"
     viewer.pair("join")
-    assert "choose two roots" in viewer.told
+    assert "select two roots" in viewer.message
     viewer.restore()
-    assert viewer.told == "nothing was taken away"
+    assert viewer.message == "nothing was deleted"
 
 
 def test_pixels_are_those_of_the_reference(plant: plants.Plant):
@@ -108,8 +110,8 @@ def test_pixels_are_those_of_the_reference(plant: plants.Plant):
 def test_roots_drawn_over_pictures_lie_on_the_roots(viewer: Viewer):
     pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
     assert pictures is not None
-    drawn = pictures.drawn(0, lines, dict.fromkeys(lines, (255, 0, 0))).astype(int)
-    plain = pictures.drawn(0, {}, {}).astype(int)  # eight times as large as the picture
+    drawn = pictures.draw_outline(0, viewer.shown.surface(), lines).astype(int)
+    plain = pictures.draw_outline(0, None, {}).astype(int)  # eight times as large as the picture
     marked = (drawn != plain).any(axis=2)
     assert 50 < marked.sum() < 0.02 * marked.size
     roots = cv2.dilate((plain[..., 0] < 250).astype(np.uint8), np.ones((17, 17), np.uint8)) > 0  # within a pixel of the picture
@@ -120,43 +122,41 @@ def test_names_are_escaped_and_numbers_have_the_digits_they_deserve(viewer: View
     assert "&lt;b&gt;" in words.note(viewer.shown.session.summary["scene"])
     assert said.ml(137070.4, half_mm3=9000.0) == "137.1"
     assert said.ml(58.2967, half_mm3=11.7) == "0.058"
-    assert "<script>" not in words.root(0, viewer.shown.session.state.lines, 0, ["<script>"])
+    assert "<script>" not in words.history([replace(log.edit("cut"), who="<script>")])
     told = {"name": "tips", "value": 3.0, "interval": [2.0, 4.0], "trusted": False, "verdict": "<script>"}
-    assert "<script>" not in words.traits(
-        viewer.shown.traits(), corrected=False, summary=viewer.shown.session.summary | {"estimates": [told]}
-    )
+    assert "<script>" not in words.traits(viewer.shown.traits(), edited=False, summary=viewer.shown.session.summary | {"estimates": [told]})
 
 
-def test_standing_in_a_picture_hides_what_does_not_fit(viewer: Viewer):
-    viewer.stand(2)
-    assert viewer.standing == 2
+def test_a_picture_hides_the_3d_view(viewer: Viewer):
+    viewer.enter_picture(2)
+    assert viewer.picture == 2
     viewer.clicked(ray_to(np.array([0.0, 0.0, -30.0])))
     assert viewer.roots == []
-    viewer.stand(None)
-    assert viewer.standing is None
+    viewer.enter_picture(None)
+    assert viewer.picture is None
 
 
 def test_what_is_cut_away_cannot_be_clicked_and_what_is_left_has_both_its_sides(viewer: Viewer, plant: plants.Plant):
     point = plant.roots[1].points_mm[30]
-    viewer.cut_away(2, None, float(point[2]) - 2.0)
+    viewer.clip(2, None, float(point[2]) - 2.0)
     viewer.clicked(ray_to(point))
     assert viewer.roots != [1]
-    viewer.cut_away(2, None, None)
+    viewer.clip(2, None, None)
     viewer.clicked(ray_to(point))
     assert viewer.roots == [1]
     viewer.look.low_mm, viewer.look.high_mm = (-1e9, -1e9, float(point[2]) - 1.0), (1e9, 1e9, float(point[2]) + 1.0)
     parts = viewer.visible()[1]
     assert 0.0 < sum(part.length_mm for part in parts) < viewer.shown.session.state.lines[1].length_mm
-    surface = viewer._cut(viewer.shown.surface_now())
+    surface = viewer._clipped(viewer.shown.surface())
     assert surface is not None
     for shown in (np.concatenate([part.points_mm for part in parts]), surface.vertices_mm):
         assert np.abs(shown[:, 2] - point[2]).max() <= 1.0
 
 
 def test_measuring_needs_no_roots(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(viewer, "strung", lambda: picking.Strung.of([]))  # as a print has none
+    monkeypatch.setattr(viewer, "nodes", lambda: picking.Nodes.of([]))  # as a print has none
     viewer.look.click = CLICKS[2]
-    solid, rows = viewer.shown.session.measure().solid, viewer._voxel_rows()
+    solid, rows = viewer.shown.session.measure().solid, viewer.voxel_rows()
     lowest, other = (solid.centre_mm[rows[k]] for k in (solid.centre_mm[rows, 2].argmin(), solid.centre_mm[rows, 0].argmax()))
     viewer.clicked(ray_to(lowest))
     viewer.clicked(ray_to(other))
@@ -165,28 +165,28 @@ def test_measuring_needs_no_roots(viewer: Viewer, monkeypatch: pytest.MonkeyPatc
 
 def test_what_was_taken_away_last_comes_back_first(viewer: Viewer):
     before = viewer.shown.session.measure()
-    viewer.do("delete roots", roots=[1])
-    viewer.do("delete roots", roots=[2, 3])
+    viewer.correct("delete roots", roots=[1])
+    viewer.correct("delete roots", roots=[2, 3])
     viewer.restore()
     assert sorted(viewer.shown.session.state.lines) == [0, 2, 3]
     viewer.restore()
     assert viewer.shown.session.measure().length_mm == pytest.approx(before.length_mm)
-    rows = viewer._voxel_rows()[:50]
-    viewer.do("delete voxels", runs=[(int(row), 1) for row in rows])
+    rows = viewer.voxel_rows()[:50]
+    viewer.correct("delete voxels", runs=[(int(row), 1) for row in rows])
     viewer.restore()
     assert not viewer.shown.session.state.gone.any()
 
 
 def test_colours_tell_uncertainty(viewer: Viewer):
     lines = dict(viewer.shown.session.state.lines)
-    shade, legend = colours.colouring("uncertainty", lines)
+    shade, legend = root_colours.colour_roots("uncertainty", lines)
     certain = replace(lines[1], sigma_mm=np.zeros(len(lines[1].points_mm)))
     assert (shade(1, certain) == [68, 1, 84]).all()  # viridis begins so
     assert (shade(1, replace(lines[1], sigma_mm=lines[1].diameters_mm)) == [253, 231, 37]).all()
-    assert (shade(1, replace(lines[1], sigma_mm=None)) == colours.UNKNOWN).all()
-    assert "yellow" in legend
+    assert (shade(1, replace(lines[1], sigma_mm=None)) == root_colours.UNKNOWN).all()
+    assert legend.ends == ("diameter ±0 %", "±25 % or more (90 %)")
     unknown = {number: replace(line, sigma_mm=None) for number, line in lines.items()}
-    assert "not known" in colours.colouring("uncertainty", unknown)[1]
+    assert root_colours.colour_roots("uncertainty", unknown)[1].swatches == ((root_colours.UNKNOWN, "uncertainty not available"),)
     assert "±" in words.root(1, lines, 1)
     assert "±" not in words.root(1, unknown, 1)
 
@@ -195,11 +195,67 @@ def test_traits_follow_corrections(viewer: Viewer):
     assert viewer.shown.traits().roots == 4
     assert viewer.shown.traits().total_length_mm == pytest.approx(viewer.shown.session.measure().length_mm)
     told: list[str] = []
-    viewer.on_drawn.append(lambda: told.append(words.traits(viewer.shown.traits(), corrected=True, summary=viewer.shown.session.summary)))
-    viewer.do("delete roots", roots=[3])
+    viewer.on_measured.append(lambda: told.append(words.traits(viewer.shown.traits(), edited=True, summary=viewer.shown.session.summary)))
+    viewer.correct("delete roots", roots=[3])
+    viewer.wait()
     assert viewer.shown.traits().roots == 3
     assert "<td>3<br>" in told[-1]
     viewer.undo()
+
+
+def test_the_outline_is_that_of_the_union(viewer: Viewer):
+    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
+    assert pictures is not None
+    plain = pictures.draw_outline(0, None, {})
+    outline = (pictures.draw_outline(0, None, lines) != plain).any(axis=2)
+    mask = np.zeros(plain.shape[:2], np.uint8)
+    pictures._fill_tubes(mask, 0, lines, plain.shape[1] // 200, thickest_mm=np.inf)
+    inside = cv2.erode(mask, np.ones((7, 7), np.uint8)) > 0
+    assert inside.sum() > 1000
+    assert not outline[inside].any()  # no edge of one tube inside another
+
+
+def test_selected_roots_have_an_outline_of_their_own(viewer: Viewer):
+    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
+    assert pictures is not None
+    drawn = pictures.draw_outline(0, viewer.shown.surface(), lines, selected=[1]).astype(int)
+    assert ((drawn[..., 2] - drawn[..., 0]) > 100).sum() > 50  # blue
+
+
+def test_corrections_are_listed_and_undone_back_to_any_of_them(viewer: Viewer):
+    for number in (1, 2, 3):
+        viewer.correct("delete roots", roots=[number])
+    text = words.history(viewer.shown.session.log.edits)
+    assert "<b>3 corrections</b>" in text
+    assert text.index("delete roots (3)") < text.index("delete roots (1)")
+    viewer.undo_to(1)
+    assert sorted(viewer.shown.session.state.lines) == [0, 2, 3]
+    viewer.redo()
+    assert sorted(viewer.shown.session.state.lines) == [0, 3]
+    viewer.undo_to(0)
+
+
+def test_preset_views_show_the_whole_shape(viewer: Viewer, plant: plants.Plant):
+    points = np.concatenate([root.points_mm for root in plant.roots])
+    for view in scene3d.VIEWS:
+        position = viewer.scene.camera_position(view, aspect=0.8)
+        forward = viewer.scene.home[0] - position
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3, :3] = [right, np.cross(forward, right), forward]
+        pose[:3, 3] = -pose[:3, :3] @ position
+        assert picking.Screen(pose, float(np.deg2rad(40.0)), 0.8).inside(points, (0.0, 0.0), (1.0, 1.0)).all(), view
+
+
+def test_a_turntable_camera_keeps_its_height_and_looks_at_the_axis():
+    position, centre = np.array([100.0, 0.0, 20.0]), np.array([1.0, 2.0, -30.0])
+    frames = list(capture.orbit(np.array([1.0, 0.0, 0.0, 0.0]), position, centre, 8))
+    distances = [np.linalg.norm(at[:2] - centre[:2]) for _, at in frames]
+    assert distances == pytest.approx([distances[0]] * 8)
+    assert [at[2] for _, at in frames] == pytest.approx([20.0] * 8)
+    assert frames[4][1][:2] == pytest.approx(2.0 * centre[:2] - position[:2])
 
 
 @pytest.mark.parametrize("twice", ["Host: a", "Origin: http://a", "Cookie: a=b", "Upgrade: x"])
@@ -229,17 +285,18 @@ def test_pages_wait_for_what_is_shown():
         served.stop()
 
 
-def test_the_panel_is_told_before_the_scene_is_drawn(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+def test_the_panel_is_updated_before_the_scene_is_drawn(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    viewer.wait()
     order: list[str] = []
     viewer.on_change.append(lambda: order.append("told"))
-    for name in ("_draw", "_draw_surface", "_draw_chosen"):
+    for name in ("_draw", "_draw_surface", "_draw_selection"):
         monkeypatch.setattr(viewer, name, lambda name=name: order.append(name))
-    viewer.do("delete roots", roots=[3])
-    viewer._surfaces.shutdown(wait=True)
+    viewer.correct("delete roots", roots=[3])
+    viewer._background.shutdown(wait=True)
     assert order == ["told", "_draw", "_draw_surface"]
     order.clear()
-    viewer.choose_nothing()
-    assert order == ["told", "_draw_chosen"]
+    viewer.deselect()
+    assert order == ["told", "_draw_selection"]
 
 
 def test_a_surface_that_cannot_be_drawn_is_told(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
@@ -248,5 +305,5 @@ def test_a_surface_that_cannot_be_drawn_is_told(viewer: Viewer, monkeypatch: pyt
 
     monkeypatch.setattr(viewer, "_draw_surface", broken)
     viewer.refresh()
-    viewer._surfaces.shutdown(wait=True)
-    assert viewer.told == "shape.ply is not a readable mesh"
+    viewer._background.shutdown(wait=True)
+    assert viewer.message == "shape.ply is not a readable mesh"

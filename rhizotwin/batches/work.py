@@ -12,8 +12,8 @@ from typing import Any
 
 from rhizotwin import engine
 from rhizotwin.arguments import Progress
-from rhizotwin.batch import places
-from rhizotwin.batch.jobs import HEADS, Job, Outcome, State, note
+from rhizotwin.batches import places
+from rhizotwin.batches.jobs import HEADS, Job, Outcome, State, note
 from rhizotwin.scenes import memory, said
 from rhizotwin.scenes.errors import UserError
 

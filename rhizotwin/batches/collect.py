@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin import sources
-from rhizotwin.batch import places
-from rhizotwin.batch.jobs import Job, key_of, named
+from rhizotwin.batches import places
+from rhizotwin.batches.jobs import Job, key_of, named
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene

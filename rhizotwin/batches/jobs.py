@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from rhizotwin.batch import places
+from rhizotwin.batches import places
 from rhizotwin.scenes.atomic import json_bytes
 from rhizotwin.scenes.errors import UserError
 

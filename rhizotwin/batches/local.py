@@ -16,7 +16,7 @@ from multiprocessing import connection, get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
-from rhizotwin.batch.jobs import Job, Outcome
+from rhizotwin.batches.jobs import Job, Outcome
 from rhizotwin.scenes.memory import available_mib
 from rhizotwin.scenes.monitor import threads
 
@@ -120,7 +120,7 @@ def _serve(line: Connection, master: int, threads_each: int) -> None:
     """Do jobs until nobody gives any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the master's, who ends us
     threading.Thread(target=_leave_with, args=(master,), daemon=True).start()
-    from rhizotwin.batch.work import work
+    from rhizotwin.batches.work import work
 
     while True:
         try:

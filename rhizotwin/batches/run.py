@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rhizotwin.batch import jobs as listed
-from rhizotwin.batch import local, places
-from rhizotwin.batch.jobs import Job
+from rhizotwin.batches import jobs as listed
+from rhizotwin.batches import local, places
+from rhizotwin.batches.jobs import Job
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import locked
 from rhizotwin.scenes.said import printable
@@ -61,7 +61,7 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
         if cluster is None:
             outcomes = local.run(waiting, workers=workers)
         else:
-            from rhizotwin.batch import cluster as dask
+            from rhizotwin.batches import cluster as dask
 
             outcomes = dask.run(waiting, stack.enter_context(dask.connected(cluster, waiting, workers=workers)))
         with _Bar(waiting) as bar:

@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from rhizotwin.batch import collect, jobs, local, overview, places, series, work
-from rhizotwin.batch.jobs import Job, Outcome
-from rhizotwin.batch.run import LOCK, run
+from rhizotwin.batches import collect, jobs, local, overview, places, series, work
+from rhizotwin.batches.jobs import Job, Outcome
+from rhizotwin.batches.run import LOCK, run
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -55,7 +56,7 @@ def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
 def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     command.fails("batch", tmp_path, "-o", tmp_path / "r", named=["there is no dataset"])
     pytest.importorskip("distributed")
-    monkeypatch.setattr("rhizotwin.batch.cluster.WAIT_S", 0.5)
+    monkeypatch.setattr("rhizotwin.batches.cluster.WAIT_S", 0.5)
     words = ("batch", dataset(tmp_path / "scans" / "a").parent, "-o", tmp_path / "r", "--cluster", "tcp://127.0.0.1:9")
     assert "no Dask scheduler answers there" in command(*words).err
 
@@ -200,6 +201,30 @@ def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result:
     assert "low N" in (tmp_path / overview.TABLE).read_text(encoding="utf-8")
 
 
+def test_volumes_that_are_not_usable_are_counted_by_reason() -> None:
+    narrow = {"volume_mm3": 100.0, "volume_interval_mm3": [95.0, 105.0]}
+    wide = {"volume_mm3": 100.0, "volume_interval_mm3": [50.0, 120.0], "volume_trusted": False}
+    dirty = narrow | {"volume_trusted": False, "checks": [{"name": "dirt", "state": "bad"}]}
+    good = narrow | {"volume_trusted": True, "checks": [{"name": "dirt", "state": "fair"}]}
+    reasons = "2 x light missing beside the roots, 1 x 90 % interval too wide"
+    assert overview.summarise([wide, dirty, dirty]) == f"0 of 3 volumes usable; not usable: {reasons}"
+    assert overview.summarise([good, good]) == "2 of 2 volumes usable"
+    assert overview.summarise([dirty | {"checks": []}]) == "0 of 1 volumes usable; not usable: 1 x other reasons"
+
+
+@pytest.mark.slow
+def test_the_overview_fits_a_narrow_screen(browser: Any, ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    ball_result("one", subject={"plant": "P1", "treatment": "low N"})
+    overview.write(tmp_path, [job("one", tmp_path)], [])
+    shown = browser.new_page(viewport={"width": 400, "height": 700})
+    shown.goto((tmp_path / overview.PAGE).as_uri())
+    widths = "[document.documentElement.scrollWidth, document.querySelector('.wide').scrollWidth]"
+    assert max(shown.evaluate(widths)) <= 400
+    visible = [cell.inner_text() for cell in shown.locator("th").all() if cell.is_visible()]
+    assert visible == ["verdict", "volume (90 % interval)", "", "scan"]
+    shown.close()
+
+
 def test_series_name_plants_days_and_treatments() -> None:
     scene = replace(files.load_scene("radish_day05a"), solution=Solution(recipe="kliman_2022"))
     varied = series.vary(scene, plants=2, days=(3.0, 5.0), treatments=(("control", 1.0, ()), ("low N", 0.85, (("N", 0.5),))))
@@ -245,7 +270,7 @@ def test_a_batch_folder_stands_for_its_results(tmp_path: Path, ball_result: Call
 def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     program = (
-        "from pathlib import Path; from rhizotwin.batch import cluster; from rhizotwin.batch.jobs import Job\n"
+        "from pathlib import Path; from rhizotwin.batches import cluster; from rhizotwin.batches.jobs import Job\n"
         "if __name__ == '__main__':\n"
         "    one = Job(name='a', kind='reconstruct', source='s', output='o', key='k', pixels=20e6, options={})\n"
         "    with cluster.slurm([one]) as made: print(made.job_script())\n"

@@ -1,7 +1,8 @@
-"""What a batch ends with: one table of traits, and one page with a row and a picture for each scan."""
+"""Overview of a batch: a table of traits, and a page with verdict, volume and picture of each scan."""
 
 import base64
 import html
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,10 +11,10 @@ from pathlib import Path
 
 import cv2
 
-from rhizotwin.batch.jobs import Job
+from rhizotwin.batches.jobs import Job
 from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.recon.results.parts import Json
-from rhizotwin.report import words
+from rhizotwin.report import tables, words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
@@ -21,9 +22,8 @@ from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
-THUMBNAIL_PX = 180
-MOST_NAMED = 5
-"""Scans that are named in a sentence; the page has all."""
+THUMBNAIL_PX = 112
+"""Height of a picture, twice that on the page."""
 _COLUMNS = ("total_length_mm", "depth_mm", "mean_diameter_mm", "tips")
 
 
@@ -47,16 +47,16 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
     Parameters
     ----------
     done : sequence of Job
-        Whose results lie in the folder, by their names.
+        Finished jobs, whose results are in the folder under their names.
     failed : sequence of tuple of Job, str
-        With the sentence that says why.
+        Failed jobs with their messages.
 
     Returns
     -------
     list of Path
         The table and the page.
     str
-        A sentence on the volumes that are not reliable; empty where there is none.
+        A summary such as "3 of 12 volumes usable; not usable: 7 x views disagree, 2 x focus".
     """
     rows = []
     broken = list(failed)
@@ -67,62 +67,67 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
             rows.append(_Row(name=job.name, summary=summary, traits=stored_traits.read(result), picture=_thumbnail(result)))
         except UserError as error:
             broken.append((job, str(error)))
-    refused = [f"{row.name}: {row.assessed['volume_mm3'].reason}" for row in rows if row.assessed["volume_mm3"].verdict == "not reliable"]
-    more = f"; and {len(refused) - MOST_NAMED} more" if len(refused) > MOST_NAMED else ""
-    sentence = f"{len(refused)} of {len(rows)} volumes are not reliable: {'; '.join(refused[:MOST_NAMED])}{more}" if refused else ""
+    sentence = summarise([row.summary for row in rows])
     table = stored_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows])
     for name, text in ((TABLE, table), (PAGE, _page(rows, broken, sentence))):
         atomic.write_bytes(folder / name, text.encode("utf-8", "backslashreplace"), follow=False)
     return [folder / TABLE, folder / PAGE], sentence
 
 
+def summarise(summaries: Sequence[Json]) -> str:
+    """Return the number of usable volumes, and how often each reason made one unusable, the most frequent first."""
+    reasons = Counter(reason for summary in summaries for reason in words.failure_reasons(summary))
+    usable = sum(bool(summary["volume_trusted"]) for summary in summaries)
+    counted = ", ".join(f"{count} x {reason}" for reason, count in reasons.most_common())
+    return f"{usable} of {len(summaries)} volumes usable" + (f"; not usable: {counted}" if counted else "")
+
+
 def _thumbnail(result: Path) -> bytes | None:
+    """Return the left half of the result's picture of the shape, a view from the front, as a small JPEG."""
     image = result_files.read_shape_picture(result)
     if image is None:
         return None
-    scale = THUMBNAIL_PX / image.shape[0]
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    half = image[:, : image.shape[1] // 2]
+    scale = THUMBNAIL_PX / half.shape[0]
+    small = cv2.resize(half, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())
 
 
-def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]], sentence: str) -> str:
-    told = [name for name in subject.NAMES if any(_subject(row)[name] for row in rows)]
+def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]], summary: str) -> str:
+    known = [name for name in subject.NAMES if any(_subject(row)[name] for row in rows)]
     shown = [definition for definition in trait_table.DEFINITIONS if definition.field in _COLUMNS]
-    head = ["", "scan", *told, "volume", "90 % interval", "", *(d.heading for d in shown)]
+    first, more = ["verdict", "volume (90 % interval)", "", "scan"], [*known, *(d.heading for d in shown)]
+    head = "".join(f"<th>{name}</th>" for name in first) + "".join(f"<th class=more>{html.escape(name)}</th>" for name in more)
     style = files("rhizotwin.report").joinpath("page.css").read_text(encoding="utf-8")
     listed = "".join(f"<li><b>{html.escape(job.name)}</b>: {html.escape(sentence)}</li>" for job, sentence in failed)
+    body = "".join(_row(row, known, shown) for row in rows)
+    table = f"<div class=wide><table class=overview><tr>{head}</tr>{body}</table></div>"
     title = f"{len(rows)} scans" + (f", {len(failed)} failed" if failed else "")
-    table = "".join(f"<th>{html.escape(name)}</th>" for name in head)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
         f"<title>{title}</title><style>{style}</style></head><body><h1>{title}</h1>{f'<ul>{listed}</ul>' if listed else ''}"
-        f"<p>{html.escape(sentence)}</p>"
-        f"<div class=wide><table><tr>{table}</tr>{''.join(_row(row, told, shown) for row in rows)}</table></div></body></html>\n"
+        f"<p>{html.escape(summary)}</p>{table}</body></html>\n"
     )
 
 
-def _row(row: _Row, told: Sequence[str], shown: Sequence[trait_table.Definition]) -> str:
-    found, interval = words.volume(row.summary)
-    state = "not reliable" if words.light(row.summary)[0] == "bad" else "can be used"
-    source = "" if row.picture is None else f'<img alt="shape" src="data:image/jpeg;base64,{base64.b64encode(row.picture).decode()}">'
+def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition]) -> str:
+    image = "" if row.picture is None else f'<img alt="shape" src="data:image/jpeg;base64,{base64.b64encode(row.picture).decode()}">'
     name = html.escape(row.name, quote=True)
-    cells = [source, f'<a href="{name}/report.html">{name}</a>', *(html.escape(_subject(row)[key]) for key in told)]
-    numbers = [_number(row, d.field) for d in shown]
-    text = "".join(f"<td>{cell}</td>" for cell in cells)
-    return (
-        f"<tr>{text}<td class=number>{found}</td><td class=number>{interval}</td><td>{state}</td>"
-        f"{''.join(f'<td class=number>{number}</td>' for number in numbers)}</tr>"
-    )
+    more = "".join(f"<td class=more>{html.escape(_subject(row)[key])}</td>" for key in known)
+    numbers = "".join(f'<td class="number more">{_number(row, d.field)}</td>' for d in shown)
+    link = f'<a href="{name}/report.html">{name}</a>'
+    return f"<tr>{tables.verdict_cells(row.summary)}<td>{image}</td><td>{link}</td>{more}{numbers}</tr>"
 
 
 def _number(row: _Row, field: str) -> str:
-    """Return a trait with its verdict, where that is not good."""
+    """Return a trait, with its verdict unless it is reliable."""
     value, verdict = getattr(row.traits, field), row.assessed[field].verdict
     return trait_table.shown(value) if value is None or verdict == "reliable" else f"{trait_table.shown(value)} ({verdict})"
 
 
 def _subject(row: _Row) -> dict[str, str]:
-    """Return the subject of a row; of several plants the names together."""
+    """Return the subject of a scan, joined for several plants."""
     each = [subject.as_text(own.subject) for own in result_traits.each(row.name, row.summary, row.traits)]
     return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

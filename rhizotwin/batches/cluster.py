@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from rhizotwin.batch.jobs import Job, Outcome
-from rhizotwin.batch.local import MOST_TRIES
-from rhizotwin.batch.work import work
+from rhizotwin.batches.jobs import Job, Outcome
+from rhizotwin.batches.local import MOST_TRIES
+from rhizotwin.batches.work import work
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:

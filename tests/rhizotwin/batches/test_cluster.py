@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin.batch.jobs import Job
+from rhizotwin.batches.jobs import Job
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.model import Scene
 
@@ -67,8 +67,8 @@ def test_what_a_killed_worker_did_is_done_by_the_other_and_nothing_twice(
     program = tmp_path / "batch.py"
     program.write_text(
         "import json, sys\n"
-        "from rhizotwin.batch import cluster\n"
-        "from rhizotwin.batch.jobs import Job\n"
+        "from rhizotwin.batches import cluster\n"
+        "from rhizotwin.batches.jobs import Job\n"
         "listed = [Job(**plain) for plain in json.loads(open(sys.argv[2]).read())]\n"
         "with cluster.connected(sys.argv[1], listed, workers=None) as client:\n"
         "    for job, outcome in cluster.run(listed, client):\n"

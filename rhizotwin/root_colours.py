@@ -1,0 +1,122 @@
+"""Colours of roots by order, diameter, depth or uncertainty, and the colour key of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.recon.uncertainty.budget import NINETY
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Rgb = tuple[int, int, int]
+
+ORDERS: tuple[Rgb, ...] = ((222, 160, 92), (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189), (230, 90, 200))
+"""Main roots first; the last colour is used for all higher orders."""
+SURFACE: Rgb = ORDERS[0]
+"""A surface without centre lines."""
+VISIBLE, HIDDEN = (44, 120, 160), (230, 120, 30)
+"""Roots whose tip the pictures show, and those whose tip other roots hide."""
+UNKNOWN: Rgb = (150, 150, 150)
+THICKEST_PERCENT = 98.0
+"""The diameter scale ends at this percentile, so that a thick main root does not use it up."""
+CHOICES = ("order", "diameter", "depth", "uncertainty", "tip visibility")
+PER_ROOT = ("uncertainty", "tip visibility")
+"""Colours that do not change when other roots are edited."""
+WIDEST_UNCERTAINTY = 0.25
+"""The uncertainty scale ends at this relative 90 % half-width (`recon.uncertainty.root_uncertainty`)."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A colour key: swatches with labels, or the two ends of a continuous scale."""
+
+    swatches: tuple[tuple[Rgb, str], ...] = ()
+    ends: tuple[str, str] | None = None
+    """Labels of the first and last colour of the scale (viridis)."""
+
+
+def colour_roots(by: str, lines: Lines) -> tuple[Callable[[int, Line], Bytes], Key]:
+    """Return a function that colours the points (N, 3) of a root, and the colour key.
+
+    Parameters
+    ----------
+    by : str
+        One of `CHOICES`.
+    lines : Lines
+        All roots, by number.
+    """
+    if by == "order":
+        orders = root_orders(lines)
+        highest = min(max(orders.values(), default=0), len(ORDERS) - 1)
+        key = Key(swatches=tuple((ORDERS[order], order_name(order)) for order in range(highest + 1)))
+        return lambda number, line: _uniform(ORDERS[min(orders[number], len(ORDERS) - 1)], line), key
+    if by == "tip visibility":
+        key = Key(swatches=((VISIBLE, "tip visible"), (HIDDEN, "tip hidden by other roots")))
+        return lambda _, line: _uniform(VISIBLE if line.tip_seen else HIDDEN, line), key
+    if by == "uncertainty":
+        if all(line.sigma_mm is None for line in lines.values()):
+            return lambda _, line: _uniform(UNKNOWN, line), Key(swatches=((UNKNOWN, "uncertainty not available"),))
+        return lambda _, line: _by_uncertainty(line), Key(ends=("diameter ±0 %", f"±{100.0 * WIDEST_UNCERTAINTY:.0f} % or more (90 %)"))
+    if by == "diameter":
+        every = np.concatenate([np.zeros(1), *(line.diameters_mm for line in lines.values())])
+        most = max(float(np.percentile(every, THICKEST_PERCENT)), 1e-6)
+        return lambda _, line: scale_colours(line.diameters_mm / most), Key(ends=("0 mm", f"{most:.2g} mm or more"))
+    heights = np.concatenate([np.zeros(0), *(line.points_mm[:, 2] for line in lines.values())])
+    colour, key = colour_depths(heights)
+    return lambda _, line: colour(line.points_mm[:, 2]), key
+
+
+def colour_depths(heights_mm: Array) -> tuple[Callable[[Array], Bytes], Key]:
+    """Return a function that colours heights (N,), and the colour key, for points between the given heights."""
+    top, bottom = (float(heights_mm.max()), float(heights_mm.min())) if len(heights_mm) else (0.0, -1.0)
+    span = max(top - bottom, 1e-6)
+    return lambda z: scale_colours((top - z) / span), Key(ends=(f"{-top:.0f} mm below the rim", f"{-bottom:.0f} mm"))
+
+
+def order_name(order: int) -> str:
+    """Return the name of a root order: "main root", "lateral, 1st order", ..."""
+    if order == 0:
+        return "main root"
+    ordinal = {1: "1st", 2: "2nd", 3: "3rd"}.get(order, f"{order}th")
+    return f"lateral, {ordinal} order" + (" or higher" if order == len(ORDERS) - 1 else "")
+
+
+def half_widths(line: Line) -> Array | None:
+    """Return the 90 % half-widths of a root's diameters (N,), mm; None if they are unknown."""
+    return None if line.sigma_mm is None else NINETY * line.sigma_mm
+
+
+def root_orders(lines: Lines) -> dict[int, int]:
+    """Return the order of each root, 0 for a root without parent."""
+    found: dict[int, int] = {}
+    for number in lines:
+        path, here = list[int](), number
+        while here in lines and here not in found:
+            path.append(here)
+            here = lines[here].parent
+        order = found.get(here, -1)
+        for one in reversed(path):
+            order += 1
+            found[one] = order
+    return found
+
+
+def scale_colours(share: Array) -> Bytes:
+    """Return the colours (N, 3) of values from 0 to 1 on the continuous scale (viridis)."""
+    from matplotlib import colormaps  # loaded on first use: the viewer's first picture does not need it
+
+    return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(share, 0.0, 1.0))[:, :3]), np.uint8)
+
+
+def _by_uncertainty(line: Line) -> Bytes:
+    half = half_widths(line)
+    return _uniform(UNKNOWN, line) if half is None else scale_colours(half / np.maximum(line.diameters_mm, 1e-9) / WIDEST_UNCERTAINTY)
+
+
+def _uniform(colour: Rgb, line: Line) -> Bytes:
+    return np.tile(np.array(colour, np.uint8), (len(line.points_mm), 1))

@@ -1,0 +1,274 @@
+"""Surfaces for display and export: closed, without specks, with as many triangles as a screen needs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin import shading
+from rhizotwin.recon.results.parts import Mesh
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SPECK_MM, SPECK_EXTENT, SPECK_VOLUME = 3.0, 0.05, 0.01
+"""A component is a speck if it is shorter than this, or than this share of the shape, and has less than this share of
+its volume."""
+_APART_MM = 0.004
+"""Vertices at the same position are moved apart by twice this distance: pages store steps of 2 micrometres."""
+_FIRST_TOLERANCE_MM, _GROWTH = 0.01, 1.4
+"""Tolerance of the first simplification, and its growth until few enough triangles are left. Small steps shrink thin
+roots less: a bean of 900,000 triangles reduced to 120,000 loses 5 % of its volume, and 14 % in one step."""
+_LARGEST_TOLERANCE_MM = 1.0
+
+
+def close(mesh: Mesh) -> Mesh:
+    """Make a surface watertight and remove its specks.
+
+    Holes are closed by fans. Where parts of the surface touch in an edge or a vertex, that edge or vertex is duplicated
+    and the copies are moved apart by a few micrometres, so that every edge has exactly two triangles, also after a file
+    format without shared vertices (STL).
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Consistently oriented triangles.
+
+    Returns
+    -------
+    Mesh
+        Without triangles if ``mesh`` has none.
+    """
+    if not len(mesh.faces):
+        return mesh
+    vertices, faces = _separate(*_fill_holes(*_weld(mesh.vertices_mm, mesh.faces)))
+    faces = faces[_is_kept(vertices, faces)]
+    used, index = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], index.reshape(-1, 3)
+    return Mesh(vertices_mm=_move_apart(vertices, faces), faces=faces)
+
+
+def simplify(mesh: Mesh, most: int) -> Mesh:
+    """Return a closed surface with at most ``most`` triangles, for display.
+
+    Edges are collapsed (Manifold's ``simplify``) under a tolerance that grows until few enough triangles are left, then
+    the surface is offset so that it encloses the same volume as before: collapsed edges are chords, which lie inside.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Closed, such as `close` makes it.
+    most : int
+        Number of triangles that need not be reduced further.
+    """
+    if len(mesh.faces) <= most:
+        return mesh
+    import manifold3d
+
+    solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices_mm, mesh.faces.astype(np.uint64)))
+    if solid.status() != manifold3d.Error.NoError:
+        raise ValueError(f"the surface is not closed: {solid.status()}")
+    volume_mm3, tolerance_mm = solid.volume(), _FIRST_TOLERANCE_MM
+    while solid.num_tri() > most and tolerance_mm < _LARGEST_TOLERANCE_MM:
+        solid = solid.simplify(tolerance_mm)
+        tolerance_mm *= _GROWTH
+    found = solid.to_mesh64()
+    vertices, faces = np.asarray(found.vert_properties, np.float64)[:, :3], np.asarray(found.tri_verts, np.int64)
+    offset_mm = (volume_mm3 - solid.volume()) / max(solid.surface_area(), 1e-12)
+    vertices = vertices + offset_mm * shading.unit_normals(Mesh(vertices_mm=vertices, faces=faces))
+    return Mesh(vertices_mm=_move_apart(vertices, faces), faces=faces)
+
+
+def nearest_root(points_mm: Array, centres_mm: Array, radii_mm: Array) -> Index:
+    """Return the index of the centre-line point whose tube surface is nearest to each point.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) array
+        Points on or near the surface.
+    centres_mm, radii_mm : (M, 3), (M,) array
+        Points of all centre lines, and the radius there.
+
+    Returns
+    -------
+    (N,) int64 array
+        Index into ``centres_mm``.
+    """
+    from scipy.spatial import cKDTree
+
+    # The nearest of points of like radius is found by a tree; few groups of radii make the comparison exact enough.
+    group = np.round(2.0 * np.log2(np.maximum(radii_mm, 1e-3))).astype(int)
+    best, found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm), np.int64)
+    for one in np.unique(group):
+        members = np.flatnonzero(group == one)
+        away, near = cKDTree(centres_mm[members]).query(points_mm, workers=-1)
+        height = away - radii_mm[members][near]
+        nearer = height < best
+        best[nearer], found[nearer] = height[nearer], members[near[nearer]]
+    return found
+
+
+def _weld(vertices: Array, faces: Index) -> tuple[Array, Index]:
+    """Join vertices at the same position and drop triangles that lose a corner or that occur in both orientations."""
+    _, first, inverse = np.unique(_row_keys((vertices + 0.0).view(np.uint64)), return_index=True, return_inverse=True)
+    faces = inverse[faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    vertices = vertices[first]
+    # Two triangles with the same corners and opposite orientations enclose nothing.
+    turned = np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    sense = np.where(turned[:, 1] < turned[:, 2], 1, -1)
+    _, group = np.unique(_row_keys(np.sort(faces, axis=1).astype(np.uint64)), return_inverse=True)
+    pairs = np.bincount(group) > 1
+    if not pairs.any():
+        return vertices, faces
+    total = np.bincount(group, weights=sense)
+    keep = np.ones(len(faces), bool)
+    several = np.flatnonzero(pairs[group])
+    rank = np.zeros(len(faces), int)
+    order = several[np.lexsort((sense[several], group[several]))]
+    for sign in (-1, 1):
+        same = order[sense[order] == sign]
+        starts = np.concatenate([[True], group[same][1:] != group[same][:-1]]) if len(same) else np.zeros(0, bool)
+        begin = np.maximum.accumulate(np.where(starts, np.arange(len(same)), 0))
+        rank[same] = np.arange(len(same)) - begin
+    keep[several] = (np.sign(total[group[several]]) == sense[several]) & (rank[several] < np.abs(total[group[several]]))
+    return vertices, faces[keep]
+
+
+def _row_keys(rows: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return a 64-bit hash of each row (N, 3); sorting it is ten times as fast as sorting rows."""
+    key = np.zeros(len(rows), np.uint64)
+    for column in rows.T:
+        key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing: 2^64 over the golden ratio
+        key ^= key >> np.uint64(29)
+    return key
+
+
+def _half_edges(faces: Index) -> tuple[Index, Index]:
+    """Return start and end (3 F,) of the edges that follow each corner of the triangles."""
+    return faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+
+
+def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
+    """Close each connected boundary by a fan about its centre."""
+    start, end = _half_edges(faces)
+    count = len(vertices)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    _, first, group = np.unique(low * count + high, return_index=True, return_inverse=True)
+    surplus = np.bincount(group, weights=np.where(start < end, 1, -1)).astype(int)
+    open_ = np.flatnonzero(surplus)
+    if not len(open_):
+        return vertices, faces
+    times = np.abs(surplus[open_])
+    a, b = np.repeat(low[first[open_]], times), np.repeat(high[first[open_]], times)
+    forward = np.repeat(surplus[open_] > 0, times)
+    a, b = np.where(forward, a, b), np.where(forward, b, a)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    rim, index = np.unique(np.concatenate([a, b]), return_inverse=True)
+    index = index.reshape(2, -1)
+    number, label = connected_components(coo_array((np.ones(len(a)), (index[0], index[1])), shape=(len(rim), len(rim))), directed=False)
+    size = np.bincount(label, minlength=number)
+    centres = np.stack([np.bincount(label, weights=vertices[rim, axis], minlength=number) for axis in range(3)], axis=1) / size[:, None]
+    fans = np.stack([b, a, count + label[index[0]]], axis=1)
+    return np.concatenate([vertices, centres]), np.concatenate([faces, fans])
+
+
+def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
+    """Duplicate edges and vertices at which sheets touch: each half-edge is paired with exactly one opposite."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    start, end = _half_edges(faces)
+    count, corners = len(vertices), len(start)
+    key = np.minimum(start, end) * count + np.maximum(start, end)
+    forward = start < end
+    angle = _angles(vertices, faces, start, end, key, forward)
+    ahead, back = np.flatnonzero(forward), np.flatnonzero(~forward)
+    ahead = ahead[np.lexsort((angle[ahead], key[ahead]))]
+    back = back[np.lexsort((angle[back], key[back]))]
+    # Corner k begins half-edge k; the next corner of its triangle ends it.
+    after = np.arange(corners) - np.arange(corners) % 3 + (np.arange(corners) + 1) % 3
+    one = np.concatenate([ahead, after[ahead]])
+    other = np.concatenate([after[back], back])
+    _, label = connected_components(coo_array((np.ones(len(one), np.int8), (one, other)), shape=(corners, corners)), directed=False)
+    _, first = np.unique(label, return_index=True)
+    return vertices[start[first]], label.reshape(-1, 3).astype(np.int64)
+
+
+def _angles(vertices: Array, faces: Index, start: Index, end: Index, key: Index, forward: NDArray[np.bool_]) -> Array:
+    """Return the direction of each triangle about its edge, so that pairs of neighbours enclose the solid.
+
+    Zero at edges with two triangles, where no choice is left.
+    """
+    _, group, times = np.unique(key, return_inverse=True, return_counts=True)
+    many = np.flatnonzero(times[group] > 2)
+    angle = np.zeros(len(key))
+    if not len(many):
+        return angle
+    third = np.roll(faces, -2, axis=1).reshape(-1)[many]
+    a = vertices[np.minimum(start[many], end[many])]
+    along = vertices[np.maximum(start[many], end[many])] - a
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    up, out = np.cross(along, across), vertices[third] - a
+    angle[many] = np.arctan2((out * up).sum(axis=1), (out * across).sum(axis=1))
+    # The outward side of a triangle is that of increasing angle if its half-edge runs along the edge, else that of
+    # decreasing angle: the solid begins at a backward half-edge and ends at the next forward one.
+    order = many[np.lexsort((angle[many], key[many]))]
+    for begin, stop in zip(*_runs(key[order]), strict=True):
+        run = order[begin:stop]
+        shift = next((k for k in range(len(run)) if not forward[run[k]] and forward[run[(k + 1) % len(run)]]), 0)
+        angle[np.roll(run, -shift)] = np.arange(len(run))
+    return angle
+
+
+def _runs(values: Index) -> tuple[Index, Index]:
+    """Return where runs of equal values begin and end."""
+    edges = np.flatnonzero(np.diff(values)) + 1
+    return np.concatenate([[0], edges]), np.concatenate([edges, [len(values)]])
+
+
+def _is_kept(vertices: Array, faces: Index) -> NDArray[np.bool_]:
+    """Return which triangles belong to components that are no specks; the largest component is always kept."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(vertices)
+    start, end = _half_edges(faces)
+    number, label = connected_components(coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count)), directed=False)
+    part = label[faces[:, 0]]
+    a, b, c = vertices[faces.T]
+    volume = np.abs(np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0, minlength=number))
+    extent = np.zeros(number)
+    for axis in range(3):
+        low, high = np.full(number, np.inf), np.full(number, -np.inf)
+        np.minimum.at(low, label, vertices[:, axis])
+        np.maximum.at(high, label, vertices[:, axis])
+        extent = np.maximum(extent, high - low)
+    short = extent < max(SPECK_MM, SPECK_EXTENT * float(np.ptp(vertices, axis=0).max()))
+    speck = short & (volume < SPECK_VOLUME * volume.sum())
+    speck[int(volume.argmax())] = False
+    return np.asarray(~speck[part])
+
+
+def _move_apart(vertices: Array, faces: Index) -> Array:
+    """Move vertices at the same position apart, each towards the centre of its own triangles."""
+    cells = np.round(vertices / _APART_MM).astype(np.int64).astype(np.uint64)
+    _, group, times = np.unique(_row_keys(cells), return_inverse=True, return_counts=True)
+    twice = times[group] > 1
+    if not twice.any():
+        return vertices
+    touching = twice[faces].any(axis=1)
+    corner = faces[touching].reshape(-1)
+    middle = np.repeat(vertices[faces[touching]].mean(axis=1), 3, axis=0)
+    count = np.maximum(np.bincount(corner, minlength=len(vertices)), 1)
+    inward = (
+        np.stack([np.bincount(corner, weights=middle[:, k], minlength=len(vertices)) for k in range(3)], axis=1) / count[:, None] - vertices
+    )
+    inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-12)
+    moved = vertices.copy()
+    moved[twice] += 2.0 * _APART_MM * inward[twice]
+    return moved
