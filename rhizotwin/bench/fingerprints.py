@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.bench.named import BENCHMARKS, Benchmark
+from rhizotwin.bench.benchmarks import BENCHMARKS, Benchmark
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.provenance import versions

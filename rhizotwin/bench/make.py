@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rhizotwin.bench import fingerprints
+from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.fingerprints import Comparison
-from rhizotwin.bench.named import Benchmark
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 

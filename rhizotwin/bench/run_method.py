@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from rhizotwin.bench.named import Benchmark
+from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.offers import CameraSource, offer
 from rhizotwin.bench.outputs import score_outputs
 from rhizotwin.scenes.errors import UserError

@@ -118,7 +118,7 @@ MISTAKES = [
     ("score no_such_result --volume-ml 0", "--volume-ml"),
     ("scenes sphere_20mm", "-o FILE"),
     ("scenes sphere_20mm --specimen-stl a.obj", ".stl"),
-    (f"plan sphere_20mm -o d --views {100_000 * '['}", "nested deeper"),
+    (f"plan sphere_20mm -o d --views {100_000 * '['}", "nested too deeply"),
     ("plan sphere_20mm -o d --heights=-42,x", "not a number of mm"),
     ("plan sphere_20mm -o d --heights=10:", "not a number of degrees"),
     ("plan sphere_20mm -o d --heights=10:95", "out of range"),
@@ -127,12 +127,12 @@ MISTAKES = [
     ("plan sphere_20mm -o pictures", "no earlier plan"),
     ("markers", "SCENE"),
     ("markers printed_8ml -o strip.png", "strip.png"),
-    ("markers printed_8ml -o strip.pdf --page a9", "'a9' is no page"),
-    ("markers printed_8ml -o strip.pdf --page 297x", "'297x' is no page"),
+    ("markers printed_8ml -o strip.pdf --page a9", "'a9' is not a page size"),
+    ("markers printed_8ml -o strip.pdf --page 297x", "'297x' is not a page size"),
     ("markers printed_8ml -o strip.pdf --page 20x20", "50 to 5000"),
     ("markers printed_8ml -o strip.pdf --page 160x80", "too small for the strip"),
     ("markers printed_8ml -o strip.pdf --printed-ruler-mm 60", "90 to 110"),
-    ("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not what 100 mm became"),
+    ("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not a ruler length"),
     ("markers printed_8ml -o strip.pdf --paper-mm 9", "0 to 2"),
     ("markers printed_8ml -o strip.pdf --landscape --portrait", "--portrait"),
     ("calibrate lens", "lens"),
@@ -144,7 +144,7 @@ MISTAKES = [
     ("calibrate board -o board.pdf --squares 20x20 --square-mm 8", "needs 200 markers"),
     ("calibrate camera no_such_folder -o lens", "no_such_folder"),
     ("calibrate camera pictures -o lens --board no_such.toml", "no_such.toml"),
-    ("calibrate camera pictures -o lens --board b.toml --squares 9x6", "leave --squares out"),
+    ("calibrate camera pictures -o lens --board b.toml --squares 9x6", "and --squares cannot be used together"),
     ("calibrate camera pictures -o lens", "none of the 3 pictures can be used"),
     ("calibrate simulate printed_8ml -o pictures", "not empty"),
     ("calibrate simulate printed_8ml -o twin --pictures 1", "give 3 to 1000"),
@@ -175,7 +175,7 @@ def test_a_mistake_is_one_sentence_and_writes_nothing(
 
 FAILURES = [
     (UserError("views/a.png is\ncut short; copy it again"), 2, "views/a.png is cut short; copy it again"),
-    (KeyboardInterrupt(), 130, "stopped; nothing was written; run it again"),
+    (KeyboardInterrupt(), 130, "interrupted; nothing was written"),
     (OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 2, "out/a.png: the disk is full; free some space"),
     (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
     (MemoryError(), 1, "not enough memory"),
@@ -241,7 +241,7 @@ def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, command: Command) -> 
     path = tmp_path / "mine.toml"
     command.works("scenes", "printed_8ml", "-o", path)
     assert files.load_scene(path) == files.load_scene("printed_8ml")
-    command.fails("scenes", "printed_8ml", "-o", path, named=["exists already"])
+    command.fails("scenes", "printed_8ml", "-o", path, named=["already exists"])
 
 
 def test_options_change_the_scene(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from rhizotwin.bench import fingerprints, named, offers, results, run_method
-from rhizotwin.bench.named import Benchmark, Case
+from rhizotwin.bench import benchmarks, fingerprints, offers, results, run_method
+from rhizotwin.bench.benchmarks import Benchmark, Case
 from rhizotwin.bench.results_page import page
 from rhizotwin.scenes.errors import UserError
 from tests.command import Command
@@ -36,7 +36,7 @@ def offered(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def tiny(made: Path, offered: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with the small benchmark, whose cameras are not estimated anew for every run."""
-    monkeypatch.setitem(named.BENCHMARKS, TINY.name, TINY)
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, TINY)
     monkeypatch.setattr(run_method, "offer", lambda _, goal, **__: shutil.copytree(offered, goal))
     shutil.copytree(made, tmp_path / "sets" / "ball")
     return tmp_path / "sets"
@@ -56,24 +56,24 @@ def with_volume(error: float, low: float, high: float) -> dict[str, Any]:
 
 
 def test_every_named_benchmark_can_be_rendered() -> None:
-    for benchmark in named.BENCHMARKS.values():
+    for benchmark in benchmarks.BENCHMARKS.values():
         assert re.fullmatch(r"[a-z]+-\d+", benchmark.name)
         assert len({case.name for case in benchmark.cases}) == len(benchmark.cases)
         for case in benchmark.cases:
-            assert case.seed >= named.HELD_BACK
+            assert case.seed >= benchmarks.HELD_BACK
             assert len(case.rendered_scene().plan.rings) == case.rings
     with pytest.raises(UserError, match="did you mean quick-1"):
-        named.find("quik-1")
+        benchmarks.find("quik-1")
 
 
 def test_other_seeds_grow_other_plants() -> None:
-    case = named.find("roots-1").chosen(("bean",)).cases[0]
+    case = benchmarks.find("roots-1").chosen(("bean",)).cases[0]
     assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
 
 
 @pytest.mark.parametrize("name", ["quick-1", "hard-1"])
 def test_sets_have_fingerprints(name: str) -> None:
-    benchmark = named.find(name)
+    benchmark = benchmarks.find(name)
     reference = fingerprints.reference(benchmark)
     for case in benchmark.cases:
         assert len(reference[case.name]["pixels"]) == case.views * case.rings
@@ -141,7 +141,7 @@ def test_a_method_that_goes_wrong_is_a_row(command: Command, tiny: Path, tmp_pat
 
 def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     several = replace(TINY, cases=(TINY.cases[0], replace(TINY.cases[0], name="other")))
-    monkeypatch.setitem(named.BENCHMARKS, TINY.name, several)
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, several)
     shutil.copytree(tiny / "ball", tiny / "other")
     count, kept, rows = tmp_path / "count", tmp_path / "kept", tmp_path / "rows.json"
     (tmp_path / "method.py").write_text(
