@@ -123,7 +123,7 @@ def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) 
     ("program", "state", "word"),
     [
         ("import sys; sys.exit('too few corners')", "failed", "too few corners"),
-        ("import time; time.sleep(60)", "timeout", "stopped after 1 s"),
+        ("import time; time.sleep(60)", "timeout", "stopped at the time limit of 1 s"),
         ("import os; os.kill(os.getpid(), 9)", "failed", "code -9"),
         ("pass", "nothing", "no file with a known name"),
         ("import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'shape.ply').write_text('no')", "unreadable", "shape.ply"),
@@ -151,7 +151,7 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     method = f"{sys.executable} {tmp_path / 'method.py'} {{output}}"
     words = ["bench", "run", "tiny-1", tiny, "--method", method, "-o", rows, "--keep", kept]
     command.works(*words)
-    command.fails(*words, named=["kept/ball exists"])  # a complete run is begun anew
+    command.fails(*words, named=["kept/ball already exists"])  # a complete run is begun anew
     stored = json.loads(rows.read_text())
     rows.write_text(json.dumps({**stored, "rows": stored["rows"][:1]}))  # as if it had been stopped there
     shutil.rmtree(kept / "other")

@@ -9,7 +9,7 @@ from rhizotwin.batch import overview
 from rhizotwin.batch.jobs import Job
 from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
-from rhizotwin.experiment.measured import left_out, read_all
+from rhizotwin.experiment.measured import exclusion_notes, read_all
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files, stored_traits
@@ -86,7 +86,7 @@ def test_biomass_fits_reliable_traits_and_predictions_carry_the_verdict(tmp_path
 def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
     path = table(tmp_path)
     path.write_text(path.read_text(encoding="utf-8").replace(",reliable,", ",fine,", 1), encoding="utf-8")
-    with pytest.raises(UserError, match=r"line 2: total_length_verdict is 'fine', but must be one of reliable, not reliable, not assessed"):
+    with pytest.raises(UserError, match=r"line 2: total_length_verdict is 'fine'; it must be one of reliable, not reliable, not assessed"):
         read_all([path])
 
 
@@ -117,7 +117,7 @@ def test_a_scan_that_is_refused_refuses_what_has_no_verdict_of_its_own(ball_resu
     (one,) = read_all([folder])
     assert one.usable("volume") is None
     assert one.usable("depth") is None
-    assert left_out([one], ["depth"]) == [
+    assert exclusion_notes([one], ["depth"]) == [
         "depth: 1 of 1 values are left out, because they are not reliable: the scan is not reliable: too dark"
     ]
 
