@@ -240,7 +240,7 @@ def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
 
 
 def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: list[str]) -> list[tuple[int, float | None]]:
-    """Return ring and table angle of each picture: as planned if the numbers agree, otherwise ring 0 without an angle."""
+    """Return ring and table angle of each picture: as planned if the counts agree, else ring 0 without angle."""
     if given is not None:
         return [(0, None)] * count
     views = plan.views(scene)
@@ -305,8 +305,9 @@ class _Turns:
             for found in self._turns[ring].unlike():
                 if found.name in self._open:
                     raise UserError(
-                        f"{self._folder / found.name}: rows {found.first} to {found.last} differ from all other pictures, which indicates damage; "
-                        "copy or take the picture again or remove it. If it is correct, convert it to PNG, because its format has no "
+                        f"{self._folder / found.name}: rows {found.first} to {found.last} differ from all other pictures, which "
+                        "indicates damage; copy or take the picture again or remove it. If it is correct, convert it to PNG, "
+                        "because its format has no "
                         "checksum that could prove this"
                     )
 

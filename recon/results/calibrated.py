@@ -1,4 +1,4 @@
-"""What a result's pictures told of its rig, for ``result.json``."""
+"""Parameters of the rig that were calibrated from the pictures, for ``result.json``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:  # the command line reads results without starting the engine
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 SWAY_AT_MM = 100.0
-"""Depth at which a sway is told: about that of a grown plant's tips."""
+"""Depth at which the sway is reported, about that of the tips of a grown plant."""
 
 
 def of_cameras(cameras: Cameras) -> Json:
-    """Return what all views together told as JSON values, for the ``rig`` of a result.
+    """Return the calibration from all views as JSON values, for the ``rig`` of a result.
 
-    Empty where the cameras were given and no more.
+    It is empty if the cameras were given.
     """
     found = {} if cameras.markers is None else _of_markers(cameras.markers)
     if found or cameras.roots is not None:
@@ -28,7 +28,7 @@ def of_cameras(cameras: Cameras) -> Json:
 
 
 def _of_markers(found: MarkerCalibration) -> Json:
-    """Return what the markers and the canister's edges told."""
+    """Return the calibration from markers and canister edges."""
     canister = found.canister
     return {
         "canister_from_strip": None if canister is None else canister.canister_from_strip.tolist(),
@@ -69,9 +69,9 @@ def _of_markers(found: MarkerCalibration) -> Json:
 
 
 def _of_roots(cameras: Cameras, focal_scale: float) -> Json:
-    """Return what the roots told; the index's sigma is None where no roots could be asked.
+    """Return the calibration from the roots; the sigma of the refractive index is None if there were no roots.
 
-    ``focal_scale`` is that of the markers; cameras that were corrected by the roots go with theirs.
+    ``focal_scale`` is that of the markers; cameras corrected by the roots include the correction of the latter.
     """
     told, given = cameras.roots, cameras.optics.n_water
     if told is None:

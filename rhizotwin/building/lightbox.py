@@ -1,4 +1,4 @@
-"""Lightbox of the panel (E.1): clips on the frame, holders, and walls that enclose the space between LEDs and diffuser."""
+"""Lightbox of the panel (E.1): clips on the frame, holders, and walls around the space between LEDs and diffuser."""
 
 from itertools import pairwise
 
@@ -26,7 +26,7 @@ WALL_LONG_MM = 200.0
 
 
 def _clip_outline(measures: Measures) -> CrossSection:
-    """Return the outline of a clip: a C around a profile centred at the origin, open towards -y, its back towards +y."""
+    """Return the outline of a clip: a C around a profile at the origin, open towards -y, its back towards +y."""
     half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
     gap = half + fit
     nose = measures.slot_mm / 2.0 - fit
@@ -79,8 +79,7 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
 
 def _holder_back_mm(measures: Measures) -> float:
-    """Return the distance from the back of the holder to the front face of the diffuser, at the middle of its
-    clearance."""
+    """Return the distance from the back of the holder to the front of the diffuser, centred in its clearance."""
     return _slots(measures)[1][1] - measures.fit_mm / 2.0
 
 

@@ -53,14 +53,14 @@ class Measures:
     slot_lip_mm: float = bounded(1.5, 0.5, 6.0)
     """Depth of the slot opening before it widens."""
     camera_holes_mm: float = bounded(30.0, 10.0, 100.0)
-    """Distance of the M2.5 holes of the camera board (Raspberry Pi HQ camera: 30 x 30 on a board of 38 x 38)."""
+    """Distance of the M2.5 holes of the camera board (Raspberry Pi HQ camera: 30 x 30, board 38 x 38)."""
     camera_board_mm: float = bounded(38.0, 15.0, 120.0)
     """Side length of the camera board."""
     camera_centre_mm: float = bounded(18.0, 0.0, 200.0)
     """Distance from the back of the camera board to the projection centre of the lens: about the 17.5 mm of the C
     mount, until calibrated."""
     roll_face_mm: float = bounded(55.0, 5.0, 300.0)
-    """Distance from the wrist pitch axis of the arm to the horn of its roll servo (xArm: 53 to 55 in published models)."""
+    """Distance from the wrist pitch axis of the arm to the horn of its roll servo (xArm: 53 to 55)."""
     horn_holes_mm: tuple[float, float] = bounded((12.0, 20.0), 2.0, 100.0)
     """Minimum and maximum bolt circle of that horn, covered by the slots of the bracket."""
     arm_base_mm: tuple[float, float] = bounded((80.0, 60.0), 20.0, 400.0)

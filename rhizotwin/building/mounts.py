@@ -40,8 +40,9 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
     deep = arm.links_mm[3] - measures.roll_face_mm - measures.camera_centre_mm
     if deep < PLATE_MM + LEAST_POST_MM:
         raise UserError(
-            f"arm.links_mm leaves {deep:.1f} mm between the horn of the roll servo and the camera board, but {PLATE_MM + LEAST_POST_MM:g} mm "
-            f"are required: its last value must be at least {measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM:.1f}"
+            f"arm.links_mm leaves {deep:.1f} mm between the horn of the roll servo and the camera board, but "
+            f"{PLATE_MM + LEAST_POST_MM:g} mm are required: its last value must be at least "
+            f"{measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM:.1f}"
         )
     low, high = measures.horn_holes_mm[0] / 2.0, measures.horn_holes_mm[1] / 2.0
     slots = [slot(M3_MM, (low * x, low * y), (high * x, high * y)) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]

@@ -54,8 +54,7 @@ def parts(
     bed_mm : tuple
         Build volume of your printer: width, depth and height in mm.
     part : tuple of str
-        Write only this part, such as net_pot, without the drawings of the whole rig; may be repeated; default: all
-        parts.
+        Part to write, such as net_pot, without the drawings of the whole rig; may be repeated; default: all.
 
     Examples
     --------

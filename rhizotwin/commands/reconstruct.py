@@ -63,9 +63,8 @@ def reconstruct(
     """Reconstruct root shape and volume from the pictures of a dataset.
 
     The camera poses are estimated from the marker strip, the silhouettes are segmented, and the roots are fitted to the
-    silhouettes of all views with refraction taken into account. The ground truth of a simulated dataset is not used; it
-    is only shown next to the result. Pictures that contradict all others, such as an incomplete file, are excluded with
-    a warning.
+    silhouettes of all views, including refraction. The ground truth of a simulated dataset is only shown next to the
+    result. Pictures that contradict all others, such as an incomplete file, are excluded with a warning.
 
     Parameters
     ----------
@@ -74,8 +73,7 @@ def reconstruct(
     output : Path
         Result folder to write: new, empty, or an earlier result, which is replaced.
     voxel_mm : float
-        Edge length of the smallest voxels, 0.01 to 10 mm, default 0.27; smaller voxels give finer shapes and take
-        longer.
+        Edge length of the smallest voxels, 0.01 to 10 mm, default 0.27; smaller voxels take longer.
     mass_g : float, optional
         Fresh mass of the roots in grams, for specific root length and tissue density.
     pictures : PictureChoice

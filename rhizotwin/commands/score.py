@@ -73,15 +73,13 @@ def score(
       --volume-ml  a measured volume: volume only
       --pictures   pictures that were not used in the reconstruction: area, outlines and centre lines, in pixels
 
-    Relative errors are estimate / true - 1; errors of angles are differences in degrees.
-
-    To score the output of another method, give one of --mesh, --voxels, --points, --rsml or --traits, and the simulated
-    dataset as the only folder.
+    Relative errors are estimate / true - 1; errors of angles are differences in degrees. To score the output of another
+    method, give one of --mesh, --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
 
     Parameters
     ----------
     result : Path
-        Result folder, written by 'rhizotwin reconstruct'; for another method's file, the simulated dataset instead.
+        Result folder; for the file of another method, the simulated dataset.
     dataset : Path, optional
         Simulated dataset from which the result was reconstructed.
     foreign : ForeignFile
@@ -91,8 +89,7 @@ def score(
     volume_ml : float, optional
         Measured volume of the specimen in ml, for example by water displacement.
     pictures : Path, optional
-        Dataset of the same plant on the same rig: another scan, or the complete scan of which the result used a part.
-        Pictures that the reconstruction used are not compared.
+        Dataset of the same plant and rig, with pictures that were not used in the reconstruction.
     as_json : bool
         Print all numbers as JSON instead of a table.
     progress : Progress

@@ -32,8 +32,7 @@ def traits(
     results : list of Path
         Result folders, or folders that contain results, such as the output of 'rhizotwin batch'.
     mass_g : tuple of float, optional
-        Fresh mass of the roots in grams, one value per result in the same order; default: the mass given to 'rhizotwin
-        reconstruct'.
+        Fresh mass of the roots in grams, one value per result in the same order; default: as given to 'reconstruct'.
     table : Path, optional
         Table to write, .csv or .json; must not exist yet.
 

@@ -10,11 +10,12 @@ from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.trait_table import csv_text, written
+from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, written
 from rhizotwin.stored import result_files
 
 CURVES = ("total_length", "volume", "depth", "tips")
 """Traits with growth curves and comparisons."""
+_COLUMNS = {d.name: d.column for d in DEFINITIONS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +153,7 @@ def traits_csv(growth: Growth) -> str:
     The rate refers to the preceding day and ignores values that are not reliable.
     """
     dissolved = solution.headings(list(growth.doses.values()))
-    head = ["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "relative_growth_rate (1/day)"]
+    head = ["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "reasons", "relative_growth_rate_per_day"]
     rows: list[Sequence[str]] = [[*head, *dissolved.values()]]
     for trait in CURVES:
         rates = {(plant, end): rate for plant, _, end, rate in relative_rates(growth.seen.get(trait, ()))}
@@ -162,7 +163,10 @@ def traits_csv(growth: Growth) -> str:
             numbers = [written(value) for value in (one.traits[trait], low, high)]
             doses = [written(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]
             rows.append(
-                [plant, one.subject.treatment, f"{day:g}", trait, *numbers, assessed.verdict, written(rates.get((plant, day))), *doses]
+                [
+                    *(plant, one.subject.treatment, f"{day:g}", _COLUMNS[trait], *numbers),
+                    *(assessed.verdict, ";".join(assessed.codes), written(rates.get((plant, day))), *doses),
+                ]
             )
     return csv_text(rows)
 
@@ -173,7 +177,7 @@ def roots_csv(growth: Growth) -> str:
     Columns are: name, parent, order, day of emergence, length, elongation rate since the preceding observation,
     diameter, and the verdict on the total length of the scan.
     """
-    head = ["plant", "root", "parent", "order", "emergence_day", "day", "length (mm)", "elongation (mm/day)", "diameter (mm)", "verdict"]
+    head = ["plant", "root", "parent", "order", "emergence_day", "day", "length_mm", "elongation_mm_per_day", "diameter_mm", "verdict"]
     rows: list[Sequence[str]] = [head]
     for plant, tracked in growth.tracked.items():
         verdicts = {one.subject.day: one.assessment("total_length").verdict for one in growth.plants[plant]}
@@ -188,13 +192,13 @@ def roots_csv(growth: Growth) -> str:
 
 def treatments_csv(growth: Growth) -> str:
     """Return a table with one row per trait and treatment: difference from the first treatment, intervals, p values."""
-    head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate (1/day)", "rate_p", "plants", "significant"]
+    head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate_per_day", "rate_p", "plants", "significant"]
     rows: list[Sequence[str]] = [head]
     for trait, compared in growth.compared.items():
         for one in compared:
             numbers = (one.size, *one.size_interval, one.size_p, one.rate_per_day, one.rate_p)
             apart = "yes" if one.is_significant else "no"
-            rows.append([trait, one.treatment, one.against, *(written(value) for value in numbers), str(one.plants), apart])
+            rows.append([_COLUMNS[trait], one.treatment, one.against, *(written(value) for value in numbers), str(one.plants), apart])
     return csv_text(rows)
 
 
@@ -205,7 +209,16 @@ def doses_csv(growth: Growth) -> str:
     for trait, responses in growth.responses.items():
         for one in responses:
             numbers = (*one.range_mmol, one.slope, *one.slope_interval, one.slope_p, one.rate, one.rate_p, one.curvature_p)
-            rows.append([trait, one.ion, " ".join(one.with_ions), *(written(value) for value in numbers), str(one.levels), str(one.plants)])
+            rows.append(
+                [
+                    _COLUMNS[trait],
+                    one.ion,
+                    " ".join(one.with_ions),
+                    *(written(value) for value in numbers),
+                    str(one.levels),
+                    str(one.plants),
+                ]
+            )
     return csv_text(rows)
 
 

@@ -23,6 +23,7 @@ IN_90 = 1.6448536269514722
 """Half width of the 90 % interval of a normal distribution in standard deviations."""
 _MM3 = {"mm3": 1.0, "ml": 1000.0, "cm3": 1000.0, "l": 1e6}
 _HEAD = re.compile(r"(\w+)(?: \((\S+)\))?")
+_SUFFIX = re.compile(r"(\w+?)(_low|_high|_verdict)?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,21 +157,24 @@ def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[st
 
 
 def _of_row(row: tables.Row) -> Measured:
-    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT)}
-    columns = known | {f"{name}_{end}" for name in known for end in ("low", "high")}
+    """Read a row of a table of traits; columns may also have the names of earlier versions, as ``volume (mm3)``."""
+    names = trait_table.column_names()
     numbers: dict[str, float] = {}
     for column in row.cells:
         match = _HEAD.fullmatch(column)
-        if match is None or match[1] not in columns:
+        stem, end = ("", "") if match is None else _split(match[1])
+        if match is None or end == "_verdict" or stem not in names:
             continue
         value = tables.number(row, column)
         if value is None:
             continue
-        is_volume = match[1] in ("volume", "volume_low", "volume_high")
-        if is_volume and match[2] not in _MM3:
-            raise UserError(f"{row.where}: the column {column} must have a unit, (mm3) or (ml)")
-        numbers[match[1]] = value * (_MM3[match[2]] if is_volume else 1.0)
-    traits = {name: value for name, value in numbers.items() if name in known}
+        in_mm3 = 1.0
+        if stem == "volume":
+            if match[2] not in _MM3:
+                raise UserError(f"{row.where}: the column {column} must have a unit, (mm3) or (ml)")
+            in_mm3 = _MM3[match[2]]
+        numbers[names[stem] + end] = value * in_mm3
+    traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
     return Measured(
         name=row.cells.get("result") or row.where,
         subject=subject.of_cells(row.cells, row.where),
@@ -178,6 +182,12 @@ def _of_row(row: tables.Row) -> Measured:
         traits=traits,
         assessed={name: _assessment(row, name, numbers) for name in traits},
     )
+
+
+def _split(column: str) -> tuple[str, str]:
+    """Return the name of a trait in a column name, and the suffix: ``_low``, ``_high``, ``_verdict`` or nothing."""
+    match = _SUFFIX.fullmatch(column)
+    return (column, "") if match is None else (match[1], match[2] or "")
 
 
 def _ions(row: tables.Row) -> dict[str, float]:
@@ -191,12 +201,13 @@ def _ions(row: tables.Row) -> dict[str, float]:
 
 def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
     """Read interval and verdict of a trait; a column ``trusted`` (yes or no) is the verdict on the volume."""
-    word = row.cells.get(f"{name}_verdict", "")
+    columns = [f"{column}_verdict" for column, own in trait_table.column_names().items() if own == name]
+    word = next((row.cells[column] for column in columns if row.cells.get(column)), "")
     if name == "volume" and not word:
         word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")
     verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)}
     if word and word not in verdicts:
-        raise UserError(f"{row.where}: {name}_verdict is {word!r}; it must be one of {', '.join(verdicts)}")
+        raise UserError(f"{row.where}: the verdict on {name} is {word!r}; it must be one of {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
     interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
     return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

@@ -130,14 +130,14 @@ def read_points(path: Path) -> Floats:
 def read_traits(path: Path) -> dict[str, Stated]:
     """Read a table of traits with the columns ``trait`` and ``value``, and ``low`` and ``high`` for a 90 % interval.
 
-    Names and units are those of ``rhizotwin traits``; other rows are ignored.
+    Names and units are those of ``rhizotwin traits``, with or without the unit in the name; other rows are ignored.
 
     Raises
     ------
     UserError
         If the file is missing, lacks these columns, or a number is invalid.
     """
-    names = {definition.name for definition in DEFINITIONS}
+    names = {column: name for one in DEFINITIONS for column, name in ((one.name, one.name), (one.column, one.name))}
     text = read_file(path).decode("utf-8", errors="replace")
     rows = csv.DictReader(io.StringIO(text))
     if not {"trait", "value"} <= set(rows.fieldnames or ()):
@@ -147,9 +147,9 @@ def read_traits(path: Path) -> dict[str, Stated]:
         if row["trait"] in names and row["value"]:
             value, low, high = (_number(row, name, f"{path}, line {line}") for name in ("value", "low", "high"))
             if value is not None:
-                found[row["trait"]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
+                found[names[row["trait"]]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
     if not found:
-        raise UserError(f"{path}: no row is a trait of 'rhizotwin traits', such as {', '.join(sorted(names)[:4])}")
+        raise UserError(f"{path}: no row is a trait of 'rhizotwin traits', such as {', '.join(one.column for one in DEFINITIONS[:4])}")
     return found
 
 

@@ -51,9 +51,9 @@ def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[Rig
 
 def _true(row: Row, truth: Truth) -> float | None:
     """Return the true value of a row; None if unknown."""
-    if row.quantity == "refractive index of the water":
+    if row.quantity == "index of the water":
         return truth.n_water
-    if row.quantity == "focal length relative to the given":
+    if row.quantity == "focal length over the given":
         error = truth.drawn.get("focal_error")
         return None if error is None else 1.0 + float(error)
     name, _, what = row.quantity.partition(": ")

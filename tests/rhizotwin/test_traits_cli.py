@@ -30,7 +30,7 @@ def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, 
     command.works(*words)
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert [row["result"] for row in rows] == ["one", "two"]
-    assert [float(row["tissue_density (g/ml)"]) for row in rows] == pytest.approx([2.0, 2.0])
+    assert [float(row["tissue_density_g_per_ml"]) for row in rows] == pytest.approx([2.0, 2.0])
     assert rows[0]["warnings"] == "it is dark, alas"
     command.fails(*words, named=["already exists"])
 
@@ -40,8 +40,8 @@ def test_json_has_every_number_and_the_mass_that_was_kept(results: list[Path], t
     (stored,) = json.loads((tmp_path / "t.json").read_text())
     assert (stored["result"], stored["mass_g"]) == ("one", 1.0)
     values = {trait["name"]: trait["value"] for trait in stored["traits"]}
-    assert values["tissue_density"] == pytest.approx(1.0 / 0.905)
-    assert values["total_length"] is None
+    assert values["tissue_density_g_per_ml"] == pytest.approx(1.0 / 0.905)
+    assert values["total_length_mm"] is None
 
 
 def test_mistakes(results: list[Path], command: Command) -> None:

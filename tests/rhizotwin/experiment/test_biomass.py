@@ -170,7 +170,7 @@ def test_results_without_trust_and_without_partner_are_told(twins: list[Measured
     found, notes = biomass.pairs(doubted, read_masses(path, balance_g=1e-4))
     assert len(biomass.ratios(found)) == 19
     assert any("no result of plant P99" in note for note in notes)
-    assert "volume: 1 of 20 values are left out, because they are not reliable: too few views" in notes
+    assert "volume: 1 of 20 values are excluded, because they are not reliable: too few views" in notes
 
 
 def test_the_twins_eighteen_radishes_have_the_density_of_water() -> None:

@@ -108,7 +108,7 @@ def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Com
     told = command.works("growth", table(tmp_path), "-o", out).out
     assert "from 1.34 to 10.7 mmol/l K, together with H2PO4, NO3, on the mean day" in told
     (row,) = csv.DictReader((out / "doses.csv").read_text(encoding="utf-8").splitlines())
-    assert (row["trait"], row["ion"], row["together_with"], row["levels"]) == ("total_length", "K", "H2PO4 NO3", "4")
+    assert (row["trait"], row["ion"], row["together_with"], row["levels"]) == ("total_length_mm", "K", "H2PO4 NO3", "4")
     assert float(row["low"]) < SLOPE < float(row["high"])
     assert (out / "doses.png").read_bytes()[:4] == b"\x89PNG"
     assert "Dose response" in (out / "growth.html").read_text(encoding="utf-8")
