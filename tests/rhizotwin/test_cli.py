@@ -124,7 +124,7 @@ MISTAKES = [
     ("plan sphere_20mm -o d --heights=10:95", "out of range"),
     ("plan sphere_20mm -o d --heights=-1e9", "out of range"),
     ("plan sphere_20mm -o d --within 0", "out of range"),
-    ("plan sphere_20mm -o pictures", "no earlier plan"),
+    ("plan sphere_20mm -o pictures", "do not belong to an earlier plan"),
     ("markers", "SCENE"),
     ("markers printed_8ml -o strip.png", "strip.png"),
     ("markers printed_8ml -o strip.pdf --page a9", "'a9' is not a page size"),
@@ -210,7 +210,7 @@ def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("rhizotwin.commands.scenes.scenes", load)
     before = signal.getsignal(signal.SIGINT)
-    command.fails("scenes", named=["stopped"], code=cli.EXIT_STOPPED)
+    command.fails("scenes", named=["interrupted"], code=cli.EXIT_STOPPED)
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -224,7 +224,7 @@ def test_ctrl_c_in_a_running_simulation(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60.0)
     assert process.returncode == cli.EXIT_STOPPED
-    assert said.decode().splitlines()[-1] == "rhizotwin: stopped; the same command takes it up again"
+    assert said.decode().splitlines()[-1] == "rhizotwin: interrupted; run the same command again to continue"
     assert "Traceback" not in said.decode()
     assert not (out / "dataset.json").exists()
     assert not [path for path in tmp_path.rglob("*") if path.name.endswith(".tmp")]
@@ -266,5 +266,5 @@ def test_options_change_the_scene(tmp_path: Path) -> None:
 def test_demo_never_overwrites_what_is_no_demo(tmp_path: Path, command: Command) -> None:
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "mine.png").touch()
-    command.fails("demo", "-o", tmp_path, named=["not made by the demo"])
+    command.fails("demo", "-o", tmp_path, named=["not written by the demo"])
     assert (tmp_path / "dataset" / "mine.png").exists()

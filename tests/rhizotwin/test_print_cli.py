@@ -38,7 +38,7 @@ def test_from_twin_pictures_to_a_scene_with_their_lens(tmp_path: Path, monkeypat
     found = load_scene(tmp_path / "lens" / "camera.toml").camera
     np.testing.assert_allclose(found.focal_px, true["focal_px"], rtol=1e-3)
 
-    command.fails("calibrate camera twin -o two --scene mine.toml", named=["its camera takes pictures of 800x600 px"])
+    command.fails("calibrate camera twin -o two --scene mine.toml", named=["has 800x600 pixels"])
     text = (tmp_path / "mine.toml").read_text(encoding="utf-8")
     (tmp_path / "mine.toml").write_text(text.replace("image_wh = [800, 600]", "image_wh = [400, 300]"), encoding="utf-8")
     command.works("calibrate camera twin -o two --scene mine.toml")

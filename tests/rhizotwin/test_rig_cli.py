@@ -38,7 +38,7 @@ def test_scan_of_the_twin(scene: Path, tmp_path: Path, command: Command) -> None
     record, words = tmp_path / "wire.jsonl", ("scan", "--rig", "twin", "--scene", scene, "-o", tmp_path / "d", *SKETCH)
     command.fails(*words, "--record", scene, named=["is not a recording"])
     assert load_scene(scene)
-    assert "3 pictures in" in command.works(*words, "--record", record).out
+    assert "wrote 3 pictures to" in command.works(*words, "--record", record).out
     dataset = load_dataset(tmp_path / "d")
     assert dataset.origin["complete"]
     assert dataset.seed == 2
@@ -79,7 +79,7 @@ def test_jog_from_a_pipe(scene: Path, command: Command, monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "stdin", io.StringIO("home 0\ntable +9\npose\nquit\n"))
     assert "table at 9.000 deg" in command.works(*words).out
     monkeypatch.setattr(sys, "stdin", io.StringIO("table sideways\nhome 0\n"))
-    assert "table at" not in command.fails(*words, named=["'table sideways' is not understood"]).out
+    assert "table at" not in command.fails(*words, named=["'table sideways' is not a valid command"]).out
 
 
 def test_example_is_written_once(tmp_path: Path, command: Command) -> None:
