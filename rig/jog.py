@@ -72,7 +72,7 @@ class Jog:
             "pose": Word(usage="pose", does="print the positions of turntable, joints and camera", run=self._pose),
             "markers": Word(usage="markers", does="take a picture and report the detected markers", run=self._markers),
             "picture": Word(usage="picture FILE.png", does="take a picture and write it to a file", run=self._picture),
-            "help": Word(usage="help", does="say this", run=self._help),
+            "help": Word(usage="help", does="print this list", run=self._help),
         }
 
     def run(self, lines: Iterable[str], *, stop_at_mistake: bool) -> None:

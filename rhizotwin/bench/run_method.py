@@ -33,18 +33,18 @@ TIMEOUT_S = 3600.0
 _SMALL = """
 import json, subprocess, sys
 try:
-    told = {"exit_code": subprocess.call(sys.argv[2:])}
+    measured = {"exit_code": subprocess.call(sys.argv[2:])}
 except OSError as error:
     sys.exit(f"{sys.argv[2]} cannot be started: {error.strerror}")
 try:
     import resource
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes there, KiB elsewhere
-    told |= {"cpu_s": used.ru_utime + used.ru_stime, "memory_mib": used.ru_maxrss / unit}
+    measured |= {"cpu_s": used.ru_utime + used.ru_stime, "memory_mib": used.ru_maxrss / unit}
 except ImportError:
     pass
 with open(sys.argv[1], "w", encoding="utf-8") as file:
-    json.dump(told, file)
+    json.dump(measured, file)
 """
 """Helper process that starts the method, because Linux includes the parent in the peak memory of a process."""
 _LAST_WORDS = 400
@@ -208,8 +208,8 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
     """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
-        asked = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
-        if asked != (*(stored[name] for name in ("schema_version", "benchmark", "command", "cameras")), stored["versions"]["rhizotwin"]):
+        expected = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
+        if expected != (*(stored[name] for name in ("schema_version", "benchmark", "command", "cameras")), stored["versions"]["rhizotwin"]):
             return {}
         rows = [Row(**row) for row in stored["rows"]]
     except (UserError, KeyError, TypeError, ValueError, RecursionError):
@@ -257,8 +257,8 @@ def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> R
             child.wait()
         errors.seek(0)
         last = errors.read().decode(errors="replace").strip().splitlines()
-    told = json.loads(used.read_text(encoding="utf-8")) if used.is_file() else {}
-    code = told.get("exit_code", child.returncode)
+    measured = json.loads(used.read_text(encoding="utf-8")) if used.is_file() else {}
+    code = measured.get("exit_code", child.returncode)
     cause = f": {printable(last[-1])[:_LAST_WORDS]}" if last else ""
     return Row(
         case=case,
@@ -266,8 +266,8 @@ def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> R
         sentence=f"exited with code {code}{cause}" if code else "",
         exit_code=code,
         wall_s=time.perf_counter() - began,
-        cpu_s=told.get("cpu_s"),
-        memory_mib=told.get("memory_mib"),
+        cpu_s=measured.get("cpu_s"),
+        memory_mib=measured.get("memory_mib"),
     )
 
 

@@ -157,7 +157,7 @@ def _take(
 
 
 def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
-    """Return who looks on: the live page, where it is asked for."""
+    """Start the live page if requested."""
     if not watching.watch:
         from rhizotwin.rig.scanning.onlooker import Onlooker
 

@@ -61,9 +61,9 @@ class PictureScore:
 
     def table(self) -> str:
         """Format the score as a text table."""
-        said = f", {self.known} used pictures are ignored" if self.known else ""
+        ignored = f", {self.known} used pictures are ignored" if self.known else ""
         rows = [
-            ("pictures", f"{self.pictures} unused{said}"),
+            ("pictures", f"{self.pictures} unused{ignored}"),
             ("area", f"intersection over union {100.0 * self.iou:.1f} %"),
             ("outlines apart", f"median {self.edge_median_px:.2f} px, 95 % {self.edge_p95_px:.2f} px"),
             ("centre line distance", f"median {self.line_median_px:.2f} px, 95 % {self.line_p95_px:.2f} px"),

@@ -1,11 +1,4 @@
-"""The arm as five joints in degrees, on either servo protocol.
-
-Limits, speed, verification, and stopping where something is wrong.
-
-Servos say neither that a move is done nor that it failed. So a move is given a duration that follows from its distance,
-the arm waits for that long without asking anything, and then compares where every joint stands with where it was sent.
-A joint that is blocked, too warm, or has lost its torque shows there.
-"""
+"""The arm as five joints in degrees, with either servo protocol."""
 
 import math
 
@@ -28,7 +21,7 @@ _STILL_LIMIT_S = 5.0
 _COMMAND_TRIES = 2
 _UNMOVED_COUNTS = 2
 _DEAD_COUNTS = 4
-"""A joint with less far to go may not stir: dead band and sag."""
+"""A joint with a smaller remaining distance may not move, because of dead band and sag."""
 
 Counts = dict[int, int]
 
@@ -74,10 +67,10 @@ class ServoArm:
         self._ids = tuple(joint.servo for joint in part.joints)
         self._prepared = False
         self._rests_at: Counts | None = None
-        """Where the last move ended; None after anything else."""
+        """End position of the last move; None after anything else."""
 
     def describe(self) -> str:
-        """Say what answers: the bus, the voltage, the warmest servo."""
+        """Describe the arm: bus, voltage, warmest servo."""
         words = f"{self._bus.describe()}, {len(self._ids)} servos, {self._bus.voltage_v(self._ids):.1f} V"
         temperatures_c = self._bus.temperatures_c(self._ids)
         if temperatures_c is None:
@@ -123,14 +116,11 @@ class ServoArm:
             raise
 
     def read_joints(self) -> tuple[float, ...]:
-        """Read the joint angles back."""
+        """Read the joint angles."""
         return self._joints_deg(self._bus.positions(self._ids))
 
     def holds(self) -> bool:
-        """Whether every joint still has its torque on.
-
-        Where the protocol cannot tell, whether the arm still stands where it came to rest: without torque it drops.
-        """
+        """Whether all joints are powered."""
         return self._prepared and self._limp() is None
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
@@ -150,7 +140,7 @@ class ServoArm:
         """
         target = self._checked_counts(joints_deg)
         if not self._prepared:
-            raise LostError("arm: its torque is off; prepare it before it is moved")
+            raise LostError("arm: the servos are unpowered; prepare the arm before moving it")
         self._check_torque()
         here = start = self._still()
         way_deg = max(abs(target[j.servo] - start[j.servo]) / j.counts_per_deg for j in self._part.joints)
@@ -168,30 +158,22 @@ class ServoArm:
         return self._joints_deg(here)
 
     def health(self) -> None:
-        """Check the supply, the temperatures, and that no servo has lost its torque.
-
-        Raises
-        ------
-        UnsafeError
-            When a servo is too warm or the voltage out of its range.
-        LostError
-            When a servo's torque is off though it was switched on.
-        """
+        """Check supply and temperatures, and that all servos are powered."""
         self._check_supply_and_warmth()
         self._check_torque()
 
     def relax(self) -> None:
-        """Switch the torque off: the arm drops unless it rests on something."""
+        """Unpower the servos: the arm drops unless it is supported."""
         self._prepared = False
         self._rests_at = None
         self._bus.load(self._ids, False)
 
     def close(self) -> None:
-        """Close the port; the torque stays as it is."""
+        """Close the port; the torque is not changed."""
         self._bus.close()
 
     def _move_one(self, start: Counts, to: Counts, duration_s: float) -> Counts:
-        """Make one move that fits into one command, and return where it ended."""
+        """Execute one move that fits into one command, and return its end position."""
         tries = 0
         while True:
             self._bus.move(to, duration_s)
@@ -209,13 +191,13 @@ class ServoArm:
             if worst is None:
                 return now
             raise UnsafeError(
-                f"arm: the {self._name(worst.servo)} was sent to {_to_deg(worst, to[worst.servo]):.1f} deg but stands at"
+                f"arm: the {self._name(worst.servo)} was commanded to {_to_deg(worst, to[worst.servo]):.1f} deg but is at"
                 f" {_to_deg(worst, now[worst.servo]):.1f} deg: it is blocked, overloaded, or its command was damaged;"
                 " the arm was stopped, clear its way before it is moved again"
             )
 
     def _still(self) -> Counts:
-        """Read positions until the arm stands still."""
+        """Read positions until the arm is at rest."""
         deadline_s = self._clock.now_s() + _STILL_LIMIT_S
         before = self._bus.positions(self._ids)
         while True:
@@ -225,18 +207,18 @@ class ServoArm:
             if not moving:
                 return now
             if self._clock.now_s() > deadline_s:
-                raise UnsafeError(f"arm: the {self._name(moving[0])} does not come to rest; let go of the arm, or look for what moves it")
+                raise UnsafeError(f"arm: the {self._name(moving[0])} does not come to rest; release the arm, or find what moves it")
             before = now
 
     def _stop_once(self) -> None:
-        """Try to stop, on the way out of an error that matters more than whether this works."""
+        """Try to stop after an error; failures are ignored in favour of that error."""
         try:
             self._bus.stop(self._ids)
         except RigError:
             return
 
     def _off_target(self, target: Counts, now: Counts) -> Joint | None:
-        """Return the joint that is farthest from its target, if it is beyond the tolerance."""
+        """Return the joint with the largest deviation from its target, if it exceeds the tolerance."""
         off_deg = [abs(now[joint.servo] - target[joint.servo]) / joint.counts_per_deg for joint in self._part.joints]
         worst = max(range(JOINTS), key=off_deg.__getitem__)
         return self._part.joints[worst] if off_deg[worst] > self._part.tolerance_deg else None
@@ -251,11 +233,12 @@ class ServoArm:
         for servo, celsius in (self._bus.temperatures_c(self._ids) or {}).items():
             if celsius > part.max_celsius:
                 raise UnsafeError(
-                    f"arm: the {self._name(servo)} is at {celsius} °C, above {part.max_celsius:g} °C; let it cool with the arm at rest"
+                    f"arm: the {self._name(servo)} is at {celsius} °C, above {part.max_celsius:g} "
+                    "°C; let it cool down in the parking position"
                 )
 
     def _limp(self) -> int | None:
-        """Return a servo whose torque is off, as far as that can be told."""
+        """Return an unpowered servo, if this can be read."""
         loaded = self._bus.loaded(self._ids)
         if loaded is not None:
             return next((servo for servo, on in loaded.items() if not on), None)
@@ -269,7 +252,7 @@ class ServoArm:
         if limp is not None:
             self._prepared = False
             raise LostError(
-                f"arm: the {self._name(limp)} has lost its torque, as after a brown-out or its own protection;"
+                f"arm: the {self._name(limp)} has lost its torque, as after a voltage drop or self-protection;"
                 " check the supply, then prepare the arm again"
             )
 
@@ -286,7 +269,7 @@ class ServoArm:
 
     def _checked_counts(self, joints_deg: tuple[float, ...]) -> Counts:
         if len(joints_deg) != JOINTS:
-            raise UnsafeError(f"arm: {len(joints_deg)} joint angles were given but it has {JOINTS} joints; nothing was moved")
+            raise UnsafeError(f"arm: {len(joints_deg)} joint angles are given but the arm has {JOINTS} joints; nothing was moved")
         counts = {}
         for joint, angle_deg in zip(self._part.joints, joints_deg, strict=True):
             name = self._name(joint.servo)

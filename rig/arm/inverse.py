@@ -1,14 +1,4 @@
-"""Joint angles for a wanted place of the camera.
-
-In closed form (thesis section 3.3), and by Newton's method (appendix C.3).
-
-Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and
-the camera. The closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left
-over. Newton's method takes the least squares of both or, where the target may turn about an axis, meets it exactly:
-then there are six unknowns for six equations.
-
-Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
-"""
+"""Inverse kinematics: joint angles for a camera pose."""
 
 from dataclasses import dataclass
 
@@ -20,71 +10,50 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Lengths below this are rounding."""
+"""Tolerance of lengths for rounding errors."""
 NEAR_AXIS_MM = 1.0
 """Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical
 axis."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
-"""Newton's method ends when the camera is this close, or when the joints move by less than CLOSE_RAD."""
+"""Newton's method ends if the camera is within these distances, or the joints move by less than CLOSE_RAD."""
 DAMPING = 0.1
 """Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are
 Newton's own."""
 UNIT_MM = 100.0
-"""Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
+"""Length equivalent to one radian, about the length of a link, so that millimetres and angles have similar weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
-    """The closed form's answers: base forward or backward, times elbow positive or negative."""
+    """Solutions of the closed form: base forward or backward, times elbow positive or negative."""
 
     joints_rad: Array
     """(..., 4, 5), within -pi to pi; NaN where out of reach."""
     left_over_rad: Array
-    """(...,) smallest angle between the wanted orientation and one that five joints can give at that place."""
+    """(...,) smallest angle between the required orientation and one that five joints can reach at that position."""
     wrist_mm: Array
-    """(...,) distance of the wrist from the shoulder that is asked for."""
+    """(...,) required distance between wrist and shoulder."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Newton's answers."""
+    """Solutions of Newton's method."""
 
     joints_rad: Array
     """(..., 5)."""
     steps: NDArray[np.int64]
-    """(...,) steps taken."""
+    """(...,) number of steps."""
     converged: NDArray[np.bool_]
-    """(...,) whether it came to rest."""
+    """(...,) whether the iteration converged."""
     left_over: Array
-    """(..., 6) twist that is still between the camera and the target: mm, rad."""
+    """(..., 6) remaining twist between camera and target: mm, rad."""
     turned_rad: Array
-    """(...,) how far the target was turned about the free axis."""
+    """(...,) rotation of the target about the free axis."""
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm by its end's place (x, y) and its last link's direction theta.
-
-    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
-    digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
-    is out of reach.
-
-    Parameters
-    ----------
-    links_mm : tuple of float
-        From shoulder to elbow, wrist and end.
-    x_mm, y_mm : (...) array
-        Place of the end, x upwards as the angles are 0.
-    theta_rad : (...) array
-        Direction of the last link.
-    elbow : int
-        Sign of q2.
-
-    Returns
-    -------
-    (..., 3) array
-        Joint angles, rad.
-    """
+    """Return q1, q2, q3 (..., 3) of a planar arm from its end (x, y) and the direction theta of its last link."""
     l1, l2, l3 = links_mm
     theta = np.asarray(theta_rad, dtype=float)
     x_w = np.asarray(x_mm) - l3 * np.cos(theta)
@@ -99,22 +68,7 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles that put the camera's centre where it is wanted.
-
-    Its orientation is the nearest to the wanted one.
-
-    Parameters
-    ----------
-    part : ArmPart
-        Its links.
-    arm_from_cam : (..., 4, 4) array
-        Wanted.
-
-    Returns
-    -------
-    Branches
-        Joint angles (..., 4, 5) of two bases by two elbows, and what they leave over.
-    """
+    """Return all joint angles for a position of the camera."""
     base, *links = part.links_mm
     l1, l2, l3 = links
     at, rotation = arm_from_cam[..., :3, 3], arm_from_cam[..., :3, :3]
@@ -139,28 +93,7 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 
 
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
-    """Find joint angles step by step, from a start, by the pseudo-inverse of the body Jacobian.
-
-    Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
-    0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
-    fades with |V|^2.
-
-    Parameters
-    ----------
-    part : ArmPart
-        Its links.
-    arm_from_cam : (..., 4, 4) float64 array
-        Wanted.
-    start_rad : (..., 5) float64 array
-        Or (5,) for all targets.
-    arm_from_axis : float64 array or None
-        A frame about whose z axis the target may be turned at no cost.
-
-    Returns
-    -------
-    Found
-        Angles, and how near they come.
-    """
+    """Find joint angles iteratively, with the pseudo-inverse of the body Jacobian."""
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)
     count = len(goal)
@@ -198,10 +131,7 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the plane through the base's axis and the camera.
-
-    On that axis, of the one with the optical axis.
-    """
+    """Return the direction (...,) of the plane through the axis of the base and the camera."""
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
     level = np.hypot(ahead[..., 0], ahead[..., 1])
@@ -231,7 +161,7 @@ def _step(jacobian: Array, twist: Array) -> Array:
 
 
 def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
-    """Return the rotations (N, 4, 4) of the arm's space about the axis."""
+    """Return rotations (N, 4, 4) about the axis in the frame of the arm."""
     turn = np.zeros((len(angle_rad), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
     turn[:, 1, 0] = np.sin(angle_rad)
@@ -241,12 +171,12 @@ def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
 
 
 def _turning(arm_from_axis: Array, camera: Array) -> Array:
-    """Return the twist (N, 6) that a camera has in its own frame when it goes round the axis."""
+    """Return the twist (N, 6), in the camera frame, of a rotation about the axis."""
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)
 
 
 def _wrapped(angle_rad: Array) -> Array:
-    """Return angles within -pi to pi."""
+    """Wrap angles to -pi to pi."""
     return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))

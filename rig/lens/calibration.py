@@ -300,29 +300,31 @@ def _refuse(made: Calibration) -> None:
 
 def _warnings(made: Calibration) -> list[str]:
     """Return one sentence for each weakness of the calibration."""
-    fit, said = made.fit, []
+    fit, warnings = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
-        said.append(f"only {len(fit.views)} pictures were used; take about 20")
+        warnings.append(f"only {len(fit.views)} pictures were used; take about 20")
     if (ways := _ways(fit)) < ENOUGH_WAYS:
-        said.append(f"the board was held in only {ways} different poses; use another pose for each picture")
+        warnings.append(f"the board was held in only {ways} different poses; use another pose for each picture")
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[1]:
-        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 degrees for an accurate focal length")
+        warnings.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 degrees for an accurate focal length")
     else:
         normals = np.array([_normal(pose) / np.sign(_normal(pose)[2]) for pose in fit.cam_from_board.values()])[:, :2]
         least_deg = float(np.rad2deg(np.linalg.svd(normals, compute_uv=False)[1] / np.sqrt(len(normals))))
         if least_deg < ONE_WAY_DEG:
-            said.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
+            warnings.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
     if made.coverage < COVERAGE[1]:
-        said.append(f"the corners cover {made.coverage:.0%} of the field; the distortion is extrapolated elsewhere")
+        warnings.append(f"the corners cover {made.coverage:.0%} of the field; the distortion is extrapolated elsewhere")
     if fit.rms_px > MOST_RMS_PX[1]:
-        said.append(f"the residual of {fit.rms_px:.2f} px rms is high; check that the board is flat, the focus is fixed, and nothing moved")
+        warnings.append(
+            f"the residual of {fit.rms_px:.2f} px rms is high; check that the board is flat, the focus is fixed, and nothing moved"
+        )
     focal = fit.focal_std_px[0] / fit.focal_px[0]
     if focal > MOST_FOCAL_STD:
-        said.append(f"the standard deviation of the focal length is {focal:.2%}; take more pictures, with the board tilted and near")
+        warnings.append(f"the standard deviation of the focal length is {focal:.2%}; take more pictures, with the board tilted and near")
     blur_px = float(np.median([view.blur_px for view in fit.views.values()]))
     if blur_px > MOST_BLUR_PX:
-        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
+        warnings.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
     if fit.dropped_corners > 0.02 * (fit.corners + fit.dropped_corners):
-        said.append(f"{fit.dropped_corners} corners with large residuals were excluded; look for glare, dirt or a bent board")
-    return said
+        warnings.append(f"{fit.dropped_corners} corners with large residuals were excluded; look for glare, dirt or a bent board")
+    return warnings

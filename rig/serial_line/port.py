@@ -117,7 +117,7 @@ class Port:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
             raise NoAnswerError(
-                f"{self.device} on {self.url}: took no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
+                f"{self.device} on {self.url}: accepted no data for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
             ) from error
         except OSError as error:
             raise self._lost(error) from error
@@ -154,7 +154,7 @@ class Port:
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
+            raise LostError(f"{self.device} on {self.url}: the port is closed; open it again")
 
     def _waiting(self) -> bytes:
         """Read what has arrived. A socket never admits to more than one byte, so it is asked until it has none."""
@@ -187,7 +187,7 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
     except UserError as error:
         raise RigError(str(error)) from error
     except PermissionError as error:
-        raise RigError(f"{device}: {url} is used by another person on this computer ({error.filename}); wait until that ends") from error
+        raise RigError(f"{device}: {url} is used by another user of this computer ({error.filename}); wait until that ends") from error
 
 
 def _slice_s(left_s: float) -> float:
@@ -203,12 +203,12 @@ def _why_not_open(url: str, error: OSError | ValueError) -> str:
     code = error.errno if isinstance(error, OSError) else None
     if code == errno.EACCES:
         return (
-            f"{url} may not be opened by you; join the group of serial ports ('sudo usermod -aG dialout $USER' on most systems), "
-            "log out and in, and try again"
+            f"{url} cannot be opened without permission; add your user to the group of serial ports "
+            "('sudo usermod -aG dialout $USER' on most systems), log out and in, and try again"
         )
     if code in _BUSY:
-        return f"{url} is used by another program; close that one and try again"
+        return f"{url} is used by another program; close it and try again"
     if code in _ABSENT:
         there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"{url} is not there (serial ports that are: {there}); plug the device in, or correct its port in the rig file"
+        return f"{url} does not exist (existing serial ports: {there}); connect the device, or correct its port in the rig file"
     return f"{url} cannot be opened as a serial port ({error}); check the device, and its port in the rig file"

@@ -96,10 +96,10 @@ class Recorder:
             raise self._failed(error) from error
         self._broken = written != len(line)
         if self._broken:
-            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or do not record")
+            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or omit --record")
 
     def _failed(self, error: OSError) -> RigError:
-        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or do not record")
+        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or omit --record")
 
 
 def _end_line(path: Path) -> None:

@@ -68,7 +68,7 @@ class HatTurntable:
         """
         _check_angle(angle_deg)
         if not self._on:
-            raise LostError("turntable: its motor is off, so that its angle cannot be kept; connect it first")
+            raise LostError("turntable: the motor is off, so that the angle cannot be kept; connect it first")
         self._steps, self._seated = round(angle_deg / self._step_deg), False
 
     def knows_zero(self) -> bool:
@@ -91,7 +91,7 @@ class HatTurntable:
         """
         _check_angle(angle_deg)
         if self._steps is None or not self._on:
-            raise LostError("turntable: does not know the table's angle; find it by the markers, or declare it")
+            raise LostError("turntable: the angle is unknown; determine it from the markers, or set it")
         goal, room = round(angle_deg / self._step_deg), round(self._part.approach_deg / self._step_deg)
         here = self._steps
         if room and goal < (here if self._seated else here + room):
@@ -131,7 +131,8 @@ class HatTurntable:
             while self._pins.busy(self._hat.step_pin):
                 if self._clock.now_s() > until_s:
                     raise LostError(
-                        f"turntable: {count} steps were not sent within {LATE_S:g} s of their time; is the computer overloaded?"
+                        f"turntable: {count} steps were not sent within {LATE_S:g} s of "
+                        "their scheduled time; the computer may be overloaded"
                     )
                 self._clock.sleep(POLL_S)
         except BaseException:

@@ -97,7 +97,7 @@ class MarlinLink:
         LostError
             When the board was reset, halted or unplugged, now or since the last `start`.
         RigError
-            When the firmware does not know the command.
+            When the firmware does not support the command.
         """
         return self._guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
@@ -198,7 +198,7 @@ class MarlinLink:
                 if found := pattern.search(line):
                     return found, output
         heard = repr(output[-1]) if output else "nothing"
-        raise NoAnswerError(f"{self._wire.name}: does not answer {text} as Marlin does ({heard}); check port, baud rate and cable")
+        raise NoAnswerError(f"{self._wire.name}: does not reply to {text} like Marlin ({heard}); check port, baud rate and cable")
 
     def _guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
         if self._lost is not None:

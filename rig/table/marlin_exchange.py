@@ -113,14 +113,14 @@ class Exchange:
                 self._hear(line)
             elif self._silence():
                 return self._output
-        raise self._no_answer("kept sending other things")
+        raise self._no_answer("sent other messages continuously")
 
     def check_known(self) -> None:
         """Raise `RigError` when the firmware said that it does not know a command."""
         if self._unknown_text is not None:
             raise RigError(
-                f'{self._wire.name}: the firmware does not know "{self._unknown_text}"; '
-                "build Marlin 2.1 with the options that the docs list"
+                f'{self._wire.name}: the firmware does not support "{self._unknown_text}"; '
+                "build Marlin 2.1 with the options in the documentation"
             )
 
     def _send(self, *, patience_s: float | None = None) -> None:
@@ -139,14 +139,14 @@ class Exchange:
         if self._acknowledged:
             return True
         if self._wire.clock.now_s() >= self._end_s:
-            raise self._no_answer("was busy without end")
+            raise self._no_answer("was busy permanently")
         if self._hinted:
             self._hints += 1
             self._send()
             return False
         self._silences += 1
         if self._silences > MOST_SILENCES:
-            raise self._no_answer("did not answer")
+            raise self._no_answer("did not reply")
         self._send(patience_s=AGAIN_S)
         return False
 
@@ -192,7 +192,7 @@ class Exchange:
             self._copies -= 1
             self._silences += 1
             if self._silences > MOST_SILENCES:
-                raise self._no_answer("answered with errors")
+                raise self._no_answer("replied with errors")
             self._send()
         elif self._number < self._journal.last:
             self._number += 1
@@ -223,7 +223,7 @@ class Exchange:
             self._acknowledge()
             return
         if wanted == 1 and self._number > 1:
-            raise self._wire.was_reset("it counts its lines from the beginning")
+            raise self._wire.was_reset("its line numbers restarted")
         self._refusals += 1
         if self._refusals > MOST_REFUSALS:
             raise self._no_answer(f"refused it {MOST_REFUSALS} times")
@@ -235,7 +235,7 @@ class Exchange:
         self._send()
 
     def _unknown(self, quoted: str) -> None:
-        """Deal with a command that the firmware does not know: one of ours, or one that became unknown on its way."""
+        """Deal with a command that the firmware does not support: one of ours, or one damaged in transmission."""
         name = quoted.split()[0] if quoted.split() else ""
         if name in self._journal.optional:
             return

@@ -39,7 +39,7 @@ class MarlinWire:
                 return None
             self._heard += len(data)
             if self._heard > MOST_BYTES:
-                raise NoAnswerError(f"{self.name}: sends without end and without sense; check baud rate and cable")
+                raise NoAnswerError(f"{self.name}: sends invalid data continuously; check baud rate and cable")
             self._buffer += data
             *whole, rest = self._buffer.split(b"\n")
             self._buffer = bytearray(rest)
@@ -73,12 +73,12 @@ class MarlinWire:
         if line.kind is Kind.RESET:
             raise self.was_reset(f'it says "{line.text}"')
         if line.kind is Kind.HALTED:
-            raise LostError(f'{self.name}: the board stopped itself ("{line.text}"); find out why, then switch it off and on')
+            raise LostError(f'{self.name}: the board halted ("{line.text}"); find the cause, then switch it off and on')
 
     def was_reset(self, why: str) -> LostError:
         """Return the error to raise."""
         return LostError(
-            f"{self.name}: the board was reset ({why}), so that its angle is lost; check supply and cable, and find the angle anew"
+            f"{self.name}: the board was reset ({why}), so that its angle is lost; check supply and cable, and determine the angle again"
         )
 
     def close(self) -> None:

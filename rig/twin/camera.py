@@ -89,7 +89,7 @@ class TwinCamera:
                 wrong = f"exposes for {1000.0 * raw.exposure_s:g} ms instead of {1000.0 * self._part.exposure_s:g} ms"
             else:
                 return Shot(image=raw.image, exposure_s=raw.exposure_s, gain=raw.gain)
-        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and see that no other program uses it")
+        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and check that no other program uses it")
 
     def close(self) -> None:
         """Do nothing: there is nothing to give back."""
@@ -108,7 +108,7 @@ class TwinCamera:
         waited_s = self._back_s - self._clock.now_s()
         self._clock.sleep(min(waited_s, PATIENCE_S))
         if waited_s > PATIENCE_S:
-            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and power, then go on with --resume")
+            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and supply, then continue with --resume")
         if stale:
             return self._last or self._expose(exposure_s, began_s=-1.0)
         self._last = self._expose(exposure_s, began_s=self._clock.now_s())

@@ -77,7 +77,7 @@ MENU: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="busy",
-        what="the board says busy every two seconds, AMOUNT seconds long, before it answers",
+        what="the board reports busy every two seconds for AMOUNT seconds before it replies",
         devices=("table",),
         where="reply",
         amounts=(3.0, 9.0, 45.0),
@@ -87,14 +87,14 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="stopped", what="Marlin stops itself because of an error", devices=("table",), where="device"),
     FaultKind(
         name="unplugged",
-        what="the cable is pulled, and put back after AMOUNT seconds (0: never)",
+        what="the cable is unplugged, and reconnected after AMOUNT seconds (0: never)",
         devices=_SERIAL,
         where="device",
         amounts=(0.0, 0.5, 3.0, 20.0),
     ),
     FaultKind(
         name="stalled",
-        what="a servo is blocked for AMOUNT seconds (0: for good)",
+        what="a servo is blocked for AMOUNT seconds (0: permanently)",
         devices=("arm",),
         where="device",
         amounts=(0.0, 0.5, 5.0),
@@ -102,14 +102,14 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="overheated", what="a servo is AMOUNT degrees warm", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)),
     FaultKind(
         name="brown_out",
-        what="the arm's voltage breaks down for AMOUNT seconds; the servos lose their torque",
+        what="the supply of the arm fails for AMOUNT seconds; the servos lose their torque",
         devices=("arm",),
         where="device",
         amounts=(0.2, 1.0, 10.0),
     ),
     FaultKind(
         name="camera_stopped",
-        what="the camera gives no picture for AMOUNT seconds (0: never again)",
+        what="the camera delivers no picture for AMOUNT seconds (0: permanently)",
         devices=("camera",),
         where="shot",
         amounts=(0.0, 5.0, 30.0),
@@ -117,7 +117,7 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="stale_frame", what="the camera gives an old picture", devices=("camera",), where="shot", counts=(1, 1, 2, FOR_GOOD)),
     FaultKind(
         name="wrong_exposure",
-        what="the camera exposes AMOUNT times as long as told, and says so",
+        what="the camera exposes AMOUNT times longer than commanded, and reports it",
         devices=("camera",),
         where="shot",
         amounts=(0.5, 2.0),
@@ -137,7 +137,7 @@ def kind_of(name: str) -> FaultKind:
         For an unknown name.
     """
     if name not in _KINDS:
-        raise UserError(f'there is no fault "{name}"{suggestion(name, list(_KINDS))}; there are {", ".join(_KINDS)}')
+        raise UserError(f'unknown fault "{name}"{suggestion(name, list(_KINDS))}; available: {", ".join(_KINDS)}')
     return _KINDS[name]
 
 
@@ -207,7 +207,7 @@ def parse_fault(text: str) -> Fault:
                 raise UserError(f'fault "{text}": {key} must be {must}, not {number}')
         else:
             raise UserError(
-                f'fault "{text}": {word!r} is not understood; after {name} come {" or ".join(kind.devices)} and '
+                f'fault "{text}": {word!r} is invalid; {name} must be followed by {" or ".join(kind.devices)} and '
                 "at_message=N, at_s=SECONDS, amount=X, count=N, joint=N"
             )
     fault = Fault(kind=name, device=device, amount=values.get("amount", kind.amounts[0]))

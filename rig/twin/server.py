@@ -86,7 +86,7 @@ class TwinServer:
             world = self.twin.world
             joints = ", ".join(f"{angle:.2f}" for angle in world.joints_deg) or "no arm"
             lamps = f"panel {world.panel.level:.3f}, front light {world.front.level:.3f}"
-            return f"truly: table {world.table_deg:.3f} deg; joints {joints} deg; {lamps}"
+            return f"true state: table {world.table_deg:.3f} deg; joints {joints} deg; {lamps}"
 
     def _opened(self, name: str) -> None:
         if name == "table":
@@ -151,7 +151,7 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
                 save_scene(twin.calibrated_scene(), scene_path, new=True)
                 say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
             server.start()
-            say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")
+            say(f"running at {speed:g} times real time; press Ctrl-C to stop. Commands: {HELP}")
             for word in _lines(_typed_at() if commands is None else commands):
                 if word == "quit":
                     break

@@ -30,7 +30,7 @@ REFUSED = {
     "below": ((-90.01, 0, 0, 0, 0), r"base \(servo 6\) cannot go to -90\.01 deg"),
     "not a number": ((0, 0, float("nan"), 0, 0), "elbow .* cannot go to nan"),
     "counts": ((0, 0, 0, -118.5, 0), r"wrist pitch .* would be at -4 counts, outside 0 to 1000"),
-    "too few": ((0, 0, 0, 0), "4 joint angles were given but it has 5 joints"),
+    "too few": ((0, 0, 0, 0), "4 joint angles are given but the arm has 5 joints"),
 }
 
 
@@ -88,7 +88,7 @@ def test_sag_within_the_tolerance_counts_as_arrived() -> None:
     assert read[1] == pytest.approx(24.0 + 12 * 0.24)
     assert bus.names() == ["move"]
     bus.sag = {5: -13}
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was sent to 48\.0 deg but stands at 51\.1 deg"):
+    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was commanded to 48\.0 deg but is at 51\.1 deg"):
         arm.move_to((0.0, 48.0, 0.0, 0.0, 0.0))
 
 
@@ -96,7 +96,7 @@ def test_sag_within_the_tolerance_counts_as_arrived() -> None:
 def test_a_blocked_joint_stops_the_arm_and_is_named(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells)
     bus.blocked = {4: 560.0}
-    with pytest.raises(UnsafeError, match=r"elbow \(servo 4\) was sent to 60\.0 deg but stands at 14\.4 deg: it is blocked"):
+    with pytest.raises(UnsafeError, match=r"elbow \(servo 4\) was commanded to 60\.0 deg but is at 14\.4 deg: it is blocked"):
         arm.move_to((10.0, 0.0, 60.0, 0.0, 0.0))
     assert bus.names() == ["move", "stop"]
     assert arm.holds()
@@ -113,7 +113,7 @@ def test_a_lost_command_is_repeated_once_unless_it_is_within_the_dead_band(tells
     assert len(bus.moves) == 2
     bus.moves.clear()
     bus.lose_moves = 5
-    with pytest.raises(UnsafeError, match=r"base .* was sent to 30"):
+    with pytest.raises(UnsafeError, match=r"base .* was commanded to 30"):
         arm.move_to((30.0, 0.0, 0.0, 0.0, 0.0))
     assert len(bus.moves) == 2
     arm, bus = arm_and_bus(tells=tells)

@@ -94,7 +94,7 @@ HOPELESS = {
     "refused for ever": ([REFUSED] * 11, "refused it 10 times after M400", 6.0),
     "busy for ever": ([(2.0, "echo:busy: processing") * 200], "busy without end after M400", LONGEST_S + 2.0),
     "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends without end", 1.0),
-    "errors for ever": ([("Error:x", "ok")] * 6, "answered with errors after M400 .last heard: 'Error:x'.", 6.0),
+    "errors for ever": ([("Error:x", "ok")] * 6, "replied with errors after M400 .last heard: 'Error:x'.", 6.0),
 }
 
 
@@ -116,7 +116,7 @@ def test_what_never_ends_is_ended(answers: list[tuple[Any, ...]], says: str, mos
 def test_an_unknown_command_is_named_unless_it_is_allowed(talk: Talk) -> None:
     unknown = ('echo:Unknown command: "M150 S0"', "ok")
     link = talk.then(("N8 M150 S0", unknown), NEXT, ("N10 M150 S0", unknown))
-    with pytest.raises(RigError, match='the firmware does not know "M150 S0"') as caught:
+    with pytest.raises(RigError, match='the firmware does not support "M150 S0"') as caught:
         link.command("M150 S0")
     assert not isinstance(caught.value, LostError | NoAnswerError)
     link.command("M17")
