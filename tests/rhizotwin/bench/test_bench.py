@@ -125,7 +125,7 @@ def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) 
         ("import sys; sys.exit('too few corners')", "failed", "too few corners"),
         ("import time; time.sleep(60)", "timeout", "stopped at the time limit of 1 s"),
         ("import os; os.kill(os.getpid(), 9)", "failed", "code -9"),
-        ("pass", "nothing", "no file with a known name"),
+        ("pass", "nothing", "no output file with a known name"),
         ("import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'shape.ply').write_text('no')", "unreadable", "shape.ply"),
     ],
 )
