@@ -1,4 +1,11 @@
-"""The arm as five joints in degrees, with either servo protocol."""
+"""The arm as five joints in degrees, with either servo protocol.
+
+Limits, speed, verification, and stopping where something is wrong.
+
+Servos say neither that a move is done nor that it failed. So a move is given a duration that follows from its distance,
+the arm waits for that long without asking anything, and then compares where every joint stands with where it was sent.
+A joint that is blocked, too warm, or has lost its torque shows there.
+"""
 
 import math
 
@@ -120,7 +127,10 @@ class ServoArm:
         return self._joints_deg(self._bus.positions(self._ids))
 
     def holds(self) -> bool:
-        """Whether all joints are powered."""
+        """Whether all joints are powered.
+
+        Where the protocol cannot tell, whether the arm still stands where it came to rest: without torque it drops.
+        """
         return self._prepared and self._limp() is None
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
@@ -158,7 +168,15 @@ class ServoArm:
         return self._joints_deg(here)
 
     def health(self) -> None:
-        """Check supply and temperatures, and that all servos are powered."""
+        """Check supply and temperatures, and that all servos are powered.
+
+        Raises
+        ------
+        UnsafeError
+            When a servo is too warm or the voltage out of its range.
+        LostError
+            When a servo's torque is off though it was switched on.
+        """
         self._check_supply_and_warmth()
         self._check_torque()
 

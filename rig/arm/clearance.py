@@ -1,4 +1,10 @@
-"""Collision checks of paths of the arm against canister, net pot, turntable, tank, floor and bars."""
+"""Collision checks of paths of the arm against canister, net pot, turntable, tank, floor and bars.
+
+The arm is three capsules and a sphere that holds the camera; what it must not touch are cylinders, boxes and a plane.
+Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
+joint: a piece of the way counts as clear only if its middle is clear by half of that, and is halved until it is. So
+nothing is missed between samples, however long the step.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -62,7 +68,25 @@ def _tank(tank: Tank, floor_z_mm: float) -> Box:
 
 
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
-    """Compute the distances of all pairs at joint angles (N, 5)."""
+    """Compute the distances of all pairs at joint angles (N, 5).
+
+    The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot,
+    table and camera. The arm's own pieces keep no margin to each other: nothing sags between them.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Arm, clearances and what stands around.
+    scene : Scene
+        Canister, net pot and panel.
+    joints_deg : (N, 5) array
+        Places of the arm.
+
+    Returns
+    -------
+    Pairs
+        Distances of every pair, and their names.
+    """
     part, clearance = arm_of(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
     _, upper, fore, hand = part.links_mm

@@ -1,4 +1,14 @@
-"""Inverse kinematics: joint angles for a camera pose."""
+"""Inverse kinematics: joint angles for a camera pose.
+
+In closed form (thesis section 3.3), and by Newton's method (appendix C.3).
+
+Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and
+the camera. The closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left
+over. Newton's method takes the least squares of both or, where the target may turn about an axis, meets it exactly:
+then there are six unknowns for six equations.
+
+Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
+"""
 
 from dataclasses import dataclass
 
@@ -53,7 +63,28 @@ class Found:
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm from its end (x, y) and the direction theta of its last link."""
+    """Return q1, q2, q3 (..., 3) of a planar arm from its end (x, y) and the direction theta of its last link.
+
+    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
+    digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
+    is out of reach.
+
+    Parameters
+    ----------
+    links_mm : tuple of float
+        From shoulder to elbow, wrist and end.
+    x_mm, y_mm : (...) array
+        Place of the end, x upwards as the angles are 0.
+    theta_rad : (...) array
+        Direction of the last link.
+    elbow : int
+        Sign of q2.
+
+    Returns
+    -------
+    (..., 3) array
+        Joint angles, rad.
+    """
     l1, l2, l3 = links_mm
     theta = np.asarray(theta_rad, dtype=float)
     x_w = np.asarray(x_mm) - l3 * np.cos(theta)
@@ -68,7 +99,22 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles for a position of the camera."""
+    """Return all joint angles for a position of the camera.
+
+    Its orientation is the nearest to the wanted one.
+
+    Parameters
+    ----------
+    part : ArmPart
+        Its links.
+    arm_from_cam : (..., 4, 4) array
+        Wanted.
+
+    Returns
+    -------
+    Branches
+        Joint angles (..., 4, 5) of two bases by two elbows, and what they leave over.
+    """
     base, *links = part.links_mm
     l1, l2, l3 = links
     at, rotation = arm_from_cam[..., :3, 3], arm_from_cam[..., :3, :3]
@@ -93,7 +139,28 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 
 
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
-    """Find joint angles iteratively, with the pseudo-inverse of the body Jacobian."""
+    """Find joint angles iteratively, with the pseudo-inverse of the body Jacobian.
+
+    Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
+    0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
+    fades with |V|^2.
+
+    Parameters
+    ----------
+    part : ArmPart
+        Its links.
+    arm_from_cam : (..., 4, 4) float64 array
+        Wanted.
+    start_rad : (..., 5) float64 array
+        Or (5,) for all targets.
+    arm_from_axis : float64 array or None
+        A frame about whose z axis the target may be turned at no cost.
+
+    Returns
+    -------
+    Found
+        Angles, and how near they come.
+    """
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)
     count = len(goal)
@@ -131,7 +198,10 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the plane through the axis of the base and the camera."""
+    """Return the direction (...,) of the plane through the axis of the base and the camera.
+
+    On that axis, of the one with the optical axis.
+    """
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
     level = np.hypot(ahead[..., 0], ahead[..., 1])

@@ -1,4 +1,19 @@
-"""Forward kinematics: camera pose and its derivatives for given joint angles."""
+"""Forward kinematics: camera pose and its derivatives for given joint angles.
+
+Thesis section 3.3 and appendix C.1.
+
+Frames
+------
+arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links stand in
+line along +z;
+      positive shoulder, elbow and wrist angles lean toward +x; base and roll turn counter-clockwise about +z.
+cam : OpenCV axes at the camera's centre, which is the end of the last link; z along that link. At joint angles 0 x is
+the arm's -y and
+      y the arm's +x, so that leaning forward by a right angle gives a level camera with an upright picture.
+
+Everything works on any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity
+mm, rotation rad) seen in the camera's frame.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -44,7 +44,10 @@ def frame(command: int, params: bytes = b"") -> bytes:
 
 
 def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
-    """Yield the parameters of every complete frame with this command, newest first."""
+    """Yield the parameters of every complete frame with this command, newest first.
+
+    The board's own frames and garbage are passed over.
+    """
     at = heard.rfind(HEADER)
     while at >= 0:
         body = heard[at + 2 :]
@@ -74,7 +77,15 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all servos simultaneously with one frame; return immediately."""
+        """Start all servos simultaneously with one frame; return immediately.
+
+        It cannot be verified before its time is over.
+
+        Raises
+        ------
+        UnsafeError
+            For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
+        """
         check_move(targets, duration_s)
         params = bytes((len(targets),)) + round(duration_s * 1000.0).to_bytes(2, "little")
         for servo, counts in targets.items():
@@ -82,7 +93,13 @@ class LscBoard:
         self._wire.write(frame(SERVO_MOVE, params))
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions, signed, until two consecutive readings agree."""
+        """Read positions, signed, until two consecutive readings agree.
+
+        Raises
+        ------
+        NoAnswerError
+            When the board is silent, leaves a servo out, or no two readings agree.
+        """
         before = self._positions_once(ids)
         for _ in range(_AGREE_TRIES):
             now = self._positions_once(ids)
@@ -125,7 +142,11 @@ class LscBoard:
             self._wire.write(unload)
 
     def stop(self, ids: Collection[int]) -> None:
-        """Command the servos to their current positions, because there is no stop command."""
+        """Command the servos to their current positions, because there is no stop command.
+
+        The median of three readings is a place on the way that the servo came, even while it moves and one reading is
+        damaged.
+        """
         readings = [self._positions_once(ids) for _ in range(3)]
         places = {servo: median(reading[servo] for reading in readings) for servo in ids}
         self.move({servo: min(max(round(place), MIN_COUNTS), MAX_COUNTS) for servo, place in places.items()}, _HOLD_S)

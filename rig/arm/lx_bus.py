@@ -53,7 +53,28 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
 
 
 def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | None:
-    """Return the ``size`` parameters of the newest complete, undamaged reply of this servo to this command."""
+    """Return the ``size`` parameters of the newest complete, undamaged reply of this servo to this command.
+
+    Whatever else was heard is passed over: garbage, other servos, cut frames, and the echo of the request, whose length
+    differs from its reply's. The search looks behind every header, so a cut frame never swallows the whole one that
+    follows it.
+
+    Parameters
+    ----------
+    heard : bytes
+        All bytes since the question.
+    servo : int
+        Its number on the bus.
+    command : int
+        Number of the command that was asked.
+    size : int
+        Number of parameters.
+
+    Returns
+    -------
+    bytes or None
+        None while there is none.
+    """
     head = HEADER + bytes((servo, size + 3, command))
     at = heard.rfind(head)
     while at >= 0:
@@ -65,7 +86,11 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 
 
 class LxBus:
-    """Servo bus."""
+    """Servo bus.
+
+    Whether the adapter echoes what is sent never matters to the reading, see `find_reply`; it is detected, unless
+    given, from the first answer, and tells a dead adapter (not even the echo) from a dead servo.
+    """
 
     least_move_s = 0.2
 
@@ -74,7 +99,20 @@ class LxBus:
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all servos simultaneously; return immediately."""
+        """Start all servos simultaneously; return immediately.
+
+        Every servo gets its target to wait with, all are read back, and only then one broadcast starts them: a servo
+        that cannot be reached is found before anything moves. The broadcast reaches every servo that waits, so
+        ``targets`` should always name all servos of the arm. Servos that after it do not report the new command are
+        started again by number.
+
+        Raises
+        ------
+        UnsafeError
+            For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
+        NoAnswerError
+            When a servo does not take its target, or does not start while others do.
+        """
         check_move(targets, duration_s)
         time_ms = round(duration_s * 1000.0)
         orders = {servo: counts.to_bytes(2, "little") + time_ms.to_bytes(2, "little") for servo, counts in targets.items()}

@@ -1,4 +1,7 @@
-"""Joint angles for a ring of the capture plan, and their correction from the markers."""
+"""Joint angles for a ring of the capture plan, and their correction from the markers.
+
+Degrees here, radians below.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +33,44 @@ _TRIED = 1001
 
 
 def camera_wanted(ring: Ring) -> Array:
-    """Return ``cam_from_rig`` for a ring of the capture plan."""
+    """Return ``cam_from_rig`` for a ring of the capture plan.
+
+    Parameters
+    ----------
+    ring : Ring
+        Distance, height and tilt.
+
+    Returns
+    -------
+    (4, 4) array
+        The pose, on the rig's +x side.
+    """
     return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
 
 
 def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
-    """Return joint angles within the limits for a camera pose, with the elbow as high as possible."""
+    """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
+
+    Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is
+    turned round the table's axis until they can: the canister turns anyway.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Where the arm stands, and its joints.
+    cam_from_rig : (4, 4) array
+        Wanted.
+
+    Returns
+    -------
+    Joints
+        The five angles, deg.
+
+    Raises
+    ------
+    UnsafeError
+        When the place is out of reach or beyond a joint's limit; with the numbers.
+    """
     part = arm_of(rig)
     arm_from_rig = frames.invert(rig_from_arm(part))
     target = arm_from_rig @ frames.invert(cam_from_rig)
@@ -55,7 +90,13 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
 
 
 def camera_looking(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera at a position with a direction, rig frame."""
+    """Return ``cam_from_rig`` (4, 4) of an upright camera at a position with a direction, rig frame.
+
+    Raises
+    ------
+    UnsafeError
+        For a direction without length, or straight up or down, where upright means nothing.
+    """
     forward_ = np.asarray(direction, float)
     right = np.cross(forward_, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < UPRIGHT * np.linalg.norm(forward_) or not np.linalg.norm(forward_) > 0.0:
@@ -68,7 +109,24 @@ def camera_looking(position_mm: tuple[float, float, float], direction: tuple[flo
 
 
 def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
-    """Return joint angles for a position and direction of the camera."""
+    """Return joint angles for a position and direction of the camera.
+
+    Five joints put the camera anywhere in reach, but its optical axis stays in the upright plane through the base's
+    axis and the camera.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Where the arm stands, and its joints.
+    position_mm, direction : tuple of float
+        The camera's centre and optical axis, rig frame.
+
+    Raises
+    ------
+    UnsafeError
+        When the place is out of reach, the direction cannot be had there, or a joint would be beyond its limits; with
+        the nearest that can be had.
+    """
     part, wanted = arm_of(rig), camera_looking(position_mm, direction)
     arm_from_rig = frames.invert(rig_from_arm(part))
     branches = inverse(part, arm_from_rig @ frames.invert(wanted))
@@ -104,7 +162,32 @@ def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
 
 
 def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
-    """Return corrected joint angles for a camera pose, at any azimuth."""
+    """Return corrected joint angles for a camera pose, at any azimuth.
+
+    It begins from where the markers saw it.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Where the arm stands, and its joints.
+    joints_deg : Joints
+        What was commanded when the camera was measured.
+    cam_from_rig_measured : (4, 4) array
+        By the markers.
+    cam_from_rig_wanted : (4, 4) array or None
+        None: the thesis's correction, which keeps distance and height and makes the image plane tangent to the
+        canister.
+
+    Returns
+    -------
+    Joints
+        The five angles, deg.
+
+    Raises
+    ------
+    UnsafeError
+        When no such place is within reach and limits, or the correction is too large to be one; with the numbers.
+    """
     part = arm_of(rig)
     wanted = tangent(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
     found = correct(part, np.deg2rad(joints_deg), cam_from_rig_measured, wanted)

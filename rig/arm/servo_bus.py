@@ -27,7 +27,13 @@ class ServoBus(Protocol):
     """Minimum duration of commanded moves."""
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all servos simultaneously at uniform speed; return immediately. Torque is switched on."""
+        """Start all servos simultaneously at uniform speed; return immediately. Torque is switched on.
+
+        Raises
+        ------
+        UnsafeError
+            For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
+        """
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
         """Read positions: signed, and beyond 0 to 1000 if a servo was rotated by hand."""

@@ -1,4 +1,7 @@
-"""Serial port, with error messages that state the remedy."""
+"""Serial port, with error messages that state the remedy.
+
+It is a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial.
+"""
 
 import errno
 import math

@@ -61,7 +61,13 @@ class MarlinTurntable:
         return _table_deg(self._x_deg())
 
     def declare(self, angle_deg: float) -> None:
-        """Set the current angle of the turntable (no motion)."""
+        """Set the current angle of the turntable (no motion).
+
+        Raises
+        ------
+        UnsafeError
+            For an angle outside -90 to 720.
+        """
         _check_angle(angle_deg)
         self._verified, self._seated = None, False
         self._link.command("M400")
@@ -125,7 +131,10 @@ class MarlinTurntable:
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
-        """Return the angle reported by the board when it equals the commanded one."""
+        """Return the angle reported by the board when it equals the commanded one.
+
+        A different answer is not believed at once.
+        """
         read_deg = before_deg = math.nan
         for look in range(_LOOKS):
             if look:

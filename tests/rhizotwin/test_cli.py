@@ -99,7 +99,7 @@ MISTAKES = [
     ("simulate sphere_20mm -o d --image-wh 8x6", "16 to 20000"),
     ("simulate sphere_20mm -o d --image-wh -8x6", "--image-wh"),
     ("simulate sphere_20mm -o d --fidelity best", "best"),
-    ("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl: there is no such file"),
+    ("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl does not exist"),
     ("simulate sphere_20mm -o d --specimen no_such.stl --specimen-unit cm", "--specimen-unit cm can be used with traced roots only"),
     ("simulate sphere_20mm -o d --specimen-diameter-mm 0.5", "--specimen-diameter-mm 0.5 can be used with traced roots only"),
     ("simulate sphere_20mm -o d --specimen a.rsml --specimen-diameter-mm 0", "--specimen-diameter-mm: 0 is out of range"),

@@ -44,12 +44,12 @@ def test_refuses_before_anything_is_sent(joints_deg: tuple[float, ...], says: st
 
 def test_refuses_to_move_unprepared_or_relaxed() -> None:
     arm, bus = arm_and_bus(prepared=False)
-    with pytest.raises(LostError, match="prepare it"):
+    with pytest.raises(LostError, match="prepare the arm"):
         arm.move_to(MIDDLE)
     arm.prepare()
     arm.relax()
     assert not any(bus.on.values())
-    with pytest.raises(LostError, match="prepare it"):
+    with pytest.raises(LostError, match="prepare the arm"):
         arm.move_to(MIDDLE)
 
 
@@ -138,7 +138,7 @@ def test_an_error_in_a_move_is_followed_by_one_attempt_to_stop(error: RigError |
 
 def test_torque_lost_on_the_way_is_named_and_rather_the_heat_that_caused_it() -> None:
     for celsius, error, says in (
-        (30, LostError, r"shoulder \(servo 5\) has lost its torque.*brown-out"),
+        (30, LostError, r"shoulder \(servo 5\) has lost its torque.*voltage drop"),
         (86, UnsafeError, r"shoulder \(servo 5\) is at 86 °C"),
     ):
         arm, bus = arm_and_bus()
@@ -248,5 +248,5 @@ def test_health_watches_temperature_supply_and_torque() -> None:
 
 def test_the_echo_of_the_rig_file_reaches_the_bus() -> None:
     line = ScriptedLine(*[("55 55 06 03 1c da", SILENT)] * 5)
-    with pytest.raises(NoAnswerError, match="not even the adapter's echo"):
+    with pytest.raises(NoAnswerError, match="the adapter sends no echo"):
         open_arm(line, replace(PART, protocol="lx", echo="yes"), line.clock).read_joints()
