@@ -59,7 +59,7 @@ class Record:
             with path.open("a", encoding="utf-8") as file:
                 file.writelines(_line(shot) for shot in self.shots)
         except OSError as error:
-            raise UserError(f"{path}cannot be used for the record of the emulated rig ({error.strerror})") from error
+            raise UserError(f"{path} cannot be used for the record of the emulated rig ({error.strerror})") from error
         self._path = path
 
     def end(self) -> None:

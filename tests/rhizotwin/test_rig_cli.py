@@ -70,7 +70,7 @@ def test_check_of_the_twin_and_of_a_rig_that_is_not_there(scene: Path, tmp_path:
     assert command.works("rig", "check", "twin", "--scene", scene, "--profile", "clean").out.startswith("turntable  ok")
     (tmp_path / "rig.toml").write_text('[turntable]\nport = "/dev/no-table"\n[camera]\nkind = "v4l2"\naddress = "/dev/no-camera"\n')
     told = command.fails("rig", "check", tmp_path / "rig.toml", named=["2 checks of rig failed"]).out
-    assert "turntable  WRONG /dev/no-table is not there" in told
+    assert "turntable  WRONG /dev/no-table does not exist" in told
     assert "camera     WRONG" in told
 
 
