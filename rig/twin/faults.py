@@ -1,4 +1,4 @@
-"""The faults that a twin can have, as data: on the wire, in a device, in the camera."""
+"""Faults of the emulated rig as data: in the communication, in a device, in the camera."""
 
 import threading
 from dataclasses import dataclass, replace
@@ -17,21 +17,22 @@ FOR_GOOD = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One thing that goes wrong."""
+    """One fault."""
 
     kind: str
-    """A kind of `MENU`."""
+    """Kind, from `MENU`."""
     device: Device
     at_message: int | None = None
-    """It happens at this message (from 1) of the device: reply, request or picture, as the kind says."""
+    """Index (from 1) of the message of the device that is affected: reply, request or picture, depending on the
+    kind."""
     at_s: float | None = None
-    """Or it happens at this virtual time, to the first message from then on. Neither: at once."""
+    """Virtual time from which the next message is affected. Without index and time: immediately."""
     amount: float = 0.5
-    """Seconds (of a delay, an absence), or which part of a message is hit (0 to 1); see the kind."""
+    """Duration in s, or affected part of a message (0 to 1), depending on the kind."""
     count: int = 1
-    """So many messages one after the other."""
+    """Number of consecutive messages."""
     joint: int = 1
-    """Which servo of the arm: index of the joint, base first."""
+    """Index of the joint of the arm, base first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,15 +41,15 @@ class FaultKind:
 
     name: str
     what: str
-    """What happens, in words; says what ``amount`` means."""
+    """Description of the fault and of ``amount``."""
     devices: tuple[Device, ...]
     where: Where
     amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
-    """Amounts that are drawn from."""
+    """Amounts for random faults."""
     counts: tuple[int, ...] = (1,)
-    """Numbers of messages that are drawn from."""
+    """Counts for random faults."""
     protocol: Literal["lx", "lsc"] | None = None
-    """Only with this protocol of the arm."""
+    """Required protocol of the arm, if any."""
 
 
 _SERIAL: tuple[Device, ...] = ("table", "arm")
@@ -221,7 +222,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class Pending:
-    """The faults that have not happened yet; several threads may ask."""
+    """Pending faults; access is thread-safe."""
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
@@ -232,13 +233,13 @@ class Pending:
         """What happened, with its time."""
 
     def add(self, fault: Fault) -> None:
-        """Let a fault happen from now on."""
+        """Add a fault."""
         kind_of(fault.kind)
         with self._lock:
             self._left.append(fault)
 
     def clear(self) -> None:
-        """Let no further fault happen."""
+        """Remove all pending faults."""
         with self._lock:
             self._left.clear()
 
@@ -266,14 +267,14 @@ class Pending:
         return [fault for fault in here if _is_due(fault, number, now_s)]
 
     def use(self, fault: Fault, now_s: float) -> None:
-        """Count one message that a fault has hit."""
+        """Count one affected message of a fault."""
         with self._lock:
             self.happened.append((now_s, fault))
             i = next(i for i, left in enumerate(self._left) if left is fault)
             self._left[i : i + 1] = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
 
     def next_s(self) -> float:
-        """Return the time of the next fault that happens to a device by the clock."""
+        """Return the time of the next timed fault of a device."""
         with self._lock:
             times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
         return min(times, default=float("inf"))

@@ -1,6 +1,6 @@
-"""What the twin's pictures really show, remembered by the pictures' content.
+"""Record of the true state at each picture of the emulated rig, by picture content.
 
-A scan's files are told by it, after a restart, too.
+It identifies the files of a scan, also after a restart.
 """
 
 import hashlib

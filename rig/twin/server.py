@@ -1,6 +1,6 @@
-"""A twin alone, in real time.
+"""Standalone emulated rig in real time.
 
-Serial ports that any program can open, a camera over HTTP, a rig file that leads to them.
+It provides serial ports for any program, a camera over HTTP, and a rig file with their addresses.
 """
 
 import os
@@ -74,13 +74,13 @@ class TwinServer:
         self._ports.stop()
 
     def inject(self, fault: Fault) -> None:
-        """Let a fault happen."""
+        """Trigger a fault."""
         with self._ports.lock:
             self.twin.inject(fault)
         self._ports.wake()
 
     def where(self) -> str:
-        """Say what the devices have really done."""
+        """Describe the true state of the devices."""
         with self._ports.lock:
             self._ports.catch_up()
             world = self.twin.world
@@ -99,7 +99,7 @@ class TwinServer:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:
-        """Take the state of the world now; paint it without holding up the ports."""
+        """Read the state of the world, and render it without blocking the ports."""
         with self._ports.lock:
             self._ports.catch_up()
             sight = self.twin.world.sight(exposure=exposure)
