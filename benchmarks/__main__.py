@@ -245,9 +245,9 @@ def _view(given: argparse.Namespace) -> int:
 
 def _fingerprints(given: argparse.Namespace) -> int:
     """Write the fingerprints of a rendered benchmark into the package."""
-    from rhizotwin.bench import fingerprints, named
+    from rhizotwin.bench import benchmarks, fingerprints
 
-    fingerprints.write(named.find(given.name), given.folder, HERE.parent / "rhizotwin" / "bench" / "data")
+    fingerprints.write(benchmarks.find(given.name), given.folder, HERE.parent / "rhizotwin" / "bench" / "data")
     return 0
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
-from rhizotwin.bench import named
+from rhizotwin.bench import benchmarks
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import library, load_scene
 from rhizotwin.scenes.model import Scene
@@ -49,7 +49,7 @@ class Pictures:
     scene: str
     profile: str = "clean"
     rings: Literal[1, 2] = 1
-    """1: the scene's own plan; 2: its first ring, and `named.HIGH_RING` at the same distance."""
+    """1: the scene's own plan; 2: its first ring, and `benchmarks.HIGH_RING` at the same distance."""
     views: int = 40
     """In each ring."""
     image_wh: tuple[int, int] = (800, 600)
@@ -70,7 +70,7 @@ class Pictures:
 
     def scene_to_render(self) -> Scene:
         """Return the library's scene with this plant, these views, this sensor and the profile's disturbances."""
-        return named.rendered_scene(
+        return benchmarks.rendered_scene(
             load_scene(self.scene), self.profile, rings=self.rings, views=self.views, image_wh=self.image_wh, seed=self.seed * self.is_plant
         )
 

@@ -18,9 +18,9 @@ from scipy.spatial import cKDTree
 
 from benchmarks import cache
 from benchmarks.run import Say
-from rhizotwin.experiment.compare import Seen, differences
+from rhizotwin.experiment.compare import Observation, differences
 from rhizotwin.experiment.doses import fit_responses
-from rhizotwin.experiment.matching import Day, Followed, follow
+from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.scenes import polyline, rsml, series
 from rhizotwin.scenes.files import load_profile, load_scene
 from rhizotwin.scenes.model import Scene
@@ -119,12 +119,12 @@ def links(scans: Path, results: Path) -> Links:
     names = [f"day{day:04.1f}" for day in DAYS]
     found = [rsml.read_rsml(results / name / "roots.rsml") for name in names]
     true = [{root.label: root for root in rsml.read_rsml(scans / name / "truth" / "skeleton.rsml")} for name in names]
-    followed = follow([Day(day=day, roots=roots) for day, roots in zip(DAYS, found, strict=True)])
+    followed = track_roots([Day(day=day, roots=roots) for day, roots in zip(DAYS, found, strict=True)])
     labels = [named(roots, of) for roots, of in zip(found, true, strict=True)]
     return _checked(followed, labels, true)
 
 
-def _checked(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
+def _checked(followed: TrackedPlant, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
     linked = right = both_found = both_there = 0
     errors: list[float] = []
     for k in range(1, len(DAYS)):
@@ -204,8 +204,8 @@ def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
                 plant = series.replicate(series.treated(scene, name, growth), k, seed=1 + _SEEDS_APART * number + PLANTS * place + k)
                 for day in TREATMENT_DAYS:
                     length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day))) * np.exp(rng.normal(0.0, LENGTH_ERROR))
-                    seen.append(Seen(plant=f"{name} {k}", treatment=name, day=day, value=float(length)))
-        apart.append(differences(seen)[0].told_apart)
+                    seen.append(Observation(plant=f"{name} {k}", treatment=name, day=day, value=float(length)))
+        apart.append(differences(seen)[0].is_significant)
         say(f"[{number + 1}/{sets}] growth {effect:g}: {'told apart' if apart[-1] else 'not told apart'}")
     return apart
 
@@ -227,7 +227,7 @@ def responses(sets: int, *, say: Say) -> tuple[float, list[tuple[float, float]]]
     scene = replace(load_scene(SCENE), solution=Solution(recipe="kliman_2022"))
     middle = scene.solution.ions_mmol_per_l["K"]
     intervals: list[tuple[float, float]] = []
-    exact: list[Seen] = []
+    exact: list[Observation] = []
     doses: dict[str, Mapping[str, float]] = {}
     for number in range(sets):
         rng, seen = np.random.default_rng([number, DOSED]), []
@@ -239,7 +239,7 @@ def responses(sets: int, *, say: Say) -> tuple[float, list[tuple[float, float]]]
             doses[name] = plant.solution.ions_mmol_per_l
             for day in TREATMENT_DAYS:
                 length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day)))
-                exact.append(Seen(plant=name, treatment="", day=day, value=length))
+                exact.append(Observation(plant=name, treatment="", day=day, value=length))
                 seen.append(replace(exact[-1], value=length * float(np.exp(rng.normal(0.0, LENGTH_ERROR)))))
         intervals.append(fit_responses(seen, doses)[0].slope_interval)
         say(f"[{number + 1}/{sets}] slope {intervals[-1][0]:.4f} to {intervals[-1][1]:.4f} l/mmol")

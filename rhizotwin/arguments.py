@@ -1,7 +1,7 @@
-"""What commands share: the types of their arguments, each with the limits that it keeps and the sentence that says so.
+"""Argument types that several commands use, with their limits and error messages.
 
-A type is ``Annotated[type, option(reader, "METAVAR")]``; the reader takes the typed text and raises ValueError with the
-limits.
+A type is ``Annotated[type, option(reader, "METAVAR")]``. The reader converts the typed text and raises ValueError with
+the allowed limits.
 """
 
 import errno
@@ -22,7 +22,7 @@ from rhizotwin.scenes.terminal import OneBar
 T = TypeVar("T")
 
 MOST_PARTS = 250
-"""Folders within folders of a path: Python makes and removes them by recursion, of which it allows 1000 calls."""
+"""Maximum depth of nested folders in a path. Python creates and removes them by recursion, limited to 1000 calls."""
 VOXEL_LIMITS_MM = (0.01, 10.0)
 DIAMETER_LIMITS_MM = (0.01, 50.0)
 SHIFT_LIMITS_MM = (-1e6, 1e6)
@@ -37,16 +37,16 @@ MAX_SEEDS = 1000
 
 
 def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Return what makes an argument of one typed word, read by a function that raises ValueError with a sentence."""
+    """Create the parameter of a single value; ``read`` converts its text and raises ValueError with a message."""
 
     def convert(_: Any, tokens: Any) -> object:
         return read(tokens[0].value)
 
-    return Parameter(name=name, converter=convert, n_tokens=1, metavar=metavar)
+    return Parameter(name=name, converter=convert, n_tokens=1, accepts_keys=False, metavar=metavar)
 
 
 def options(read: Callable[[str], object], metavar: str) -> Parameter:
-    """Return the same for an argument that may be given several times; it becomes a tuple."""
+    """Create the parameter of an option that may be repeated; its values form a tuple."""
 
     def convert(_: Any, tokens: Any) -> object:
         return tuple(read(token.value) for token in tokens)
@@ -54,77 +54,77 @@ def options(read: Callable[[str], object], metavar: str) -> Parameter:
     return Parameter(converter=convert, n_tokens=1, metavar=metavar, show_default=False)
 
 
-def named(metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Return what makes an argument shown by a word of its own; paths are checked by `check_paths`."""
+def with_metavar(metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
+    """Create the parameter of a text or path with its own metavar; paths are checked by `check_paths`."""
     return Parameter(name=name, metavar=metavar, validator=check_paths)
 
 
 def output(metavar: str) -> Parameter:
-    """Return what makes the option ``-o``."""
+    """Create the parameter of the option ``--output`` (``-o``)."""
     return Parameter(name=("--output", "-o"), metavar=metavar, validator=check_paths)
 
 
 def check_paths(_: Any, given: Any) -> None:
-    """Refuse paths that no system call takes, or that are nested too deep.
+    """Reject paths that are invalid for the operating system, or nested too deeply.
 
     Raises
     ------
     ValueError
-        With a sentence.
+        If a path is rejected.
     """
     for path in given if isinstance(given, list | tuple) else [given]:
         if isinstance(path, Path):
             if len(path.parts) > MOST_PARTS:
-                raise ValueError(f"{str(path)[:100]}... is {len(path.parts)} folders deep, more than {MOST_PARTS}; choose another place")
+                raise ValueError(f"{str(path)[:100]}... has {len(path.parts)} nested folders (maximum {MOST_PARTS}); use a shorter path")
             try:
                 path.stat()
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.ENAMETOOLONG):
-                    raise ValueError(f"{str(path)[:100]} is no path that can be used ({error.strerror}); choose another place") from None
+                    raise ValueError(f"{str(path)[:100]} is not a valid path ({error.strerror}); use another path") from None
 
 
-def whole(text: str, low: int, high: int, what: str) -> int:
-    """Read a whole number within limits; ``what`` says them.
+def read_integer(text: str, low: int, high: int, what: str) -> int:
+    """Convert text to an integer within limits.
 
     Parameters
     ----------
     text : str
-        As typed.
+        Text as typed.
     low, high : int
-        Least and greatest.
+        Minimum and maximum, inclusive.
     what : str
-        Says the limits, in complaints.
+        Description of the limits for the error message.
 
     Returns
     -------
     int
-        The number.
+        Value.
     """
     try:
         value = int(text)
     except ValueError:
         raise ValueError(f"{text!r} is not a whole number") from None
     if not low <= value <= high:
-        raise ValueError(f"{text} is out of range, {what}")
+        raise ValueError(f"{text} is out of range; {what}")
     return value
 
 
-def between(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
-    """Read a number within limits; ``unit`` and its plural name it in complaints.
+def read_number(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
+    """Convert text to a number within limits.
 
     Parameters
     ----------
     text : str
-        As typed.
+        Text as typed.
     limits : tuple of float
-        Least and greatest.
+        Minimum and maximum, inclusive.
     unit, units : str, (str or None)
-        One and many, in complaints.
+        Unit and its plural, for error messages.
 
     Returns
     -------
     float
-        The number.
+        Value.
     """
     try:
         value = float(text)
@@ -132,17 +132,17 @@ def between(text: str, limits: tuple[float, float], unit: str, units: str | None
         raise ValueError(f"{text!r} is not a number{f' of {units or unit}' if unit else ''}") from None
     low, high = limits
     if not low <= value <= high:
-        raise ValueError(f"{text} is out of range, give {low:g} to {high:g} {unit}".rstrip())
+        raise ValueError(f"{text} is out of range; give {low:g} to {high:g} {unit}".rstrip())
     return value
 
 
-def millimetres(text: str, limits: tuple[float, float]) -> float:
-    """Read a length within limits."""
-    return between(text, limits, "mm", "millimetres")
+def read_length_mm(text: str, limits: tuple[float, float]) -> float:
+    """Convert text to a length in mm within limits."""
+    return read_number(text, limits, "mm", "millimetres")
 
 
 def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tuple[T, ...]]:
-    """Return a reader of a list with commas; with ``once`` what is named again is left out."""
+    """Return a reader of comma-separated values; ``once`` removes duplicates."""
 
     def read(text: str) -> tuple[T, ...]:
         values = [one(part) for part in text.split(",")]
@@ -153,49 +153,49 @@ def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tu
 
 def read_views(text: str) -> int:
     """Read a number of views."""
-    return whole(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
+    return read_integer(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
 
 
 def read_mass_g(text: str) -> float:
     """Read a mass."""
-    return between(text, MASS_LIMITS_G, "g", "grams")
+    return read_number(text, MASS_LIMITS_G, "g", "grams")
 
 
 def read_image_wh(text: str) -> tuple[int, int]:
     """Read a picture size such as 800x600."""
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"{text!r} is not a picture size, write it as 800x600")
+        raise ValueError(f"{text!r} is not a picture size; write it as 800x600")
     low, high = PIXEL_LIMITS
     if not all(low <= side <= high for side in (int(width), int(height))):
-        raise ValueError(f"{text} is out of range, give {low} to {high} pixels a side")
+        raise ValueError(f"{text} is out of range; width and height must be {low} to {high} pixels")
     return int(width), int(height)
 
 
 Device: TypeAlias = Literal["auto", "cpu", "cuda"]
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
-SceneName: TypeAlias = Annotated[str, named("SCENE")]
-Profile: TypeAlias = Annotated[str, named("clean|bench|camera|harsh|real")]
-ResultFolder: TypeAlias = Annotated[Path, named("RESULT")]
-DatasetFolder: TypeAlias = Annotated[Path, named("DATASET")]
+SceneName: TypeAlias = Annotated[str, with_metavar("SCENE")]
+Profile: TypeAlias = Annotated[str, with_metavar("clean|bench|camera|harsh|real")]
+ResultFolder: TypeAlias = Annotated[Path, with_metavar("RESULT")]
+DatasetFolder: TypeAlias = Annotated[Path, with_metavar("DATASET")]
 OutputDataset: TypeAlias = Annotated[Path, output("DATASET")]
 OutputResult: TypeAlias = Annotated[Path, output("RESULT")]
 OutputFile: TypeAlias = Annotated[Path, output("FILE")]
 OutputFolder: TypeAlias = Annotated[Path, output("FOLDER")]
 Views: TypeAlias = Annotated[int, option(read_views, "N")]
 ImageWh: TypeAlias = Annotated[tuple[int, int], option(read_image_wh, "WxH")]
-Samples: TypeAlias = Annotated[int, option(lambda text: whole(text, 1, MAX_SAMPLES, f"give 1 to {MAX_SAMPLES}"), "N")]
-Seed: TypeAlias = Annotated[int, option(lambda text: whole(text, 0, 2**63 - 1, "give 0 or a positive whole number"), "S")]
-Port: TypeAlias = Annotated[int, option(lambda text: whole(text, 1, 65535, "give 1 to 65535"), "N")]
-VoxelMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, VOXEL_LIMITS_MM), "MM")]
-DiameterMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, DIAMETER_LIMITS_MM), "D")]
-VolumeMl: TypeAlias = Annotated[float, option(lambda text: between(text, VOLUME_LIMITS_ML, "ml", "millilitres"), "ML")]
+Samples: TypeAlias = Annotated[int, option(lambda text: read_integer(text, 1, MAX_SAMPLES, f"give 1 to {MAX_SAMPLES}"), "N")]
+Seed: TypeAlias = Annotated[int, option(lambda text: read_integer(text, 0, 2**63 - 1, "give 0 or a positive whole number"), "S")]
+Port: TypeAlias = Annotated[int, option(lambda text: read_integer(text, 1, 65535, "give 1 to 65535"), "N")]
+VoxelMm: TypeAlias = Annotated[float, option(lambda text: read_length_mm(text, VOXEL_LIMITS_MM), "MM")]
+DiameterMm: TypeAlias = Annotated[float, option(lambda text: read_length_mm(text, DIAMETER_LIMITS_MM), "D")]
+VolumeMl: TypeAlias = Annotated[float, option(lambda text: read_number(text, VOLUME_LIMITS_ML, "ml", "millilitres"), "ML")]
 MassG: TypeAlias = Annotated[float, option(read_mass_g, "G")]
 
 
 def read_day(text: str) -> float:
     """Read a plant's age."""
-    return between(text, DAY_LIMITS, "days")
+    return read_number(text, DAY_LIMITS, "days")
 
 
 def read_date(text: str) -> str:
@@ -203,50 +203,51 @@ def read_date(text: str) -> str:
     try:
         return date.fromisoformat(text).isoformat()
     except ValueError:
-        raise ValueError(f"{text!r} is not a date, write it as 2022-10-06") from None
+        raise ValueError(f"{text!r} is not a date; write it as 2022-10-06") from None
 
 
 def read_shift_mm(text: str) -> tuple[float, float, float]:
     """Read a shift such as 0,0,-20."""
     parts = text.split(",")
     if len(parts) != 3:
-        raise ValueError(f"{text!r} is not a shift, write it as X,Y,Z in mm, such as 0,0,-20")
-    x, y, z = (millimetres(part, SHIFT_LIMITS_MM) for part in parts)
+        raise ValueError(f"{text!r} is not a shift; write it as X,Y,Z in mm, such as 0,0,-20")
+    x, y, z = (read_length_mm(part, SHIFT_LIMITS_MM) for part in parts)
     return x, y, z
 
 
 SolutionName = Annotated[Solution, option(read_solution, "NAME|FILE[,K=0.5,...]")]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Plant")
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions:
-    """Whose roots are in the canister; what is given goes before the scene's [subject]."""
+    """Plant in the canister; each option overrides the scene's [subject]."""
 
-    plant: Annotated[str | None, named("NAME")] = None
-    """Name of the plant, the same on every day."""
-    species: Annotated[str | None, named("NAME")] = None
-    """Its species, such as 'Raphanus sativus'."""
-    treatment: Annotated[str | None, named("NAME")] = None
+    plant: Annotated[str | None, with_metavar("NAME")] = None
+    """Name of the plant; must be the same for every scan of the plant."""
+    species: Annotated[str | None, with_metavar("NAME")] = None
+    """Species of the plant, such as 'Raphanus sativus'."""
+    treatment: Annotated[str | None, with_metavar("NAME")] = None
     """Treatment, for example 'low N'."""
     day: Annotated[float | None, option(read_day, "DAYS")] = None
-    """Days since sowing."""
+    """Age of the plant: days since sowing."""
     date: Annotated[str | None, option(read_date, "DATE")] = None
-    """Date of the scan, as 2022-10-06."""
-    replicate: Annotated[int | None, option(lambda text: whole(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
-    """Which of the plants that were treated alike."""
-    notes: Annotated[str | None, named("TEXT")] = None
-    """Anything else that tables shall tell."""
+    """Date of the scan, such as 2022-10-06."""
+    replicate: Annotated[int | None, option(lambda text: read_integer(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
+    """Number of the replicate within its treatment."""
+    notes: Annotated[str | None, with_metavar("TEXT")] = None
+    """Free text, copied to every table."""
     solution: SolutionName | None = None
-    """Nutrient solution: kliman_2022 or a TOML file with the keys of [solution], and factors by element."""
+    """Nutrient solution: kliman_2022, or a TOML file with the keys of [solution]; optionally with a factor per \
+element, such as kliman_2022,K=0.5."""
 
-    def told(self, scene: Scene) -> Scene:
-        """Return a scene whose subject is changed by what was given.
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return a copy of the scene with the given subject and solution.
 
         Raises
         ------
         UserError
-            For text that cannot stand in a table.
+            If a text contains characters that are not allowed in tables.
         """
         given = {name: value for name, value in vars(self).items() if value is not None}
         dissolved = given.pop("solution", scene.solution)
@@ -255,70 +256,70 @@ class SubjectOptions:
         return replace(scene, subject=subject, solution=dissolved)
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Scene")
 @dataclass(frozen=True, kw_only=True)
 class Placing:
-    """How a specimen's file is put into the water; None leaves what the scene says."""
+    """Position of a specimen file in the canister; None keeps the scene's value."""
 
     place: Literal["given", "auto"] | None = None
-    """Where the specimen's file goes: where its coordinates say (given), or upright below the net pot's grid in the \
-middle (auto)."""
+    """Position of the specimen: given (use the coordinates of the file) or auto (upright and centred below the net \
+pot)."""
     flip: Flag | None = None
-    """Turn it upside down first: for files whose z points down."""
-    scale: Annotated[float, option(lambda text: between(text, SCALE_LIMITS, ""), "S")] | None = None
-    """Then enlarge it so many times, diameters too."""
+    """Turn the specimen upside down first, for files in which z points down."""
+    scale: Annotated[float, option(lambda text: read_number(text, SCALE_LIMITS, ""), "S")] | None = None
+    """Scale factor, applied to coordinates and diameters after --flip."""
     shift_mm: Annotated[tuple[float, float, float], option(read_shift_mm, "X,Y,Z")] | None = None
-    """Then move it, from where --place puts it; write --shift-mm=-5,0,-20 where the first number is below 0."""
+    """Translation in mm, applied last. If the first number is negative, write --shift-mm=-5,0,-20."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How much is told of the work while it lasts: one bar on a terminal, a line a stage elsewhere."""
+    """Progress output: one bar on a terminal, one line per stage elsewhere."""
 
     quiet: Flag = False
     """Show no progress."""
     verbose: Flag = False
-    """Write a line for each stage, with its time."""
+    """Print one line per stage with its duration."""
 
     def bar(self, **shares: float) -> OneBar:
-        """Return a bar for stages that take about these shares of the time."""
+        """Return a progress bar; ``shares`` are the relative durations of the stages."""
         return OneBar(shares, quiet=self.quiet, verbose=self.verbose)
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Web page")
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """Where a page is served."""
+    """Address of a served page."""
 
-    host: Annotated[str, named("ADDRESS")] = "127.0.0.1"
-    """Address to serve the page at; 127.0.0.1 is this machine alone."""
+    host: Annotated[str, with_metavar("ADDRESS")] = "127.0.0.1"
+    """Network address to serve the page on; 127.0.0.1 allows connections from this computer only."""
     port: Port = 8080
-    """Port to serve the page at, or the next free one."""
+    """Port to serve the page on; if it is in use, the next free port."""
     no_browser: Flag = False
-    """Print the page's address, and open no browser."""
+    """Print the address of the page without opening a browser."""
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Scene")
 @dataclass(frozen=True, kw_only=True)
 class SceneChanges:
-    """What the command line changes in a scene."""
+    """Changes to a scene."""
 
     profile: Profile | None = None
-    """What the rig gets wrong: clean (nothing), bench (a good rig), camera (and an ordinary camera), harsh (a bad \
-day), real (a first scan of a plant), or a file; default: the scene's own."""
-    specimen: Annotated[Path | None, named("FILE")] = None
-    """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) in millimetres, or traced roots (RSML), in \
-the canister frame: origin on the axis in the plane of the rim, z up, roots below 0; for files in a frame of their own \
-see --place."""
-    specimen_unit: Annotated[str | None, named("UNIT")] = None
-    """Unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such\
- as '0.1 mm'."""
+    """Simulated errors of the rig: clean (none), bench (a well-built rig), camera (bench with an ordinary camera), \
+harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file; default: as in the scene."""
+    specimen: Annotated[Path | None, with_metavar("FILE")] = None
+    """Replace the scene's root by a file: a closed mesh (PLY, STL, OBJ) in mm, or traced roots (RSML). Coordinates \
+are in the canister frame: origin on the axis in the plane of the rim, z up, roots at negative z. For other \
+coordinates see --place."""
+    specimen_unit: Annotated[str | None, with_metavar("UNIT")] = None
+    """Unit of the coordinates in an RSML file, if the file gives none or a wrong one: mm, cm, m, um, inch, or a \
+multiple such as '0.1 mm'."""
     specimen_diameter_mm: DiameterMm | None = None
-    """Diameter of the roots for which an RSML file gives none."""
+    """Diameter of roots without a diameter in the RSML file."""
     placing: Placing = Placing()
-    """Where the specimen goes."""
+    """Position of the specimen."""
     views: Views | None = None
-    """Pictures in every ring; default: the scene's."""
+    """Number of pictures per ring of camera positions; default: as in the scene."""
     image_wh: ImageWh | None = None
-    """Picture size in pixels, such as 800x600; default: the scene's."""
+    """Picture size in pixels, such as 800x600; default: as in the scene."""

@@ -1,4 +1,4 @@
-"""The program: it runs a command, and each failure ends in one sentence and an exit code."""
+"""Entry point of the program; every failure ends with a one-line message and an exit code."""
 
 import os
 import signal
@@ -16,34 +16,34 @@ from rhizotwin.scenes.said import DEBUG_VARIABLE, FULL, failure, printable
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 AFTER_STOP = {
-    "simulate": "the same command takes it up again",
-    "demo": "the same command takes it up again",
-    "plan": "the same command takes it up again",
-    "batch": "what is finished is kept; the same command does the rest",
-    "scan": "the pictures are kept; the same command with --resume takes the others",
+    "simulate": "run the same command again to continue",
+    "demo": "run the same command again to continue",
+    "plan": "run the same command again to continue",
+    "batch": "finished scans are kept; run the same command again to continue",
+    "scan": "the pictures taken so far are kept; run the same command with --resume to continue",
     "twin": "",
     "rig": "",
     "camera": "",
     "view": "",
 }
-"""What Ctrl-C leaves of a command; of the others nothing."""
+"""Message after Ctrl-C, by command; the other commands leave no output."""
 ONE_STOP_S = 1.0
-"""Ctrl-C pressed again within this time is the same press: it must not disturb the tidying up."""
+"""A second Ctrl-C within this time is ignored, so that the clean-up is not interrupted."""
 ASK_AGAIN_S = 0.05
-"""Ctrl-C while a library is loading waits for it: after this time it is looked again."""
+"""Interval after which a Ctrl-C that arrived during an import is handled again."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 done, 1 failed (or what a command returns, as a gate does), 2 what the user can put right, 130 stopped by Ctrl-C.
+    0: success; 1: failure, or the return value of the command; 2: invalid input; 130: interrupted by Ctrl-C.
     """
     stops: list[float] = []
     command = ""
 
     def stop(_: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if _loading(frame) and hasattr(signal, "setitimer"):  # Windows has none: libraries may report an error of their own there
+        if _loading(frame) and hasattr(signal, "setitimer"):  # Windows has none; an interrupted import may raise another error there
             signal.setitimer(signal.ITIMER_REAL, ASK_AGAIN_S)
         elif not stops or now - stops[-1] > ONE_STOP_S:
             stops.append(now)
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGALRM") if hasattr(signal, name)]
     before = {number: signal.signal(number, stop) for number in numbers if in_main_thread}
     try:
-        from rhizotwin import command_line  # it takes time to load, and Ctrl-C may come meanwhile
+        from rhizotwin import command_line  # slow import; Ctrl-C may arrive meanwhile
 
         words = sys.argv[1:] if arguments is None else list(arguments)
         command = words[0] if words else ""
@@ -62,11 +62,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = function(*bound.args, **bound.kwargs)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of the output (head, less) has left: nobody is there to be told.
+        # The reader of the output (head, less) has exited.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last line of defence: nobody sees a traceback unasked
-        # A library that is stopped while it loads may report an error of its own instead.
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - users see a message, never a traceback
+        # An import that was interrupted by Ctrl-C may raise another error.
         return _fail(*_explain(KeyboardInterrupt() if stops else error, command))
     finally:
         for number, handler in before.items():
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Printed:
-    """Stdout for commands: names and texts in files from anybody neither steer a terminal nor end a command."""
+    """Standard output that replaces control characters, which file names and texts from untrusted files may contain."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -84,15 +84,15 @@ class _Printed:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text, a question mark for each control code that is no tab and ends no line."""
+        """Write text; each control character but tab and newline becomes a question mark."""
         self._stream.write("".join(letter if letter in "\n\t" else printable(letter) for letter in text))
         return len(text)
 
 
 def _loading(frame: FrameType | None) -> bool:
-    """Tell whether Python is loading a module.
+    """Return whether Python is importing a module.
 
-    Libraries that are stopped then swallow it, or report an error of their own.
+    Libraries interrupted during an import ignore the interrupt or raise another error.
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
@@ -102,11 +102,11 @@ def _loading(frame: FrameType | None) -> bool:
 
 
 def _fail(sentence: str, code: int) -> int:
-    if "tqdm" in sys.modules:  # the sentence begins on a line of its own, not behind an unfinished bar
+    if "tqdm" in sys.modules:  # close progress bars, so that the message starts on a new line
         for bar in list(getattr(sys.modules["tqdm"].tqdm, "_instances", ())):
             bar.close()
     if code == EXIT_STOPPED and sys.stderr.isatty():
-        sys.stderr.write("\n")  # behind the terminal's ^C
+        sys.stderr.write("\n")  # after the ^C that the terminal shows
     if os.environ.get(DEBUG_VARIABLE):
         traceback.print_exc()
     sys.stderr.write(f"rhizotwin: {printable(' '.join(sentence.split()))}\n")
@@ -114,9 +114,9 @@ def _fail(sentence: str, code: int) -> int:
 
 
 def _explain(error: BaseException, command: str) -> tuple[str, int]:
-    """Return the sentence that explains an error in a command, and the exit code."""
+    """Return the message and the exit code for an error in a command."""
     if isinstance(error, KeyboardInterrupt):
-        after = AFTER_STOP.get(command, "nothing was written; run it again")
-        return f"stopped; {after}" if after else "stopped", EXIT_STOPPED
+        after = AFTER_STOP.get(command, "nothing was written")
+        return f"interrupted; {after}" if after else "interrupted", EXIT_STOPPED
     full = isinstance(error, OSError) and error.errno in FULL
     return failure(error), EXIT_MISTAKE if full or isinstance(error, UserError) else EXIT_FAILED

@@ -1,4 +1,4 @@
-"""The command line: the commands as a cyclopts application, their help, and mistakes in typing."""
+"""Command line: the commands as a cyclopts application, their help, and messages for invalid arguments."""
 
 import inspect
 import re
@@ -23,27 +23,28 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.near import nearest
 
 ABOUT = (
-    "A digital twin of a hydroponic root-imaging rig: render roots in a refracting water canister, reconstruct them "
-    "from the pictures alone, and score the result against the truth."
+    "Measure the roots of plants in round water canisters: reconstruct shape, volume and traits in 3D from pictures "
+    "taken all around the canister, with the refraction of water and wall. A digital twin of the imaging rig simulates "
+    "such pictures with known ground truth."
 )
 MORE = (
-    "Start with: rhizotwin demo\n"
-    "Then the three steps by themselves:\n"
+    "First steps: rhizotwin demo\n"
+    "The same in single steps:\n"
     "  rhizotwin simulate printed_8ml -o my_dataset\n"
     "  rhizotwin reconstruct my_dataset -o my_result\n"
     "  rhizotwin score my_result my_dataset\n"
-    "Each command has a --help of its own. Lengths are millimetres, angles degrees."
+    "For the options of a command: rhizotwin COMMAND --help. Lengths are in millimetres, angles in degrees."
 )
 _SECTION = re.compile(r"\n\n(?=\w+\n-+\n)")
 
 
 def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
-    """Return the function that a command line asks for, and its arguments.
+    """Parse a command line to the function of its command and the function's arguments.
 
     Raises
     ------
     UserError
-        For a mistake in typing.
+        If an argument is invalid.
     """
     app = build(words)
     if list(words) in ([], *([group] for group in GROUPS - ALONE)):
@@ -54,16 +55,16 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
         command = " ".join(["rhizotwin", *(error.command_chain or ())])
         raise UserError(f"{_sentence(error, words)}; see {command} --help") from None
     except RecursionError:  # lists of lists are read as JSON
-        raise UserError("an option's value is nested deeper than any can be; see rhizotwin --help") from None
+        raise UserError("the value of an option is nested too deeply; see rhizotwin --help") from None
     return function, bound
 
 
 def build(words: Sequence[str] = ()) -> App:
-    """Return the application.
+    """Build the application.
 
-    Of the commands only the one that the words name is loaded, whose help is its docstring.
+    Only the module of the command in ``words`` is imported; its docstring becomes the help text.
     """
-    asked = [" ".join(words[:count]) for count in (1, 2)]
+    typed_names = [" ".join(words[:count]) for count in (1, 2)]
     app = App(
         name="rhizotwin",
         help=ABOUT,
@@ -78,28 +79,28 @@ def build(words: Sequence[str] = ()) -> App:
         above = groups[group] if group else app
         if name in GROUPS:
             module, _, function = place(name).partition(":")
-            own = getattr(import_module(module), function) if name in asked and name in ALONE else None
-            help_, examples = _help(own or import_module(module)) if name in asked else (short, "")
+            own = getattr(import_module(module), function) if name in typed_names and name in ALONE else None
+            help_, examples = _help(own or import_module(module)) if name in typed_names else (short, "")
             groups[name] = App(name=name, help=help_, help_epilogue=examples, sort_key=order)
             if own is not None:
                 groups[name].default(own)
             app.command(groups[name])
-        elif name in asked:
+        elif name in typed_names:
             module, _, function = place(name).partition(":")
             command = getattr(import_module(module), function)
             help_, examples = _help(command)
             above.command(command, name=step, help=help_, help_epilogue=examples, sort_key=order)
         else:
             above.command(place(name), name=step, help=short, sort_key=order)
-    app.register_install_completion_command(help="Let the shell complete commands, options and names: bash, zsh, fish.")
+    app.register_install_completion_command(help="Install shell completion of commands and options (bash, zsh, fish).")
     return app
 
 
 def _help(source: Any) -> tuple[str, str]:
-    """Return what the docstring of a module or function tells, and its examples as they are typed.
+    """Return the description and the examples in the docstring of a module or function.
 
-    Lines of a paragraph are joined, so that the terminal's width breaks them, and indented ones stay; so are those of
-    the parameters, which cyclopts reads from the docstring itself.
+    The lines of each paragraph are joined, so that they are wrapped at the width of the terminal; indented lines are
+    kept. The descriptions of parameters, which cyclopts reads from the docstring, are joined likewise.
     """
     about, *sections = _SECTION.split(inspect.getdoc(source) or "")
     typed = [section.splitlines()[2:] for section in sections if section.startswith("Examples\n")]
@@ -110,7 +111,7 @@ def _help(source: Any) -> tuple[str, str]:
 
 
 def _joined(section: str) -> str:
-    """Join the indented lines below each parameter of a docstring's section."""
+    """Join the indented lines of each parameter in a section of a docstring."""
     lines: list[str] = []
     for line in section.splitlines():
         if line.startswith("    ") and lines[-1].startswith("    "):
@@ -121,44 +122,44 @@ def _joined(section: str) -> str:
 
 
 def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
-    """Return a mistake in typing as a sentence that names the argument and the value."""
+    """Return the error message for invalid arguments, with the argument and its value."""
     argument = error.argument
     name = "" if argument is None else _name(argument)
     if isinstance(error, MissingArgumentError) and argument is not None:
         if not any(word.partition("=")[0] in argument.names for word in words):
             return f"{name} is missing"
-        return f"{name} needs a value; one that begins with - is written as {argument.names[0]}=VALUE"
+        return f"{name} needs a value; write a value that begins with - as {argument.names[0]}=VALUE"
     if isinstance(error, CoercionError) and error.token is not None:
         name, value = error.token.keyword or name, error.token.value
         if error.msg is not None:
             return f"{name}: {error.msg}"
         choices = get_args(error.target_type)
-        return f"{name}: {value!r} is unknown, choose one of {', '.join(choices)}" if choices else f"{name}: {value!r} cannot be read"
+        return f"{name}: {value!r} is unknown; choose one of {', '.join(choices)}" if choices else f"{name}: {value!r} is invalid"
     if isinstance(error, ValidationError):
         return f"{name}: {error.exception_message}"
     if isinstance(error, UnknownOptionError):
         word = error.token.keyword or error.token.value
         known = [other for one in error.argument_collection for other in one.names]
-        return f"{word} is no option of this command{_meant(word, known)}"
+        return f"unknown option {word}{_suggestion(word, known)}"
     if isinstance(error, UnknownCommandError | UnusedCliTokensError) and error.unused_tokens:
         word, chain = error.unused_tokens[0], " ".join(error.command_chain or ())
         if chain and chain not in GROUPS:
-            return f"{word!r} is one word too many"
+            return f"unexpected argument {word!r}"
         names = [step for group, _, step in (command.rpartition(" ") for command in COMMANDS) if group == chain]
-        return f"{word!r} is no command{_meant(word, names)}"
+        return f"unknown command {word!r}{_suggestion(word, names)}"
     if isinstance(error, RepeatArgumentError):
         return f"{name or error.token.keyword} is given twice"
     return str(error)
 
 
 def _name(argument: Any) -> str:
-    """Return what a person calls an argument: its option, ``--output (-o)``, or the word that stands for its place."""
+    """Return the name of an argument in messages: its option, such as ``--output (-o)``, or its metavar."""
     options = [name for name in argument.names if name.startswith("-")]
     if not options:
         return str(argument.parameter.metavar or argument.names[0].upper())
     return options[0] + "".join(f" ({other})" for other in options[1:])
 
 
-def _meant(word: str, known: Sequence[str]) -> str:
+def _suggestion(word: str, known: Sequence[str]) -> str:
     near = nearest(word, known)
     return f"; did you mean {near}?" if near else ""

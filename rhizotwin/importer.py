@@ -1,4 +1,4 @@
-"""Make a dataset of pictures taken elsewhere, with the cameras found later from the markers or given in a file."""
+"""Creation of a dataset from existing pictures, with cameras from a file or estimated later from the markers."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,21 +24,21 @@ from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.unlike_rows import LEAST, Turn
 
 MOST_CLIPPED = 0.05
-"""Share of a picture's pixels at full scale above which it is overexposed, as before a scan
+"""Fraction of pixels at full scale above which a picture is overexposed, as in the checks before a scan
 (`rig.scanning.preflight`)."""
 MASK_MARGIN = 0.1
-"""Grey values this near to black or white, as a fraction of the range, pass for black or white in a silhouette."""
+"""Tolerance of black and white in silhouettes, as a fraction of the grey range."""
 MASK_GREYS = 0.05
-"""Largest fraction of a silhouette's pixels that may be neither: the soft edges of its outline."""
+"""Maximum fraction of a silhouette's pixels that are neither black nor white: the soft edges of its outline."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """What an import made and what it chose for the user."""
+    """Imported dataset with notes on automatic decisions."""
 
     dataset: Dataset
     notes: tuple[str, ...]
-    """One sentence for each thing that was chosen, converted or left out."""
+    """One sentence for each automatic choice, conversion or exclusion."""
 
 
 def import_pictures(
@@ -51,33 +51,33 @@ def import_pictures(
     no_strip: bool = False,
     monitor: Monitor | None = None,
 ) -> Imported:
-    """Copy a folder of pictures into a new dataset.
+    """Copy a folder of pictures to a new dataset.
 
     Parameters
     ----------
     folder : Path
-        PNG, JPG or TIFF pictures of 8 or 16 bits, or raw ones (DNG), taken in the natural order of their names (view_2
-        before view_10).
+        PNG, JPG or TIFF pictures of 8 or 16 bits, or raw pictures (DNG), in natural order of their names (view_2 before
+        view_10).
     scene : Scene
-        The rig that they were taken on. Its camera must have the pictures' size, unless ``cameras`` brings one.
+        Scene of the rig. The picture size of its camera must match, unless ``cameras`` contains a lens.
     out : Path
-        The dataset's folder; new or empty. It appears whole or not at all.
+        Dataset folder; new or empty. It is written atomically.
     cameras : Path or None
-        A transforms.json in nerfstudio's form (see `rhizotwin.nerfstudio`), whose world is the canister frame in mm.
-        Pictures without a camera are left out and named. None: the poses are to be found from the marker strip.
+        A transforms.json in nerfstudio's format (see `rhizotwin.nerfstudio`), in the canister frame in mm. Pictures
+        without a camera are excluded and listed. None: poses are estimated from the marker strip.
     masks : bool
-        The pictures are silhouettes: white root on black. They need ``cameras``, since they show no markers.
+        The pictures are silhouettes: white root on black. Requires ``cameras``, because they show no markers.
     no_strip : bool
-        There is no marker strip: the cameras are to be found from the canister's edges and the roots (a telecentric
-        camera, one ring).
+        There is no marker strip: the cameras are estimated from the edges of the canister and from the roots
+        (telecentric camera, one ring).
     monitor : Monitor, optional
-        Hears how far it is.
+        Progress monitor.
 
     Raises
     ------
     UserError
-        For an unreadable, damaged or differently sized picture, one without a checksum whose rows are like no other
-        picture's, silhouettes without cameras or with greys, or cameras that do not fit.
+        If a picture is unreadable, damaged or of another size, if rows of a picture without a checksum differ from all
+        other pictures, if silhouettes have no cameras or contain greys, or if cameras do not fit.
     """
     _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
     scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
@@ -121,25 +121,25 @@ def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
 
 
 def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
-    """Refuse what does not go together."""
+    """Reject combinations of options that exclude each other."""
     if scene.tank is not None and (cameras is not None or no_strip):
         raise UserError(
-            f"how the [tank] of scene {scene.name} stands to the cameras is found from the strip's markers, so that pictures with given "
-            "cameras or without the strip cannot be used with it; leave that option or that section out"
+            f"the pose of the [tank] of scene {scene.name} is estimated from the marker strip; "
+            "remove --cameras or --no-strip, or the [tank] section"
         )
     if masks and cameras is None:
-        raise UserError("silhouettes (--masks) show no markers to find the cameras by; give the cameras too, with --cameras JSON")
+        raise UserError("silhouettes (--masks) show no markers, so that the cameras must be given with --cameras JSON")
     if no_strip and cameras is not None:
-        raise UserError("--no-strip finds the cameras in the pictures, and --cameras gives them; leave one of the two out")
+        raise UserError("--no-strip and --cameras cannot be used together")
 
 
 def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
-    """Return a folder's pictures, and whether they are raw."""
+    """Return the pictures of a folder, and whether they are raw."""
     paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_pictures.SUFFIXES))
     raw = [path for path in paths if raw_pictures.is_raw(path)]
     if raw and len(raw) < len(paths):
         other = next(path for path in paths if path not in raw)
-        raise UserError(f"{folder} holds raw pictures ({raw[0].name}) beside others ({other.name}); put one kind into a folder of its own")
+        raise UserError(f"{folder} contains raw pictures ({raw[0].name}) and others ({other.name}); use a separate folder for each kind")
     return paths, bool(raw)
 
 
@@ -150,20 +150,20 @@ Placed: TypeAlias = tuple[int, str, int, float | None]
 
 
 class _Copying:
-    """Pictures on their way into a dataset.
+    """Pictures that are being copied to a dataset.
 
     Parameters
     ----------
     scene : Scene
-        Its camera has the pictures' size.
+        Scene whose camera has the size of the pictures.
     folder : Path
-        The dataset's.
+        Dataset folder.
     raw : bool
-        Whether they are raw pictures.
+        Whether the pictures are raw.
     white : int or None
-        The number that means white in silhouettes; None: they are pictures.
+        Grey value of white in silhouettes; None for pictures.
     given : GivenCameras or None
-        Where their cameras stand, where that is known.
+        Given cameras, if any.
     """
 
     def __init__(self, scene: Scene, folder: Path, *, raw: bool, white: int | None, given: GivenCameras | None) -> None:
@@ -173,10 +173,10 @@ class _Copying:
         self._turns = _Turns()
         self._count = 0
         self.clipped: dict[str, float] = {}
-        """Share of full pixels of the pictures that are too bright."""
+        """Fraction of saturated pixels of the overexposed pictures."""
 
     def copied(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
-        """Copy all pictures, with view, band, ring and table angle of each; refuse damaged ones."""
+        """Copy all pictures with view, band, ring and table angle; reject damaged pictures."""
         found = []
         with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
             for path, placed in zip(paths, table, strict=True):
@@ -187,7 +187,7 @@ class _Copying:
         return tuple(found)
 
     def _copy(self, path: Path, placed: Placed) -> Frame:
-        """Write a picture into the dataset, and look at it."""
+        """Write a picture to the dataset and check it."""
         view, band, ring, table_deg = placed
         if self._raw:
             light, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
@@ -214,25 +214,25 @@ class _Copying:
         )
 
     def notes(self) -> list[str]:
-        """Say what was not checked, and warn of pictures that are too bright."""
+        """Return notes on unchecked properties and overexposed pictures."""
         if not self.clipped:
             return self._turns.notes()
         worst = max(self.clipped, key=lambda name: self.clipped[name])
         return [
             *self._turns.notes(),
-            f"warning: {len(self.clipped)} of {self._count} pictures are overexposed, {worst} worst with "
-            f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale: what roots absorb of that light cannot be measured; "
-            "expose less, the panel at 0.8 of it",
+            f"warning: {len(self.clipped)} of {self._count} pictures are overexposed; the worst is {worst} with "
+            f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale. The light absorbed by roots cannot be measured there; "
+            "reduce the exposure so that the panel is at 80 % of full scale",
         ]
 
 
 def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
-    """Return the pose given for a picture, by its name or (as some programs write it) by its name without a suffix."""
+    """Return the given pose of a picture, by its name or by its name without suffix, as some programs write it."""
     return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
 
 
 def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
-    """Return the cameras of a file, and the scene with their lens."""
+    """Read the cameras of a file, and the scene with their lens."""
     given = read_cameras(cameras, scene.camera)
     changed = replace(scene, camera=given.camera)
     scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
@@ -241,61 +241,67 @@ def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
 
 
 def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: list[str]) -> list[Path]:
-    """Return the pictures that have a camera; note the others; refuse cameras whose picture is missing."""
+    """Return the pictures with a camera; note the others; reject cameras without a picture."""
     kept = [path for path in paths if _pose_of(path, given) is not None]
     names = {path.name for path in paths} | {path.stem for path in paths}
     missing = [name for name in given.cam_from_canister if name not in names]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise UserError(
-            f"{cameras} has a camera for {missing[0]}{more}, but {paths[0].parent} holds no such picture; add it or remove the camera"
+            f"{cameras} has a camera for {missing[0]}{more}, but this picture is missing in {paths[0].parent}; add it or remove the camera"
         )
     without = [path.name for path in paths if path not in kept]
     if without:
-        notes.append(f"left out, because {cameras} has no camera for them: {', '.join(without)}")
+        notes.append(f"not imported, because {cameras} has no camera for them: {', '.join(without)}")
     return kept
 
 
 def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
-    """Refuse cameras inside the canister: they come of a file in metres, or of another world than the canister's."""
+    """Reject cameras inside the canister, which indicate another unit or another frame."""
     for name, cam_from_canister in given.cam_from_canister.items():
         centre_mm = frames.invert(cam_from_canister)[:3, 3]
         inside = np.hypot(centre_mm[0], centre_mm[1]) < scene.canister.outer_radius_mm
         if inside and scene.water.n_water > 1.0 and -scene.canister.height_mm < centre_mm[2] < 0.0:
             x, y, z = centre_mm
             raise UserError(
-                f"{cameras}: the camera of {name} stands inside the canister, at ({x:.3g}, {y:.3g}, {z:.3g}) mm; "
-                "the file's world must be the canister frame in millimetres"
+                f"{cameras}: the camera of {name} is inside the canister, at ({x:.3g}, {y:.3g}, {z:.3g}) mm; "
+                "coordinates must be given in the canister frame in millimetres"
             )
 
 
 def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: list[str]) -> list[tuple[int, float | None]]:
-    """Return each picture's ring and table angle: the plan's where the counts agree, otherwise ring 0 and no angle."""
+    """Return ring and table angle of each picture: as planned if the counts agree, else ring 0 without angle."""
     if given is not None:
         return [(0, None)] * count
     views = plan.views(scene)
     if len(views) == count:
-        notes.append(f"table angles taken from the scene's plan of {count} views, in the order of the names")
+        notes.append(f"table angles: taken from the capture plan of the scene ({count} views), in the order of the file names")
         return [(view.ring, view.table_deg) for view in views]
-    notes.append(f"{count} pictures, but the scene's plan has {len(views)} views: no table angle is assumed, the markers alone must tell")
+    notes.append(
+        f"table angles: none, because there are {count} pictures but the capture plan "
+        f"has {len(views)} views; they are estimated from the markers"
+    )
     return [(0, None)] * count
 
 
 def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
-    """Say by what curve the pictures' numbers will be read."""
+    """Return a note on the response curve used for the pictures."""
     if raw:
-        return "raw pictures: blocks of their pixels became one grey pixel each, with the first one's white balance; they are light"
+        return (
+            "raw pictures: each block of pixels was averaged to one grey pixel with "
+            "the white balance of the first picture; values are linear"
+        )
     stated = transfer.of_camera(scene.camera)
     words = {word.name for path in paths if (word := transfer.stated_in(path)) is not None}
     if not words:
-        return f"the pictures' files do not say what curve they have: the scene's camera does ({stated.name})"
-    return f"the pictures' files say what curve they have: {', '.join(sorted(words))}"
+        return f"response curve: {stated.name}, as given by the camera of the scene, because the pictures contain no information"
+    return f"response curve: {', '.join(sorted(words))}, as stated in the pictures"
 
 
 def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
-    """Return what is stored of a picture.
+    """Return the data to be stored for a picture.
 
-    The file as it is, with its word on its curve; silhouettes as PNG, stretched to 0..255 grey.
+    Pictures are stored unchanged, with the stated response curve; silhouettes as PNG, scaled to 0..255.
     """
     data, grey = _read(path, scene)
     if white is None:
@@ -309,7 +315,7 @@ def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
 
 
 class _Turns:
-    """The pictures of each ring, of which some have no checksum: damage in those is sought by their neighbours."""
+    """Pictures of each ring; damage in those without a checksum is detected by comparison with their neighbours."""
 
     def __init__(self) -> None:
         self._turns: dict[Alike, Turn] = {}
@@ -317,72 +323,73 @@ class _Turns:
         self._folder = Path()
 
     def add(self, path: Path, ring: Alike, grey: Grey, *, sealed: bool) -> None:
-        """Take a picture in."""
+        """Add a picture."""
         self._folder = path.parent
         self._turns.setdefault(ring, Turn()).add(path.name, grey)
         if not sealed:
             self._open[path.name] = ring
 
     def refuse_damaged(self) -> None:
-        """Refuse a picture without a checksum of which some rows are like no other picture's."""
+        """Reject a picture without a checksum in which rows differ from all other pictures."""
         for ring in sorted(set(self._open.values())):
             for found in self._turns[ring].unlike():
                 if found.name in self._open:
                     raise UserError(
-                        f"{self._folder / found.name}: rows {found.first} to {found.last} are like no other picture's, as damage makes "
-                        "them, and its format has no checksum that could tell; copy or take it again, leave it out, or, if it is as "
-                        "it should be, convert it to PNG"
+                        f"{self._folder / found.name}: rows {found.first} to {found.last} differ from all other pictures, which "
+                        "indicates damage; copy or take the picture again or remove it. If it is correct, convert it to PNG, "
+                        "because its format has no "
+                        "checksum that could prove this"
                     )
 
     def notes(self) -> list[str]:
-        """Say what was not checked."""
+        """Return notes on what was not checked."""
         if not self._open:
             return []
         apart = sum(not self._turns[ring].enough for ring in self._open.values())
-        but = "damage that changes less than a fifth of a row cannot be told"
+        but = "damage of less than a fifth of a row cannot be detected"
         if apart:
-            but += f"; {apart} of them could not be compared with others of their ring, which takes {LEAST}"
+            but += f"; {apart} of them could not be compared with others of their ring, which requires {LEAST} pictures"
         return [
-            f"{len(self._open)} pictures are in formats without a checksum (JPEG, TIFF with LZW, PackBits or bare pixels): {but}; "
-            "PNG, or TIFF with Deflate, would show any"
+            f"{len(self._open)} pictures have formats without a checksum (JPEG, TIFF with LZW, PackBits or no compression): {but}; "
+            "damage of PNG, or of TIFF with Deflate, is always detected"
         ]
 
 
 def _clipped(grey: Grey) -> float:
-    """Return the share of a picture's pixels at the largest number of its depth.
+    """Return the fraction of a picture's pixels at the maximum of its bit depth.
 
-    Or of the depth that its numbers fill (12 bits in 16).
+    The bit depth may be smaller than that of the file (12 bits in 16).
     """
     largest = int(grey.max())
-    # as whole numbers, and 10, 12 and 14 bits shifted up to 16
+    # as integers, and 10, 12 and 14 bits shifted up to 16
     full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}
     return float((grey == largest).mean()) if largest in full else 0.0
 
 
 def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
-    """Return a file's bytes and its grey picture, which must be whole and of the camera's size."""
+    """Read the bytes and the grey picture of a file, which must be complete and of the camera's size."""
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)
 
 
 def _white_level(paths: list[Path], scene: Scene) -> int:
-    """Return the grey value that means white in a set of silhouettes.
+    """Return the grey value of white in a set of silhouettes.
 
-    The largest in use (some programs write 0 and 1).
+    It is the largest value in use, because some programs write 0 and 1.
     """
     white = max(int(_read(path, scene)[1].max()) for path in paths)
     if white == 0:
-        raise UserError(f"{paths[0].parent}: every silhouette is empty (all black); white must be root")
+        raise UserError(f"{paths[0].parent}: all silhouettes are empty (black); roots must be white")
     return white
 
 
 def _check_mask(grey: Grey, white: int, path: Path) -> None:
-    """Refuse a silhouette that is not two-valued but for soft edges."""
+    """Reject a silhouette with grey values other than soft edges."""
     level = grey / white
     between = float(np.mean((level > MASK_MARGIN) & (level < 1.0 - MASK_MARGIN)))
     if between > MASK_GREYS:
         raise UserError(
             f"{path} is not a silhouette: {100.0 * between:.0f} % of its pixels are neither black nor white "
-            f"(at most {100.0 * MASK_GREYS:.0f} %); "
-            "give silhouettes, or leave out --masks"
+            f"(maximum {100.0 * MASK_GREYS:.0f} %); "
+            "give silhouettes, or remove --masks"
         )

@@ -1,4 +1,4 @@
-"""What is printed, as commands name it: the paper, what the printer makes of 100 mm, and the calibration board."""
+"""Options for printed pages: paper, scale of the printer, and calibration board."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import Flag, millimetres, named, option
+from rhizotwin.arguments import Flag, option, read_length_mm, with_metavar
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
@@ -26,32 +26,32 @@ def read_page(text: str) -> str | tuple[float, float]:
         return text.lower()
     pair = _pair(text)
     if pair is None:
-        raise ValueError(f"{text!r} is no page, give one of {', '.join(PAGES)}, or width and height in mm as 297x210")
-    return millimetres(pair[0], PAGE_LIMITS_MM), millimetres(pair[1], PAGE_LIMITS_MM)
+        raise ValueError(f"{text!r} is not a page size; give {', '.join(PAGES)}, or width and height in mm as 297x210")
+    return read_length_mm(pair[0], PAGE_LIMITS_MM), read_length_mm(pair[1], PAGE_LIMITS_MM)
 
 
 def read_printed_ruler(text: str) -> tuple[float, float]:
-    """Read what 100 mm became across and down the page."""
+    """Read the printed length of a 100 mm ruler across and down the page."""
     pair = _pair(text if "x" in text.lower() else f"{text}x{text}")
     if pair is None:
-        raise ValueError(f"{text!r} is not what 100 mm became, write it as 99.6, or 99.6x99.8 across and down")
-    return millimetres(pair[0], RULER_LIMITS_MM), millimetres(pair[1], RULER_LIMITS_MM)
+        raise ValueError(f"{text!r} is not a ruler length in mm; write it as 99.6, or as 99.6x99.8 (across and down)")
+    return read_length_mm(pair[0], RULER_LIMITS_MM), read_length_mm(pair[1], RULER_LIMITS_MM)
 
 
 def read_squares(text: str) -> tuple[int, int]:
     """Read the squares of a board across and down."""
     columns, cross, rows = text.lower().partition("x")
     if not (cross and columns.isdecimal() and rows.isdecimal()):
-        raise ValueError(f"{text!r} is no number of squares, write it as 7x5")
+        raise ValueError(f"{text!r} is not a number of squares; write it as 7x5")
     low, high = SQUARES_LIMITS
     if not all(low <= side <= high for side in (int(columns), int(rows))):
-        raise ValueError(f"{text} is out of range, give {low} to {high} squares a side")
+        raise ValueError(f"{text} is out of range; give {low} to {high} squares per side")
     return int(columns), int(rows)
 
 
 def read_square_mm(text: str) -> float:
     """Read the side of a square."""
-    return millimetres(text, SQUARE_LIMITS_MM)
+    return read_length_mm(text, SQUARE_LIMITS_MM)
 
 
 def _pair(text: str) -> tuple[str, str] | None:
@@ -64,20 +64,20 @@ def _pair(text: str) -> tuple[str, str] | None:
     return (first, second) if cross else None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Paper")
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """What is printed on."""
+    """Paper and scale of the printer."""
 
     page: Annotated[str | tuple[float, float], option(read_page, "a4|a3|letter|WxH")] = "a4"
-    """Paper, or its width and height in mm."""
+    """Paper size: a4, a3, letter, or width and height in mm."""
     landscape: Flag = False
-    """Lay the page across; default: what fits better."""
+    """Use landscape orientation; default: the orientation that fits better."""
     portrait: Flag = False
-    """Stand the page upright."""
+    """Use portrait orientation."""
     printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM|MMxMM")] = (100.0, 100.0)
-    """What 100 mm became on your printer, across and down the page, such as 99.6 or 99.6x99.8; put right in the \
-drawing."""
+    """Length of the 100 mm ruler as measured on a print, across and down the page, such as 99.6 or 99.6x99.8. The \
+drawing is scaled to compensate for the error of the printer."""
 
     def paper(self) -> "Paper":
         """Return the paper.
@@ -85,12 +85,12 @@ drawing."""
         Raises
         ------
         UserError
-            If it is to lie and to stand.
+            If both orientations are requested.
         """
         from rhizotwin.rig.printing.print_page import PAGES_MM, Paper
 
         if self.landscape and self.portrait:
-            raise UserError("--landscape and --portrait exclude each other; give one of them")
+            raise UserError("--landscape and --portrait cannot be used together")
         free: Literal["either", "as given"] = "either" if isinstance(self.page, str) else "as given"
         size_mm = PAGES_MM[self.page] if isinstance(self.page, str) else self.page
         turn: Literal["either", "as given", "landscape", "portrait"]
@@ -98,26 +98,26 @@ drawing."""
         return Paper(size_mm=size_mm, turn=turn, printed_ruler_mm=self.printed_ruler_mm)
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Board")
 @dataclass(frozen=True, kw_only=True)
 class BoardOptions:
     """A calibration board."""
 
     squares: Annotated[tuple[int, int] | None, option(read_squares, "CxR")] = None
-    """Squares of the board across and down; default: 7x5."""
+    """Number of squares across and down; default: 7x5."""
     square_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
-    """Side of the squares; default: 30."""
+    """Side length of the squares; default: 30 mm."""
     marker_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
-    """Side of the markers; default: 11/15 of the squares'."""
-    dictionary: Annotated[str | None, named("NAME")] = None
-    """The markers' ArUco dictionary; default: 5X5_100."""
+    """Side length of the markers; default: 11/15 of the squares."""
+    dictionary: Annotated[str | None, with_metavar("NAME")] = None
+    """ArUco dictionary of the markers; default: 5X5_100."""
 
     def given(self) -> list[str]:
         """Return the options that were given."""
         return [f"--{name.replace('_', '-')}" for name, value in vars(self).items() if value is not None]
 
     def board(self) -> "CharucoBoard":
-        """Return the board, checked."""
+        """Return the validated board."""
         from rhizotwin.scenes.board import MARKER_SHARE, CharucoBoard, check_board
 
         default = CharucoBoard()
@@ -131,11 +131,11 @@ class BoardOptions:
         return check_board(made, where="the board")
 
     def board_of(self, file: Path | None) -> "CharucoBoard":
-        """Return the board that a file describes, or that the options do."""
+        """Return the board described by a file, or by the options if there is none."""
         from rhizotwin.scenes.board import load_board
 
         if file is None:
             return self.board()
         if self.given():
-            raise UserError(f"--board {file} describes the whole board; leave {self.given()[0]} out, or --board")
+            raise UserError(f"--board {file} and {self.given()[0]} cannot be used together; the board file describes the whole board")
         return load_board(file)

@@ -1,4 +1,4 @@
-"""The table, the CSV and the figure of capture plans that were tried."""
+"""Table, CSV and figure of compared capture plans."""
 
 import csv
 import io
@@ -13,16 +13,16 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.figures import figure, png
 
 NOTE = (
-    "volume, length: median error, and the worst of the seeds; interval: its width over the true volume, and how often it holds the truth"
+    "volume, length: median error, and worst of the seeds; interval: width relative to the true volume; covers: runs that contain the truth"
 )
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return the rows as lines of text for the terminal."""
+    """Format the rows as a text table."""
     wide = max(len("heights (mm)"), *(len(_heights(row)) for row in rows)) + 2
     head = (
-        f"{'heights (mm)':<{wide}}{'views':>6}{'picture':>11}{'volume':>9}{'worst':>8}{'interval':>10}{'holds':>7}"
-        f"{'length':>9}{'worst':>8}{'found':>8}{'right':>7}{'capture':>10}{'compute':>9}"
+        f"{'heights (mm)':<{wide}}{'views':>6}{'picture':>11}{'volume':>9}{'worst':>8}{'interval':>10}{'covers':>7}"
+        f"{'length':>9}{'worst':>8}{'recall':>8}{'prec.':>7}{'capture':>10}{'compute':>9}"
     )
     lines = [head, "-" * len(head)]
     for row in rows:
@@ -35,7 +35,7 @@ def table(rows: Sequence[Row]) -> str:
             f"{100 * row.interval_width:>9.0f}%{100 * row.interval_holds:>6.0f}%{length:>9}{worst:>8}"
             f"{row.recall:>8.3f}{row.precision:>7.3f}{row.capture_min:>6.1f} min{row.compute_s:>7.0f} s"
         )
-    return "\n".join([*lines, NOTE, f"found, right: share of {_counted(rows)} that was found, and of what was found that is there"])
+    return "\n".join([*lines, NOTE, f"recall: found fraction of {_counted(rows)}; prec. (precision): correct fraction of what was found"])
 
 
 def _heights(row: Row) -> str:
@@ -48,7 +48,7 @@ def _counted(rows: Sequence[Row]) -> str:
 
 
 def csv_text(rows: Sequence[Row]) -> str:
-    """Return the rows as CSV."""
+    """Format the rows as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [name for name in asdict(rows[0]) if name not in ("variant", "volume_errors", "length_errors")]
@@ -61,9 +61,9 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 
 def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
-    """Draw errors, and what was found, against all pictures of a plan.
+    """Plot errors, recall and precision against the number of pictures of a plan.
 
-    A line for each set of rings and picture size.
+    There is one line per set of rings and picture size.
     """
     has_roots = any(row.length_error is not None for row in rows)
     drawn = figure(13.5 if has_roots else 9.5, 4.6)
@@ -83,18 +83,18 @@ def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
     for axis, name in zip(axes, ("volume", "length") if has_roots else ("volume",), strict=False):
         axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.set_ylabel(f"{name} error (%): median, dots are seeds")
-    axes[-1].set_ylabel(f"share of {_counted(rows)}:\nfound (line), right (dashed)")
+    axes[-1].set_ylabel(f"{_counted(rows)}:\nrecall (line), precision (dashed)")
     for axis in axes:
-        axis.set_xlabel("pictures of a scan, all rings")
+        axis.set_xlabel("pictures per scan, all rings")
         axis.locator_params(axis="x", integer=True)
         axis.grid(visible=True, alpha=0.25)
-    axes[0].legend(fontsize=8, title="camera heights, picture", title_fontsize=8)
+    axes[0].legend(fontsize=8, title="camera heights, picture size", title_fontsize=8)
     drawn.suptitle(title, fontsize=10)
     write_bytes(path, png(drawn, dpi=130))
 
 
 def _errors(axis: Any, line: Sequence[Row], of: Callable[[Row], tuple[float, ...]], label: str) -> None:
-    """Draw the median over the seeds as a line, and every seed as a dot."""
+    """Plot the median over the seeds as a line, and every seed as a dot."""
     with_some = [row for row in line if of(row)]
     (drawn,) = axis.plot([r.pictures for r in with_some], [100.0 * statistics.median(of(r)) for r in with_some], linewidth=1.2, label=label)
     dots = [(row.pictures, 100.0 * error) for row in with_some for error in of(row)]

@@ -1,9 +1,7 @@
-"""What a lab asks before it builds.
+"""Comparison of capture plans in simulation: number of views, rings, camera heights and picture size.
 
-How many views, odd or even, how many rings at which heights, how many pixels - answered by the twin.
-
-Every capture plan is simulated, reconstructed from its pictures alone and scored, as often as there are seeds; the same
-seeds for each, so that plans are compared and not chance. The table and the figure are in `rhizotwin.plan_report`.
+Each capture plan is simulated, reconstructed and scored for a number of seeds. All plans use the same seeds, so that
+their differences are not random. The table and the figure are in `rhizotwin.plan_report`.
 """
 
 import itertools
@@ -29,14 +27,14 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
-"""Turning by a view, rest and exposure on the rig of the documentation: what a plan costs at the bench."""
+"""Time per view for rotation, rest and exposure on the rig of the documentation."""
 RING_TIME_S = 10.0
-"""Placing the camera for another ring."""
+"""Time to move the camera to another ring."""
 SECOND_RING_MM = 52.0
-"""A second ring that is tried unasked stands this much above the first: from 10 mm above the rim a plant's top, which
-from -42 mm is seen before the dark net pot, stands before the backlight."""
+"""Height of the default second ring above the first: from 10 mm above the rim, the top of a plant is seen in front of
+the backlight; from -42 mm it is seen in front of the dark net pot."""
 RUN = "unfinished"
-"""Folder of the run under way; its pictures are taken up when it was stopped."""
+"""Folder of the current run; its pictures are reused after an interruption."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
 
 
@@ -50,24 +48,23 @@ def run_plans(
     say: Callable[[str], None],
     monitor: Monitor | None = None,
 ) -> list[Row]:
-    """Simulate, reconstruct and score every variant; what an earlier run with the same settings scored is taken over.
+    """Simulate, reconstruct and score every variant; scores of an earlier run with the same settings are reused.
 
     Parameters
     ----------
     scene : Scene
-        With its specimen and the profile's disturbances.
+        Scene with its specimen and the disturbances of the profile.
     folder : path
-        Gets ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; `RUN` while a run is under way.
+        Output folder for ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; and `RUN` during a run.
     seeds : int
-        Runs of each variant, seeds 0, 1, ...
+        Number of runs per variant, seeds 0, 1, ...
     monitor : Monitor or None
-        Hears of each run as a stage (`stage_of`).
+        Progress monitor; each run is a stage (`stage_of`).
 
     Raises
     ------
     UserError
-        For a plan that the scene does not allow, plans of which none can be reconstructed, or a folder of something
-        else.
+        If a plan is not possible in the scene, no plan can be reconstructed, or the folder contains other files.
     """
     wanted = [variant.of(scene) for variant in variants]
     for variant, changed in zip(variants, wanted, strict=True):
@@ -92,12 +89,12 @@ def _run(
     say: Callable[[str], None],
     monitor: Monitor,
 ) -> list[Row]:
-    """Do what `run_plans` says in a folder that nobody else works in."""
+    """Implement `run_plans` in a locked folder."""
     _refuse_strangers(folder)
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant, _ in variants}
     runs = list(itertools.product(range(seeds), variants))
     pictures = sum(variant.views * len(variant.heights) for variant, _ in variants) * seeds
-    say(f"{len(runs)} runs, {pictures} pictures to render and reconstruct; a stopped run is taken up by the same command")
+    say(f"{len(runs)} runs, {pictures} pictures to render and reconstruct; if interrupted, run the same command again to continue")
     for seed, (variant, changed) in runs:
         path = folder / "scores" / f"{variant.name}_seed{seed}.json"
         with monitor.stage(stage_of(variant, seed)):
@@ -105,9 +102,9 @@ def _run(
     failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
     rows = [_row(variant, found[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
-        say(f"{name} cannot be reconstructed: {reason}")
+        say(f"{name} could not be reconstructed: {reason}")
     if not rows:
-        raise UserError("none of these plans can be reconstructed; see the reasons above and give others")
+        raise UserError("none of the plans could be reconstructed; see the reasons above and try other plans")
     write_bytes(folder / "plan.csv", plan_report.csv_text(rows).encode())
     write_json(folder / "plan.json", {**settings, "seeds": seeds, "failed": failed, "rows": [asdict(row) for row in rows]})
     plan_report.draw(rows, folder / "plan.png", title=f"{scene.name}, {profile_name}, {seeds} seed{'s' if seeds > 1 else ''}")
@@ -116,21 +113,19 @@ def _run(
 
 
 def stage_of(variant: Variant, seed: int) -> str:
-    """Return what a run is called while it lasts."""
+    """Return the name of a run for progress output."""
     return f"{variant.name}, seed {seed}"
 
 
 def shares(variants: Sequence[Variant], seeds: int) -> dict[str, float]:
-    """Return about how much of the time each run takes: a plan of twice as many pictures takes about twice as long."""
+    """Estimate the relative duration of each run, which is proportional to the number of pictures."""
     return {stage_of(variant, seed): float(variant.views * len(variant.heights)) for variant in variants for seed in range(seeds)}
 
 
 def best(rows: Sequence[Row], *, within: float) -> Row | None:
-    """Return the plan with the fewest pixels whose worst volume error stays within a fraction.
+    """Return the plan with the fewest pixels whose worst volume error is within a limit; None if there is none.
 
-    Of equals that with the shortest capture.
-
-    None when no plan does.
+    Among equal plans, the one with the shortest capture is returned.
     """
     good = [row for row in rows if row.volume_error_worst <= within]
     return min(good, key=lambda row: (row.pictures * row.variant.image_wh[0] * row.variant.image_wh[1], row.capture_min), default=None)
@@ -139,11 +134,11 @@ def best(rows: Sequence[Row], *, within: float) -> Row | None:
 def _refuse_strangers(folder: Path) -> None:
     known = {"scores", "plan.csv", "plan.json", "plan.png", RUN}
     if any(name not in known for name in contents(folder)):
-        raise UserError(f"{folder} holds something that is no earlier plan; choose another folder with -o")
+        raise UserError(f"{folder} contains files that do not belong to an earlier plan; choose another folder with -o")
 
 
 def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
-    """Return the score of one run, from its file when the same run was made before."""
+    """Score one run, or read its score from an earlier run."""
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.scoring.score import score
     from rhizotwin.sim.simulate import CannotContinueError, simulate
@@ -160,7 +155,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     dataset, result = working / "dataset", working / "result"
     try:
         simulate(scene, dataset, profile_name=profile_name, seed=seed)
-    except CannotContinueError:  # pictures of another plan, whose run was stopped
+    except CannotContinueError:  # pictures of another plan, whose run was interrupted
         shutil.rmtree(working)
         simulate(scene, dataset, profile_name=profile_name, seed=seed)
     shutil.rmtree(result, ignore_errors=True)
@@ -168,7 +163,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     try:
         reconstruct(dataset).save(result)
         found = score(result, dataset).to_dict()
-    except UserError as error:  # too few views, a strip out of sight: that is what is to be found out
+    except UserError as error:  # too few views or an invisible strip are valid outcomes of a plan
         found = {"failed": str(error).replace(f"{working}/", "")}
     write_text(path, json.dumps({"made_with": made_with, "score": found}, indent=1) + "\n")
     shutil.rmtree(working)

@@ -1,4 +1,4 @@
-"""Capture plans to try, and how well each did."""
+"""Capture plans to be compared, and their scores."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,43 +8,42 @@ from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 @dataclass(frozen=True, order=True)
 class Height:
-    """Where the camera of a ring stands, and how it looks."""
+    """Camera height of a ring, with optional tilt and distance."""
 
     mm: float
-    """In the rig frame (0 is the canister's rim)."""
+    """Height in the rig frame (0 is the rim of the canister)."""
     tilt_deg: float | None = None
-    """Optical axis below the horizon; None: it looks at what the scene's first ring looks at."""
+    """Tilt of the optical axis below the horizon; None: aimed at the target of the scene's first ring."""
     distance_mm: float | None = None
-    """From the table's axis; None: that of the scene's first ring."""
+    """Distance from the turntable axis; None: as in the scene's first ring."""
 
     @property
     def name(self) -> str:
-        """As people type it."""
+        """Height in the notation of the command line."""
         tilt = "" if self.tilt_deg is None else f":{self.tilt_deg:g}"
         return f"{self.mm:g}{tilt}" + ("" if self.distance_mm is None else f"@{self.distance_mm:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """A capture plan to try."""
+    """Capture plan to be evaluated."""
 
     heights: tuple[Height, ...]
-    """Of the camera, one a ring."""
+    """Camera heights, one per ring."""
     views: int
-    """In each ring."""
+    """Number of views per ring."""
     image_wh: tuple[int, int]
 
     @property
     def name(self) -> str:
-        """Short name, also of its file."""
+        """Short name, also used in file names."""
         heights = "_".join(height.name.replace(":", "tilt").replace("@", "from") for height in self.heights)
         return f"{self.views}x{self.image_wh[0]}x{self.image_wh[1]}_at_{heights}"
 
     def of(self, scene: Scene) -> Scene:
         """Return the scene with this plan.
 
-        Rings stand at the distance of the scene's first one where they have none of their own; their views are
-        interleaved.
+        Rings without a distance use that of the scene's first ring; the views of the rings are interleaved.
         """
         first = scene.plan.rings[0]
         aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
@@ -59,30 +58,29 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """How well a plan does: medians over the seeds."""
+    """Scores of a plan: medians over the seeds."""
 
     variant: Variant
     pictures: int
     volume_error: float
     """Median of found / true - 1."""
     volume_error_worst: float
-    """The largest without its sign."""
+    """Largest absolute value."""
     volume_errors: tuple[float, ...]
-    """Of each seed."""
+    """Value for each seed."""
     interval_width: float
-    """Of the stated interval, over the true volume."""
+    """Width of the interval relative to the true volume."""
     interval_holds: float
-    """Share of the runs whose interval holds the truth."""
+    """Fraction of the runs whose interval contains the true volume."""
     length_error: float | None
-    """Median of found / true - 1; None for what has no roots, or where a run found none."""
+    """Median of found / true - 1; None if there are no roots, or a run found none."""
     length_error_worst: float | None
     length_errors: tuple[float, ...]
     recall: float
-    """Median share of what is there that was found: of the roots' centre lines, or of the voxels of what has no
-    roots."""
+    """Median recall: of the roots' centre lines, or of voxels if there are no roots."""
     precision: float
-    """Median share of what was found that is there."""
+    """Median precision, likewise."""
     capture_min: float
-    """At the bench."""
+    """Duration of the scan."""
     compute_s: float
-    """Reconstruction."""
+    """Duration of the reconstruction."""

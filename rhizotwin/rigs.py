@@ -1,4 +1,4 @@
-"""A rig with what belongs to it, real or emulated, as the commands of the bench name it; and what they share."""
+"""A real or emulated rig with its scene and devices, as used by the commands scan and rig."""
 
 import signal
 import sys
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 from cyclopts import Parameter
 
 from rhizotwin import steps
-from rhizotwin.arguments import Device, Profile, Seed, named
+from rhizotwin.arguments import Device, Profile, Seed, with_metavar
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
@@ -28,42 +28,44 @@ if TYPE_CHECKING:
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
 
-RigName: TypeAlias = Annotated[str, named("RIG|twin")]
+RigName: TypeAlias = Annotated[str, with_metavar("RIG|twin")]
 Fidelity: TypeAlias = Literal["render", "sketch"]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Emulated rig")
 @dataclass(frozen=True, kw_only=True)
 class TwinErrors:
-    """What the emulated rig gets wrong."""
+    """Errors of the emulated rig."""
 
     profile: Profile = "bench"
-    """Twin only: what it gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file."""
+    """Simulated errors: clean (none), bench (a well-built rig), camera (bench with an ordinary \
+camera), harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file."""
     seed: Seed = 0
-    """Twin only: of every error that is drawn."""
+    """Random seed for all simulated errors and noise."""
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Emulated rig")
 @dataclass(frozen=True, kw_only=True)
 class TwinPictures(TwinErrors):
-    """The same, and how its pictures are made."""
+    """Errors of the emulated rig and quality of its pictures."""
 
     fidelity: Fidelity = "render"
-    """Of the twin's pictures: render: as 'simulate' makes them; sketch: strip and panel only, at once."""
+    """Pictures of the emulated rig: render (as in 'rhizotwin simulate') or sketch (marker strip and light panel only, \
+fast)."""
     device: Device = "auto"
-    """What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one)."""
+    """Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """A rig with what belongs to it, real or emulated."""
+    """A real or emulated rig with its scene and clock."""
 
     rig: "RigFile"
     scene: Scene
-    """As a laboratory knows it."""
+    """Scene with the calibration that a laboratory has, without the true errors."""
     clock: Any
     twin: Any = None
-    """None: the rig is real."""
+    """Emulated rig; None for a real one."""
 
     def open_camera(self) -> "Camera":
         """Open the camera."""
@@ -76,7 +78,7 @@ class Bench:
         return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
 
     def open_devices(self, recorder: "Recorder | None", stack: ExitStack) -> "Devices":
-        """Open every device until the stack is left; a closed terminal leaves it, too."""
+        """Open all devices; they are closed with the stack, also when the terminal is closed."""
         from rhizotwin.rig.open import open_devices
 
         stack.enter_context(hang_up_stops())
@@ -87,25 +89,25 @@ class Bench:
 
 
 def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | None = None) -> Bench:
-    """Return the rig that a command names, with its scene.
+    """Load a rig with its scene.
 
-    The twin's pictures are sketches unless the errors say how they are rendered.
+    Pictures of the emulated rig are sketches unless ``errors`` is a `TwinPictures` with the fidelity ``render``.
 
     Parameters
     ----------
     rig : str
-        Rig file, or ``twin``.
+        Rig file, or ``twin`` for the emulated rig.
     scene : str or None
-        Library scene or scene file; None: the usual one.
+        Library scene or scene file; None: the default scene.
     errors : TwinErrors
-        What is wrong with the twin.
+        Errors of the emulated rig.
     plan : str or None
-        Whose rings are taken; None: the scene's.
+        Scene or file with the rings of camera positions; None: as in the scene.
 
     Returns
     -------
     Bench
-        Rig, scene, and how its devices are opened.
+        Rig and scene; the devices are not open yet.
     """
     if rig != TWIN:
         from rhizotwin.rig.clock import SystemClock
@@ -123,21 +125,21 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     rig_file = default_rig(scene=known)
-    if errors.profile == "real":  # whose roots swing
+    if errors.profile == "real":  # its roots swing after each move
         rig_file = replace(rig_file, turntable=replace(rig_file.turntable, rest="measured"))
     emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures, rig=rig_file)
     return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
 
 
 def _with_plan(scene: Scene, plan: str | None) -> Scene:
-    """Put the rings of another file or scene into a scene."""
+    """Replace the rings of a scene by those of another file or scene."""
     if plan is None:
         return scene
     path = Path(plan)
     if path.suffix == ".toml":
         table, text = files.read_toml(path)
         if "plan" not in table:
-            raise UserError(f"{path}: has no [[plan.rings]]; give a file that has, or the name of a scene")
+            raise UserError(f"{path} has no [[plan.rings]]; give a file that contains them, or the name of a scene")
         changed = replace(scene, plan=from_plain(CapturePlan, table["plan"], Place(str(path), text).at("plan")))
     else:
         changed = replace(scene, plan=files.load_scene(plan).plan)
@@ -146,20 +148,20 @@ def _with_plan(scene: Scene, plan: str | None) -> Scene:
 
 
 def recorder(path: Path | None, stack: ExitStack) -> Any:
-    """Open what keeps the bytes on the wire, if it is asked for."""
+    """Open the recorder of serial communication; None without a path."""
     if path is None:
         return None
     from rhizotwin.rig.serial_line.recording import Recorder
 
     if path.is_file() and path.stat().st_size and not path.read_bytes().startswith(b'{"recording"'):
-        raise UserError(f"{path} exists already and holds no record; choose another name")
+        raise UserError(f"{path} already exists and is not a recording of serial communication; choose another name")
     opened = Recorder(path)
     stack.callback(opened.close)
     return opened
 
 
 def asker() -> Callable[[str], str] | None:
-    """Return what asks the person at the terminal; None when nobody is there."""
+    """Return a function that asks the user at the terminal; None without a terminal."""
     if not sys.stdin.isatty():
         return None
 
@@ -167,14 +169,14 @@ def asker() -> Callable[[str], str] | None:
         try:
             return input(question)
         except EOFError:
-            raise UserError("the question was not answered; run it again and answer, or see --help for how to say it beforehand") from None
+            raise UserError("a question was not answered; run the command again and answer it, or see --help for the option") from None
 
     return ask
 
 
 @contextmanager
 def hang_up_stops() -> Iterator[None]:
-    """Let a closed terminal stop the program as Ctrl-C does: the lamps must go off, and the arm must be parked."""
+    """Treat a closed terminal like Ctrl-C, so that the lamps are switched off and the arm is parked."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
         yield
         return

@@ -1,4 +1,4 @@
-"""A scene with what a call or the command line changes in it."""
+"""Changes of a scene by arguments or command-line options."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,49 +23,51 @@ def change_scene(
     image_wh: tuple[int, int] | None = None,
     profile: str | None = None,
 ) -> Scene:
-    """Return a scene with what is changed in it, each value and all together checked.
+    """Return a scene with changes; values and their combination are validated.
 
     Parameters
     ----------
     scene : Scene
-        As loaded.
+        Scene as loaded.
     specimen : Path or None
-        Mesh or traced roots that stand in the canister.
+        Mesh or traced roots in the canister.
     specimen_unit, specimen_diameter_mm : (str or None), (float or None)
-        Of traced roots whose file does not say.
+        Unit and diameter of traced roots, if missing in the file.
     placing : Placing or None
-        How the specimen is put.
+        Position of the specimen.
     views : int or None
-        In each ring.
+        Number of views per ring.
     image_wh : tuple of int or None
-        Size of the pictures; the lens follows.
+        Picture size; the lens is scaled accordingly.
     profile : str or None
-        Where the disturbances come from.
+        Name or file of the error profile.
 
     Returns
     -------
     Scene
-        Checked as a whole.
+        Validated scene.
     """
     is_rsml = specimen is not None and specimen.suffix.lower() in _RSML_SUFFIXES
     for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
         if value is not None and not is_rsml:
-            raise UserError(f"{option} {value} is for traced roots only; give them with --specimen FILE.rsml, or leave {option} out")
+            raise UserError(f"{option} {value} can be used with traced roots only; give them with --specimen FILE.rsml, or remove {option}")
     if specimen is not None:
         if not specimen.is_file():
-            raise UserError(f"{specimen}: there is no such file; give the specimen's mesh (PLY, STL, OBJ) or traced roots (RSML)")
+            raise UserError(f"the file {specimen} does not exist; give a mesh (PLY, STL, OBJ) or traced roots (RSML)")
         file = str(specimen.resolve())
         traced = RsmlSpecimen(file=file, unit=specimen_unit, diameter_mm=specimen_diameter_mm)
         scene = replace(scene, specimen=traced if is_rsml else MeshSpecimen(file=file))
-    told = {name: value for name, value in vars(placing or Placing()).items() if value is not None}
-    if told:
+    given = {name: value for name, value in vars(placing or Placing()).items() if value is not None}
+    if given:
         if not isinstance(scene.specimen, PlacedFile):
-            raise UserError(f"--{next(iter(told)).replace('_', '-')} is for specimens from files; give one with --specimen FILE")
-        scene = replace(scene, specimen=replace(scene.specimen, **told))
+            raise UserError(
+                f"--{next(iter(given)).replace('_', '-')} can be used with specimens from files only; give one with --specimen FILE"
+            )
+        scene = replace(scene, specimen=replace(scene.specimen, **given))
     if views is not None:
         scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))
     if image_wh is not None:
         scene = replace(scene, camera=scene.camera.resized(image_wh))
     if profile is not None:
         scene = replace(scene, disturbances=files.load_profile(profile))
-    return files.scene_from_dict(files.scene_to_dict(scene), where=f"scene {scene.name} as it is changed")
+    return files.scene_from_dict(files.scene_to_dict(scene), where=f"scene {scene.name} with changes")

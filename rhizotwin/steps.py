@@ -1,4 +1,4 @@
-"""Steps that several commands take: the engine started, a dataset reconstructed and drawn."""
+"""Steps used by several commands: start the engine, reconstruct a dataset, write its report."""
 
 import gc
 import webbrowser
@@ -21,49 +21,54 @@ if TYPE_CHECKING:
 
 
 def start_engine(device: str, *, quiet: bool = False) -> None:
-    """Choose what computes, and say what it is."""
+    """Start the compute engine on a device and print its name."""
     chosen = engine.start(device)
-    gc.freeze()  # what is loaded stays: searches for cycles, of which a reconstruction makes forty, pass it by
+    gc.freeze()  # exclude loaded modules from the forty garbage collections of a reconstruction
     if not quiet:
         print(chosen)
 
 
 def open_page(address: str, port: int, page: Page) -> None:
-    """Print where a page is served, and open it in a browser unless that is not wanted."""
+    """Print the address of a page, and open it in a browser unless ``--no-browser`` is given."""
     print(address, flush=True)
-    print(f"from another computer: ssh -L {port}:localhost:{port} THIS_COMPUTER, then the same address", flush=True)
+    print(f"from another computer: run ssh -L {port}:localhost:{port} THIS_COMPUTER, then open the same address", flush=True)
     if not page.no_browser:
         webbrowser.open(address)
 
 
 def refuse_place(output: Path, source: Path) -> None:
-    """Recover the folder of a result that is to be written; refuse one in which something would be lost.
+    """Check the output folder of a result, after recovery from an interrupted run.
 
     Parameters
     ----------
     output : Path
-        The result's folder.
+        Output folder.
     source : Path
-        The dataset or result that it is made from.
+        Dataset or result that is the input.
+
+    Raises
+    ------
+    UserError
+        If other files would be overwritten.
     """
     from rhizotwin.stored.result_files import RESULT_NAMES
 
     recover(output)
     there = contents(output)
     if there and not (output / "result.json").is_file():
-        raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
+        raise UserError(f"{output} is not empty and is not a result; choose a new folder for the result")
     strange = [name for name in there if name not in RESULT_NAMES]
     if strange:
-        raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
+        raise UserError(f"{output} contains {strange[0]}, which would be deleted with the earlier result; move it or choose a new folder")
     if output.resolve() == source.resolve() or output.resolve() in source.resolve().parents:
-        raise UserError(f"the result would overwrite {source}, which it is made from; choose another folder for the result")
+        raise UserError(f"the result would overwrite its input {source}; choose another folder for the result")
 
 
 @contextmanager
-def _old_left_alone() -> Iterator[None]:
-    """Keep Python's search for cycles from looking at what was there before, such as all modules.
+def _exclude_from_collection() -> Iterator[None]:
+    """Exclude existing objects, such as all modules, from garbage collection.
 
-    A reconstruction searches some fifty times, to give memory back.
+    A reconstruction runs the collector about fifty times to free memory.
     """
     gc.collect()
     gc.freeze()
@@ -74,21 +79,21 @@ def _old_left_alone() -> Iterator[None]:
 
 
 def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "PictureSettings | None" = None) -> "Settings":
-    """Return the settings of a TOML file, or the defaults, with others that override them.
+    """Load the settings of a reconstruction from a TOML file, or use the defaults.
 
     Parameters
     ----------
     file : Path, optional
         TOML file, see `recon.settings`.
     voxel_mm : float, optional
-        Edge of the smallest voxels.
+        Edge length of the smallest voxels; overrides the file.
     pictures : PictureSettings, optional
-        Which pictures are left out, beside those of the file.
+        Pictures to exclude in addition to those of the file.
 
     Raises
     ------
     UserError
-        If the file cannot be read or holds anything wrong.
+        If the file cannot be read or is invalid.
     """
     from rhizotwin.recon.settings import Settings, load_settings
 
@@ -107,25 +112,25 @@ def reconstruct_whole(
     method: Method = "ours",
     progress: Progress = Progress(),
 ) -> list[Path]:
-    """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all.
+    """Reconstruct a dataset and write the complete result folder atomically, with figures and report.
 
-    Return the pictures' paths.
+    Return the paths of the figures and the report.
 
     Parameters
     ----------
     settings : Settings, optional
-        As `settings_of` gives them.
+        As returned by `settings_of`.
     keep_stages : bool
-        Keep what each stage made, in the folder ``stages`` of the result.
+        Save the intermediate results in the folder ``stages`` of the result.
     method : str
         As in `front_door.reconstruct`.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Raises
     ------
     UserError
-        If the dataset cannot be used, or ``output`` holds something that is not a result.
+        If the dataset cannot be used, or ``output`` contains anything but a result.
     """
     refuse_place(output, dataset)
     from rhizotwin.report import page
@@ -134,12 +139,12 @@ def reconstruct_whole(
     from rhizotwin.scoring.score import truth_mesh_path
     from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh
 
-    # once: what happens to the folder meanwhile does not change what the result was made from
+    # load once, so that later changes of the folder have no effect
     loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
-        read_mesh(truth_mesh)  # a damaged one is named now, not after the work
-    with new_folder(output, replaces=RESULT_NAMES) as building, _old_left_alone():
+        read_mesh(truth_mesh)  # report a damaged file before the long computation
+    with new_folder(output, replaces=RESULT_NAMES) as building, _exclude_from_collection():
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
             reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
@@ -151,7 +156,7 @@ def reconstruct_whole(
 
 
 def print_marker_warnings(scene: "Scene") -> None:
-    """Print which rings see too few markers to find their cameras."""
+    """Print a warning for each ring from which too few markers are visible for the camera poses."""
     from rhizotwin.scenes import plan
 
     for warning in plan.marker_warnings(scene):

@@ -1,7 +1,4 @@
-"""Looks at every device of a rig for a person on the bench, each by itself.
-
-What is well, or what is wrong and what to do.
-"""
+"""Check of every device of a rig, with advice for each error."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,9 +17,9 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
 
 AT_REST_DEG = 5.0
-"""An arm this near to its place of rest may lose its torque."""
+"""Maximum distance from the parking position at which the servos may be switched off."""
 LIT, LEAST_LIGHT = 1.3, 0.02
-"""The lamps must brighten the picture by this factor, and by this fraction of full scale."""
+"""Minimum brightening of the picture by the lamps: factor, and fraction of full scale."""
 
 T = TypeVar("T")
 
@@ -37,37 +34,37 @@ def check(
     folder: Path,
     recorder: Recorder | None = None,
 ) -> int:
-    """Look at every device of a rig, one line each; nothing moves. Lamps are off at the end.
+    """Check every device of a rig and report one line per device; nothing moves. Lamps are off at the end.
 
-    The table's motor stays on only where the board knows its angle; the arm's torque goes off only where the arm is at
-    rest.
+    The motor of the turntable stays on only if the board knows its angle; the arm is unpowered only in its parking
+    position.
 
     Parameters
     ----------
     rig, scene : RigFile, Scene
-        Devices; strip and camera, for what the pictures must show.
+        Devices; marker strip and camera, for the checks of the pictures.
     clock : Clock
-        For the waits.
+        Clock for waiting.
     open_camera : callable
-        Opens the rig's camera, or the twin's.
+        Opens the camera of the rig or of the emulated rig.
     say : Say
-        Hears the lines.
+        Receives each line.
     folder : path
-        Where scans would be written.
+        Folder of future scans.
     recorder : Recorder or None
-        Keeps every byte on the wire.
+        Records the serial communication.
 
     Returns
     -------
     int
-        How many things are wrong.
+        Number of failed checks.
     """
     report = _Report(say)
     board = report.look("turntable", lambda: _board(rig, clock, recorder))
     arm = None
     try:
         if rig.arm is None:
-            report.line("arm", "ok", "none in the rig file: the camera stands on a tripod")
+            report.line("arm", "ok", "none in the rig file: the camera is on a tripod")
         else:
             arm = report.look("arm", lambda: _arm(rig, clock, recorder))
         camera = report.look("camera", lambda: _camera(open_camera))
@@ -89,18 +86,18 @@ def check(
 
 
 class _Report:
-    """Lines of a check, and how many of them are bad."""
+    """Lines of a check, with the number of failures."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
         self.failed = 0
 
     def line(self, name: str, verdict: str, text: str) -> None:
-        """Say one line."""
+        """Report one line."""
         self._say(f"{name:<10} {verdict:<5} {text.removeprefix(f'{name}: ')}")
 
     def look(self, name: str, action: Callable[[], tuple[T, str]]) -> T | None:
-        """Do something that returns what it found and a text, and say the text or what was wrong."""
+        """Call a function that returns a value and a text, and report the text or the error."""
         try:
             found, text = action()
         except UserError as error:
@@ -111,7 +108,7 @@ class _Report:
         return found
 
     def quietly(self, name: str, action: Callable[[], object]) -> None:
-        """Do something, and say only what was wrong."""
+        """Call a function, and report errors only."""
         try:
             action()
         except UserError as error:
@@ -149,9 +146,9 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 
 
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
-    """Take a picture without and with the lamps.
+    """Take pictures without and with the lamps.
 
-    An arm at rest may look anywhere, so that there only the lamps are judged.
+    A parked arm may point anywhere; then only the lamps are checked.
     """
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
@@ -164,13 +161,13 @@ def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, ri
         report.look("markers", lambda: (None, preflight.check_markers(lit, scene)))
     else:
         found = preflight.exposure_of(lit)
-        text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, from where the arm stands now"
+        text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, at the current position of the arm"
         report.line("picture", "ok", text)
-        report.line("markers", "ok", f"not needed from where the arm stands now ({_seen(lit, scene)})")
+        report.line("markers", "ok", f"not required at the current position of the arm ({_seen(lit, scene)})")
 
 
 def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
-    """Return a picture with the lamps on; refuse lamps that make no difference."""
+    """Return a picture with the lamps on; raise an error if they make no difference."""
     lights.off()
     dark = camera.capture().image
     preflight.check_lights(lights, rig.lights)
@@ -179,13 +176,13 @@ def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Gr
     before, after = (preflight.exposure_of(image).bright for image in (dark, lit))
     brighter = after >= LIT * before + LEAST_LIGHT
     if not brighter and rig.arm is not None:
-        return lit, "answer, but the camera does not see the panel from where the arm stands now"
+        return lit, "reply, but the camera does not see the panel from the current position of the arm"
     if not brighter:
         raise RigError(
-            f"lights: the picture is as bright without them ({100.0 * before:.0f} %) as with them ({100.0 * after:.0f} %); check the "
-            "lamps' supply and data line, darken the room, and see that the camera looks at the panel"
+            f"lights: the picture is equally bright without ({100.0 * before:.0f} %) and with the lamps ({100.0 * after:.0f} %); "
+            "check the supply and data line of the lamps, darken the room, and check that the camera faces the panel"
         )
-    return lit, f"the picture goes from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
+    return lit, f"the brightness of the picture increases from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
 
 
 def _seen(image: Grey, scene: Scene) -> str:
@@ -196,7 +193,7 @@ def _seen(image: Grey, scene: Scene) -> str:
 
 
 def _leave_table(table: Turntable) -> None:
-    """Switch the motor off, unless an angle would be lost."""
+    """Switch the motor off, unless the angle would be lost."""
     try:
         if not table.knows_zero():
             table.release()
@@ -205,12 +202,12 @@ def _leave_table(table: Turntable) -> None:
 
 
 def _leave_arm(arm: Arm, part: ArmPart, say: Say) -> None:
-    """Switch the torque off where nothing can drop."""
+    """Unpower the arm if nothing can fall."""
     try:
         joints = arm.read_joints()
         if max(abs(angle - rest) for angle, rest in zip(joints, part.park_deg, strict=True)) <= AT_REST_DEG:
             arm.relax()
         else:
-            say("arm: its torque stays on, since it is not at its place of rest; 'rhizotwin rig jog' parks it")
+            say("arm: the servos stay powered, because the arm is not in its parking position; 'rhizotwin rig jog' parks it")
     finally:
         arm.close()

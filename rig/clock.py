@@ -1,27 +1,27 @@
-"""Time, passed in: the real one on the bench, a virtual one (`rig.twin.clock`) in the emulated twin and in tests."""
+"""Clocks, passed to drivers: the real one, and a virtual one (`rig.twin.clock`) for the emulated rig and for tests."""
 
 import time
 from typing import Protocol
 
 
 class Clock(Protocol):
-    """Where drivers and the scan get their time from."""
+    """Time source of drivers and scan."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary moment; never goes back."""
+        """Return seconds since an arbitrary moment; never decreases."""
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass; nothing for zero or less."""
+        """Wait; return at once for zero or less."""
 
 
 class SystemClock:
     """The computer's monotonic clock."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary moment; never goes back."""
+        """Return seconds since an arbitrary moment; never decreases."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for real."""
+        """Sleep in real time."""
         if seconds > 0.0:
             time.sleep(seconds)

@@ -1,7 +1,7 @@
-"""What the scan asks of each device; the drivers and nothing else know how it is done.
+"""Interfaces of the devices that the scan uses; their implementation is known to the drivers only.
 
-Every method raises a `rig.errors.RigError` when the device fails after its retries. Devices are context managers in
-spirit: whoever opened one calls ``close`` on every way out.
+Every method raises a `rig.errors.RigError` if the device fails after all retries. Devices must be closed with ``close``
+in any case.
 """
 
 from dataclasses import dataclass
@@ -11,45 +11,45 @@ from rhizotwin.rig.rig_file import BandPart
 from rhizotwin.scenes.pictures import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
-"""Angles to which a turntable can be sent: its wires allow no more turns."""
+"""Range of the turntable in degrees, limited by its cables."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """One picture with what the camera says about it."""
+    """Picture with the data that the camera reports."""
 
     image: Grey
-    """(H, W) uint8, or uint16 with the converter's bits left-aligned, linear in light."""
+    """(H, W) uint8, or uint16 with the bits of the converter left-aligned, linear in light."""
     exposure_s: float | None
-    """What the camera reports for this very picture."""
+    """Exposure time reported by the camera for this picture."""
     gain: float | None
 
 
 class Turntable(Protocol):
-    """A table that turns to an angle. Angles are degrees of the table, not wrapped."""
+    """Turntable. Angles are in degrees and not wrapped."""
 
     def describe(self) -> str:
-        """Say in a few words what answers: firmware, position."""
+        """Describe the device briefly: firmware, position."""
 
     def prepare(self) -> None:
-        """Connect: agree on line numbers, energise the motor for good, absolute angles."""
+        """Connect: synchronise line numbers, energise the motor permanently, use absolute angles."""
 
     def position_deg(self) -> float:
-        """Read the angle back from the device."""
+        """Read the angle from the device."""
 
     def declare(self, angle_deg: float) -> None:
-        """Tell the device that it stands at this angle now (no motion)."""
+        """Set the current angle of the device without moving it."""
 
     def knows_zero(self) -> bool:
-        """Whether the device still holds an angle that was declared: False after power-up or a reset."""
+        """Whether the device still knows its angle: False after power-up or a reset."""
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Speed up and slow down so from the next move on; at first as the rig file says."""
+        """Set the acceleration of the following moves; initially as in the rig file."""
 
     def move_to(self, angle_deg: float) -> float:
-        """Turn, always arriving from the same side; wait until done; return the angle read back.
+        """Rotate, always approaching from the same side; wait until done; return the angle read back.
 
-        Raises `LostError` when the device was reset meanwhile.
+        Raises `LostError` if the device was reset meanwhile.
         """
 
     def release(self) -> None:
@@ -60,7 +60,7 @@ class Turntable(Protocol):
 
 
 class Lights(Protocol):
-    """The backlight panel, the front light and lamps of bands.
+    """Light panel, front lamp and the lamps of bands.
 
     Levels are fractions 0 to 1 of what the rig file calls full.
     """
@@ -77,16 +77,16 @@ class Lights(Protocol):
         """
 
     def off(self) -> None:
-        """Switch all off."""
+        """Switch all lamps off."""
 
 
 def check_levels(*, panel: float, front: float) -> None:
-    """Refuse levels of lamps that are no fractions.
+    """Reject lamp levels outside 0 to 1.
 
     Raises
     ------
     ValueError
-        Where one is below 0 or above 1.
+        If a level is below 0 or above 1.
     """
     for name, level in (("panel", panel), ("front", front)):
         if not 0.0 <= level <= 1.0:
@@ -100,47 +100,47 @@ class Arm(Protocol):
     """
 
     def describe(self) -> str:
-        """Say what answers: voltage, warmest servo."""
+        """Describe the device briefly: voltage, warmest servo."""
 
     def prepare(self) -> None:
-        """Connect, and switch the torque on where the arm stands, without a jump.
+        """Connect, and power the servos at their current positions, without a jump.
 
-        The servos are found first, and voltage and temperature checked.
+        The servos are detected, and voltage and temperature checked first.
         """
 
     def read_joints(self) -> tuple[float, ...]:
-        """Read the five joint angles back."""
+        """Read the five joint angles."""
 
     def holds(self) -> bool:
-        """Whether every joint still has its torque on."""
+        """Whether all joints are powered."""
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        """Move all joints at once at a limited speed, wait, verify; return the angles read back."""
+        """Move all joints simultaneously at limited speed, wait, verify; return the angles read back."""
 
     def turn_filter(self, angle_deg: float) -> None:
         """Turn the filter wheel before the lens."""
 
     def health(self) -> None:
-        """Raise `UnsafeError` when a servo is too warm or the voltage is out of its range."""
+        """Raise `UnsafeError` if a servo is too warm or the voltage is out of range."""
 
     def relax(self) -> None:
-        """Switch the torque off."""
+        """Unpower the servos."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class Camera(Protocol):
-    """A camera with everything automatic switched off."""
+    """Camera with all automatic functions disabled."""
 
     def describe(self) -> str:
-        """Say what it is."""
+        """Describe the camera."""
 
     def prepare(self) -> None:
-        """Open it with the fixed settings and prove by a first picture that they hold."""
+        """Open the camera with fixed settings and verify them with a first picture."""
 
     def capture(self) -> Shot:
-        """Take a picture whose exposure begins after this call; check that the settings held for it."""
+        """Take a picture whose exposure begins after this call; verify its settings."""
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Release the camera."""

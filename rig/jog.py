@@ -1,4 +1,4 @@
-"""Line commands for a person on the bench: every device by hand, with the arm's ways checked before anything moves."""
+"""Manual control of every device by typed commands, with collision checks before the arm moves."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Word:
 
 
 class Jog:
-    """The devices of a rig, moved by typed lines."""
+    """Devices of a rig, controlled by typed lines."""
 
     def __init__(self, devices: Devices, scene: Scene, *, say: Say) -> None:
         self._devices = devices
@@ -47,39 +47,45 @@ class Jog:
         self._seen = np.eye(4)
         self._commanded: tuple[float, ...] | None = None
         self._words: Mapping[str, Word] = {
-            "table": Word(usage="table +9 | table 90", does="turn by an angle with a sign, or to one without", run=self._table),
-            "home": Word(usage="home [DEG]", does="find the table's angle by the markers, or say that it stands at DEG", run=self._home),
+            "table": Word(usage="table +9 | table 90", does="rotate by an angle with a sign, or to an angle without one", run=self._table),
+            "home": Word(
+                usage="home [DEG]", does="determine the angle of the turntable from the markers, or set it to DEG", run=self._home
+            ),
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
             "band": Word(usage="band NAME", does="set lamps and filter as a band of the camera needs them", run=self._band),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
-            "go": Word(usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go),
+            "go": Word(
+                usage="go DISTANCE HEIGHT [TILT]",
+                does="move the camera to a distance from the axis and a height above the rim",
+                run=self._go,
+            ),
             "look": Word(
                 usage="look X Y Z DX DY DZ | look NAME",
-                does="bring the camera to a place and direction, or a named pose",
+                does="move the camera to a position and direction, or to a named pose",
                 run=self._look_from,
             ),
             "align": Word(
                 usage="align [DISTANCE HEIGHT]",
-                does="face the canister level, upright and through its axis, by the markers",
+                does="align the camera with the canister by the markers: level, upright, aimed at the axis",
                 run=self._align,
             ),
-            "park": Word(usage="park", does="bring the arm to its place of rest", run=self._park),
-            "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
-            "pose": Word(usage="pose", does="say where table, joints and camera are", run=self._pose),
-            "markers": Word(usage="markers", does="take a picture and say what the strip shows", run=self._markers),
-            "picture": Word(usage="picture FILE.png", does="take a picture and write it", run=self._picture),
-            "help": Word(usage="help", does="say this", run=self._help),
+            "park": Word(usage="park", does="move the arm to its parking position", run=self._park),
+            "relax": Word(usage="relax", does="unpower the arm: hold the camera", run=self._relax),
+            "pose": Word(usage="pose", does="print the positions of turntable, joints and camera", run=self._pose),
+            "markers": Word(usage="markers", does="take a picture and report the detected markers", run=self._markers),
+            "picture": Word(usage="picture FILE.png", does="take a picture and write it to a file", run=self._picture),
+            "help": Word(usage="help", does="print this list", run=self._help),
         }
 
     def run(self, lines: Iterable[str], *, stop_at_mistake: bool) -> None:
-        """Do what the lines say until ``quit``, and leave the rig safe.
+        """Run the commands of lines until ``quit``, and leave the rig safe.
 
         Parameters
         ----------
         lines : iterable of str
-            Typed by a person, or from a pipe.
+            Typed lines, or lines from a pipe.
         stop_at_mistake : bool
-            Raise the first error, as for a pipe; otherwise it is said, and the next line is done.
+            Raise the first error, as for a pipe; otherwise report it and continue.
         """
         try:
             for line in lines:
@@ -98,25 +104,25 @@ class Jog:
             self.leave()
 
     def do(self, words: list[str]) -> None:
-        """Do one line, given as its words.
+        """Run one command, given as words.
 
         Raises
         ------
         UserError
-            For words that are not understood, and for what is refused or fails.
+            If the command is unknown, rejected or fails.
         """
         word = self._words.get(words[0])
         if word is None:
-            raise UserError(f"there is no command {words[0]!r}; there are {', '.join(self._words)} and quit")
+            raise UserError(f"unknown command {words[0]!r}; available: {', '.join(self._words)} and quit")
         try:
             word.run(words[1:])
         except (ValueError, IndexError):
-            raise UserError(f"{' '.join(words)!r} is not understood, write: {word.usage}") from None
+            raise UserError(f"{' '.join(words)!r} is not a valid command; write: {word.usage}") from None
 
     def leave(self) -> None:
-        """Leave the rig safe: lamps off, the arm parked and let go.
+        """Leave the rig safe: lamps off, arm parked and unpowered.
 
-        The table's motor stays on where its angle is known.
+        The motor of the turntable stays on if its angle is known.
         """
         table = self._devices.table
         known = False
@@ -127,16 +133,16 @@ class Jog:
         finally:
             make_safe(self._devices, self._scene, say=self._say, board=self._table_ready, arm=self._arm_ready, finished=not known)
         if known:
-            self._say("turntable: its motor stays on, so that its angle is kept")
+            self._say("turntable: the motor stays on to keep the angle")
 
     def _board(self) -> None:
-        """Connect to the board when it is first needed."""
+        """Connect to the board on first use."""
         if not self._table_ready:
             self._say(preflight.check_table(self._devices.table))
             self._table_ready = True
 
     def _arm(self) -> Arm:
-        """Connect to the arm when it is first needed."""
+        """Connect to the arm on first use."""
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -156,7 +162,7 @@ class Jog:
         self._board()
         table = self._devices.table
         if not table.knows_zero():
-            raise RigError("turntable: its angle is not known; type home, or home 0 when the strip's seam faces the camera")
+            raise RigError("turntable: the angle is unknown; type home, or home 0 if the seam of the strip faces the camera")
         goal_deg = angle_deg + (table.position_deg() if text[0] in "+-" else 0.0)
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
@@ -168,7 +174,7 @@ class Jog:
         else:
             seen, why = self._look()
             if seen is None:
-                raise RigError(f"turntable: no angle from the markers: {why}")
+                raise RigError(f"turntable: the angle could not be determined from the markers: {why}")
             angle_deg = facing_angle(seen, self._scene)
         angle_deg %= 360.0
         self._devices.table.declare(angle_deg)
@@ -217,7 +223,7 @@ class Jog:
         if len(words) == 1:
             named = {pose.name: pose for pose in rig.poses}
             if words[0] not in named:
-                raise UserError(f"there is no pose {words[0]!r} in the rig file; it has {', '.join(named) or 'none'}")
+                raise UserError(f"there is no pose {words[0]!r} in the rig file; available: {', '.join(named) or 'none'}")
             position_mm, direction = named[words[0]].position_mm, named[words[0]].direction
         else:
             x, y, z, dx, dy, dz = (finite(word) for word in words)
@@ -233,12 +239,12 @@ class Jog:
         self.align()
 
     def align(self) -> Misalignment:
-        """Correct the joints by the markers until the camera faces the canister, and return what is left (thesis C.2).
+        """Correct the joints by the markers until the camera is aligned; return the remaining error (thesis C.2).
 
         Raises
         ------
         UserError
-            Where the strip cannot be read, the way is not clear, or the arm comes no nearer.
+            If no markers are detected, the path is not free, or the alignment does not improve.
         """
         rig, part = self._devices.rig, arm_of(self._devices.rig)
         here = self._commanded or self._arm().read_joints()
@@ -252,13 +258,13 @@ class Jog:
         self._say(f"after {moves} moves: {left.text()}")
         if not left.is_aligned:
             raise RigError(
-                f"arm: not aligned after {moves} moves ({left.text()}): its servos do not stop where they are sent; "
-                "check its supply and its stops, or calibrate it"
+                f"arm: not aligned after {moves} moves ({left.text()}): the servos do not reach their commanded positions; "
+                "check the supply and the stops, or calibrate the arm"
             )
         return left
 
     def _misalignment(self, *, search: bool = False) -> Misalignment:
-        """Take a picture and return how the camera misses the canister's axis, tilting it to find the strip."""
+        """Take a picture and return the misalignment, tilting the camera to find the strip."""
         seen, why = self._look()
         here = self._arm().read_joints()
         for tilt_deg in SEARCH_DEG if search and seen is None else ():
@@ -272,7 +278,7 @@ class Jog:
         return misalignment(self._seen)
 
     def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
-        """Move straight from place to place, each way checked before, and return the joints as read."""
+        """Move directly between positions with collision checks; return the joints as read."""
         arm, rig = self._arm(), self._devices.rig
         within_limits(arm_of(rig), path[-1])
         check_path(rig, self._scene, [arm.read_joints(), *path])
@@ -307,7 +313,10 @@ class Jog:
             joints = self._arm().read_joints()
             distance_mm, height_mm, tilt_deg = place_of(camera_at(part, joints))
             self._say(joints_text(joints))
-            self._say(f"by the joints the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
+            self._say(
+                f"by the joints, the camera is {distance_mm:.1f} mm from the axis at z "
+                f"= {height_mm:.1f} mm, tilted down by {tilt_deg:.1f} deg"
+            )
 
     def _markers(self, words: list[str]) -> None:
         nothing(words)
@@ -316,16 +325,21 @@ class Jog:
             raise RigError(f"markers: {why}")
         distance_mm, height_mm, tilt_deg = place_of(seen.cam_from_canister)
         facing_deg = facing_angle(seen, self._scene) % 360.0
-        self._say(f"{seen.markers} markers, {seen.reprojection_px:.2f} px off; from the +x side the table stands at {facing_deg:.2f} deg")
-        self._say(f"by the markers the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
+        self._say(
+            f"{seen.markers} markers, reprojection error {seen.reprojection_px:.2f} px; with "
+            f"the camera on the +x side, the table is at {facing_deg:.2f} deg"
+        )
+        self._say(
+            f"by the markers, the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, tilted down by {tilt_deg:.1f} deg"
+        )
 
     def _picture(self, words: list[str]) -> None:
         (name,) = words
         path = Path(name)
         if path.suffix.lower() != ".png":
-            raise UserError(f"{name}: pictures are written as PNG; give a name that ends in .png")
+            raise UserError(f"{name} must end in .png")
         if path.exists():
-            raise UserError(f"{name} exists already; choose another name")
+            raise UserError(f"{name} already exists; choose another name")
         image = self.shot()
         write_bytes(path, encode_png(image))
         found = preflight.exposure_of(image)
@@ -336,10 +350,10 @@ class Jog:
         width = max(len(word.usage) for word in self._words.values())
         for word in self._words.values():
             self._say(f"  {word.usage:<{width}}  {word.does}")
-        self._say(f"  {'quit':<{width}}  lights off, arm parked and let go")
+        self._say(f"  {'quit':<{width}}  switch the lamps off, park and unpower the arm")
 
     def shot(self) -> Grey:
-        """Return a picture of the scene's size."""
+        """Take a picture of the scene's size."""
         camera = self._devices.camera
         if not self._camera_ready:
             self._say(preflight.check_camera(camera))
@@ -350,7 +364,7 @@ class Jog:
 
 
 def finite(text: str) -> float:
-    """Return a number; words such as nan and inf are none."""
+    """Convert a word to a finite number."""
     value = float(text)
     if not np.isfinite(value):
         raise ValueError(text)
@@ -358,11 +372,11 @@ def finite(text: str) -> float:
 
 
 def nothing(words: list[str]) -> None:
-    """Refuse words that a command does not take."""
+    """Reject superfluous words."""
     if words:
         raise ValueError(words)
 
 
 def joints_text(joints_deg: tuple[float, ...]) -> str:
-    """Show joint angles, base to wrist roll."""
+    """Format joint angles, base to wrist roll."""
     return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

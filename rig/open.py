@@ -1,4 +1,4 @@
-"""From a rig file to open devices."""
+"""Opening of the devices of a rig file."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,7 +22,7 @@ from rhizotwin.scenes.model import Scene
 
 @dataclass(kw_only=True)
 class Devices:
-    """The open devices of a rig."""
+    """Open devices of a rig."""
 
     rig: RigFile
     clock: Clock
@@ -31,16 +31,16 @@ class Devices:
     camera: Camera
     arm: Arm | None
     open_board: Callable[[], tuple[Turntable, Lights]]
-    """Opens the board of table and lights anew, after it was lost."""
+    """Opens the board of turntable and lamps again after it was lost."""
 
     def reconnect_board(self) -> None:
-        """Close what is left of table and lights, and open them anew."""
+        """Close turntable and lamps if necessary, and open them again."""
         with suppress(RigError):
             self.table.close()
         self.table, self.lights = self.open_board()
 
     def close(self) -> None:
-        """Close every device; one that fails does not keep the others open."""
+        """Close all devices; a failure does not prevent the others from being closed."""
         for device in (self.camera, self.arm, self.table):
             with suppress(RigError):
                 if device is not None:
@@ -53,25 +53,25 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
     Parameters
     ----------
     rig : RigFile
-        Devices and where they are.
+        Devices and their positions.
     scene : Scene
-        Its camera says the size and depth of the pictures.
+        Scene whose camera gives size and bit depth of the pictures.
     clock : Clock
-        For the waits.
+        Clock for waiting.
     camera : Camera or None
-        The twin's; None: the rig file's.
+        Emulated camera; None: the camera of the rig file.
     recorder : Recorder or None
-        Keeps every byte on the wire.
+        Records the serial communication.
 
     Returns
     -------
     Devices
-        To be closed by the caller.
+        Devices, to be closed by the caller.
 
     Raises
     ------
     RigError
-        When a device is not there; those opened before it are closed.
+        If a device is missing; devices that were opened before are closed.
     """
 
     def board() -> tuple[Turntable, Lights]:
@@ -93,21 +93,21 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
-    """Open what turns the table and switches the lights: a Marlin board, or this Raspberry Pi's own pins.
+    """Open the controller of turntable and lamps: a Marlin board, or the pins of this Raspberry Pi.
 
     Parameters
     ----------
     rig : RigFile
-        Devices and where they are.
+        Devices and their positions.
     clock : Clock
-        For the waits.
+        Clock for waiting.
     recorder : Recorder or None
-        Keeps every byte on the wire.
+        Records the serial communication.
 
     Returns
     -------
     Turntable, Lights
-        Open, nothing sent yet.
+        Open devices; nothing was sent yet.
     """
     part = rig.turntable
     if part.kind == "hat":
@@ -124,21 +124,21 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
 
 
 def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:
-    """Open the arm's port; None for a rig without an arm.
+    """Open the port of the arm; None for a rig without an arm.
 
     Parameters
     ----------
     rig : RigFile
-        Devices and where they are.
+        Devices and their positions.
     clock : Clock
-        For the waits.
+        Clock for waiting.
     recorder : Recorder or None
-        Keeps every byte on the wire.
+        Records the serial communication.
 
     Returns
     -------
     Arm or None
-        Open, nothing sent yet.
+        Open device; nothing was sent yet.
     """
     part = rig.arm
     if part is None:

@@ -1,4 +1,4 @@
-"""How far a trait can be relied on: its 90 % interval and a verdict."""
+"""Reliability of a trait: its 90 % interval and a verdict."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -10,36 +10,38 @@ Verdict = Literal["reliable", "not reliable", "not assessed"]
 
 @dataclass(frozen=True, kw_only=True)
 class Assessment:
-    """The reliability of one trait of one result."""
+    """Reliability of one trait of one result."""
 
     verdict: Verdict = "not assessed"
-    """``not assessed``: the method states no uncertainty of this trait."""
+    """``not assessed``: the method gives no uncertainty of this trait."""
     interval: tuple[float, float] | None = None
-    """90 % interval in the unit of the trait; None where it is not assessed."""
+    """90 % interval in the unit of the trait; None if it is not assessed."""
     reason: str = ""
-    """Why the trait is not reliable; empty otherwise."""
+    """Reason why the trait is not reliable, as a sentence; empty otherwise."""
+    codes: tuple[str, ...] = ()
+    """Codes of the reasons (`recon.results.reasons`), for programs; empty if the trait is reliable or not assessed."""
 
 
 NOT_ASSESSED = Assessment()
 MOST_REASONS = 3
-"""More reasons make a sentence that nobody reads; each result states its own."""
+"""Maximum number of reasons in a sentence; each result states its own."""
 
 
 def left_out(trait: str, reasons: Iterable[str], *, total: int) -> str:
-    """Return a sentence on the values of a trait that are not reliable and were left out; empty where none was.
+    """Return a sentence on the excluded values of a trait; empty if there are none.
 
     Parameters
     ----------
     trait : str
         Name of the trait.
     reasons : iterable of str
-        The reason of each value that was left out; the most frequent ones are named.
+        Reason of each excluded value; the most frequent ones are listed.
     total : int
-        Number of values, with those that were left out.
+        Number of values, including the excluded ones.
     """
     counted = Counter(reasons)
     if not counted:
         return ""
     named = "; ".join(f"{reason} ({count})" if count > 1 else reason for reason, count in counted.most_common(MOST_REASONS))
     more = "; and others" if len(counted) > MOST_REASONS else ""
-    return f"{trait}: {sum(counted.values())} of {total} values are left out, because they are not reliable: {named}{more}"
+    return f"{trait}: {sum(counted.values())} of {total} values are excluded, because they are not reliable: {named}{more}"

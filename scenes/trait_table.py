@@ -1,4 +1,4 @@
-"""Traits as tables: what each is called, its unit, its definition in words, and rows for spreadsheets."""
+"""Tables of traits: names, units, definitions, and rows for spreadsheets."""
 
 import csv
 import io
@@ -12,40 +12,50 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
 Assessments = Mapping[str, Assessment]
-"""By the field in `Traits`; a trait that is missing is not assessed."""
+"""Assessments by the field in `Traits`; missing traits are not assessed."""
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A trait that is one number."""
+    """Trait with a single value."""
 
     field: str
-    """Of `Traits`."""
+    """Field of `Traits`."""
     name: str
-    """In tables; the unit stands beside it."""
+    """Name for display, without the unit."""
     unit: str
-    """Empty for ratios and counts."""
+    """Unit; empty for ratios and counts."""
     meaning: str
 
     @property
     def heading(self) -> str:
-        """Return name and unit for the head of a column."""
+        """Name and unit for display."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def column(self) -> str:
+        """Name in files and tables, with the unit: ``total_length_mm``, ``specific_root_length_m_per_g``."""
+        return f"{self.name}_{self.unit.replace('/', '_per_')}" if self.unit else self.name
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """A trait that divides the length among bins."""
+    """Trait that divides the length into bins."""
 
     field: str
     name: str
     meaning: str
     bin_unit: str
     bin_width: float
-    """0: the bins are whole numbers by themselves."""
+    """Width of a bin; 0 if the bins are integers."""
+
+    @property
+    def column(self) -> str:
+        """Name in files and tables, with the unit of the values."""
+        return f"{self.name}_mm"
 
     def edges(self, index: int) -> tuple[float, float]:
-        """Return where a bin begins and ends."""
+        """Return the limits of a bin."""
         return (index * self.bin_width, (index + 1) * self.bin_width) if self.bin_width else (index, index)
 
 
@@ -87,7 +97,7 @@ SHOOT = (
     Definition("volume_mm3", "shoot_volume", "mm3", "stalks, and leaf area times the thickness that was measured"),
     Definition("convex_mm3", "shoot_convex_volume", "mm3", "volume of the shoot's convex hull"),
 )
-"""Of what grows above the net pot; the fields are those of ``shoot`` in ``result.json``."""
+"""Traits of the shoot; the fields are those of ``shoot`` in ``result.json``."""
 
 COLOUR = (
     Definition("ndvi", "ndvi", "", "normalised difference of the leaves' reflectance in near infrared and red"),
@@ -109,64 +119,85 @@ HISTOGRAMS = (
 )
 
 
+WITH_INTERVAL = frozenset(
+    ("total_length_mm", "volume_mm3", "mean_diameter_mm", "tips", "specific_root_length_m_per_g", "tissue_density_g_per_ml")
+)
+"""Fields of the traits for which the method gives 90 % intervals."""
+
+
+def column_names() -> dict[str, str]:
+    """Return the name of every trait by its names in files, including those of earlier versions, without the unit."""
+    every = (*DEFINITIONS, *SHOOT, *COLOUR)
+    return {d.name: d.name for d in every} | {d.column: d.name for d in every}
+
+
 def to_csv(traits: Traits, assessed: Assessments) -> str:
-    """Return one row a trait, and one row a bin of each histogram; what is not known is empty.
+    """Return a table with one row per trait, and one row per bin of each histogram; unknown values are empty.
 
     Parameters
     ----------
     traits : Traits
-        The values.
+        Values.
     assessed : dict of Assessment
-        Their 90 % intervals and verdicts.
+        90 % intervals and verdicts.
     """
     return csv_text([_HEAD, *_rows(traits, assessed)])
 
 
 def by_plant_csv(plants: Sequence[tuple[str, Traits, Assessments]]) -> str:
-    """Return the same with the plant before each row, one plant after the other; the whole has an empty name."""
+    """Return the rows of `to_csv` for several plants, with the plant as first column; empty for the whole result."""
     return csv_text([("plant", *_HEAD), *((name, *row) for name, traits, assessed in plants for row in _rows(traits, assessed))])
 
 
-_HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "low", "high", "verdict", "definition")
+_HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "low", "high", "verdict", "reasons", "definition")
 
 
 def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
     rows: list[Sequence[Any]] = []
-    for d, *numbers, verdict in _assessed(traits, assessed):
+    for d, *numbers, one in _assessed(traits, assessed):
         value, low, high = map(written, numbers)
-        rows.append((d.name, "", "", "", value, d.unit, low, high, verdict, d.meaning))
+        rows.append((d.column, "", "", "", value, d.unit, low, high, one.verdict, ";".join(one.codes), d.meaning))
     for h in HISTOGRAMS:
         for index, value in enumerate(getattr(traits, h.field)):
             edges = (written(edge) for edge in h.edges(index))
-            rows.append((h.name, *edges, h.bin_unit, written(value), "mm", "", "", NOT_ASSESSED.verdict, h.meaning))
+            rows.append((h.column, *edges, h.bin_unit, written(value), "mm", "", "", NOT_ASSESSED.verdict, "", h.meaning))
     return rows
 
 
-def _assessed(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, str]]:
-    """Yield definition, value, ends of the interval and verdict of each trait."""
+def _assessed(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, Assessment]]:
+    """Yield definition, value, limits of the interval and assessment of each trait."""
     for d in DEFINITIONS:
         one = assessed.get(d.field, NOT_ASSESSED)
-        yield d, getattr(traits, d.field), *(one.interval or (None, None)), one.verdict
+        yield d, getattr(traits, d.field), *(one.interval or (None, None)), one
 
 
 def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
-    """Return the same for JSON: a list of traits and a list of histograms, None where a number is not known.
+    """Return lists of traits and histograms for JSON; unknown values are None.
 
     Parameters
     ----------
     traits : Traits
-        The values.
+        Values.
     assessed : dict of Assessment
-        Their 90 % intervals and verdicts.
+        90 % intervals and verdicts.
     """
     return {
         "traits": [
-            {"name": d.name, "value": value, "unit": d.unit, "low": low, "high": high, "verdict": verdict, "definition": d.meaning}
-            for d, value, low, high, verdict in _assessed(traits, assessed)
+            {
+                "name": d.column,
+                "value": value,
+                "unit": d.unit,
+                "low": low,
+                "high": high,
+                "verdict": one.verdict,
+                "reasons": list(one.codes),
+                "definition": d.meaning,
+            }
+            for d, value, low, high, one in _assessed(traits, assessed)
         ],
         "histograms": [
             {
-                "name": h.name,
+                "name": h.column,
                 "unit": "mm",
                 "definition": h.meaning,
                 "bin_unit": h.bin_unit,
@@ -181,14 +212,14 @@ def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
 
 
 def lines(traits: Traits, assessed: Assessments) -> list[str]:
-    """Return the traits that are one number as aligned lines with interval or verdict; a dash for an unknown number.
+    """Format the traits with a single value as aligned lines with interval or verdict; a dash for an unknown value.
 
     Parameters
     ----------
     traits : Traits
-        The values.
+        Values.
     assessed : dict of Assessment
-        Their 90 % intervals and verdicts.
+        90 % intervals and verdicts.
     """
     width, rows = max(len(d.name) for d in DEFINITIONS) + 2, []
     for d in DEFINITIONS:
@@ -199,7 +230,7 @@ def lines(traits: Traits, assessed: Assessments) -> list[str]:
 
 
 def said(one: Assessment) -> str:
-    """Return an interval or a verdict for people."""
+    """Format an interval or a verdict for display."""
     if one.interval is None:
         return one.verdict
     interval = f"{shown(one.interval[0])} to {shown(one.interval[1])}"
@@ -207,20 +238,20 @@ def said(one: Assessment) -> str:
 
 
 def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
-    """Return the traits of ``shoot`` in ``result.json`` by name, colours where it has them; None: not known."""
+    """Return the traits of ``shoot`` in ``result.json`` by display name, colours if it has them; None if unknown."""
     known = shoot or {}
     return {d.name: known.get(d.field) for d in (*SHOOT, *COLOUR) if d in SHOOT or d.field in known}
 
 
 def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
-    """Return a shoot's traits as aligned lines, as `lines` does a root's."""
+    """Format the traits of a shoot as aligned lines."""
     width = max(len(d.name) for d in DEFINITIONS) + 2
     found = shoot_numbers(shoot)
     return [f"{d.name:<{width}}{shown(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip() for d in (*SHOOT, *COLOUR) if d.name in found]
 
 
 def shown(value: Number) -> str:
-    """Return a number for people: whole, or with four digits that count; a dash for None."""
+    """Format a number for display: an integer, or four significant digits; a dash for None."""
     if value is None:
         return "-"
     if isinstance(value, int):
@@ -236,5 +267,5 @@ def csv_text(rows: Sequence[Sequence[Any]]) -> str:
 
 
 def written(value: Number) -> str:
-    """Return a number for files, with seven digits that count; empty for None."""
+    """Format a number for files, with seven significant digits; empty for None."""
     return "" if value is None else str(value) if isinstance(value, int) else f"{value:.7g}"

@@ -1,4 +1,4 @@
-"""The smallest method: a voxel stays where no mask excludes its centre, seen along straight rays.
+"""Minimal method: a voxel is kept unless a mask excludes its centre, with straight rays.
 
 python hull_by_voxels.py DATASET OUTPUT
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A NeRF by nerfstudio and its mesh: nerfstudio.sh DATASET OUTPUT (needs nerfstudio and a GPU)
+# Mesh of a NeRF with nerfstudio: nerfstudio.sh DATASET OUTPUT (requires nerfstudio and a GPU)
 set -euo pipefail
 dataset=$1/undistorted output=$2 working=$(mktemp -d)
 trap 'rm -rf "$working"' EXIT

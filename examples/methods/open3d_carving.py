@@ -1,4 +1,4 @@
-"""Silhouette carving by Open3D (pip install open3d), along straight rays.
+"""Silhouette carving with Open3D (pip install open3d), with straight rays.
 
 python open3d_carving.py DATASET OUTPUT
 """

@@ -1,4 +1,4 @@
-"""Sparse points by COLMAP (pip install pycolmap) from the given cameras, along straight rays.
+"""Sparse points of COLMAP (pip install pycolmap) with the given cameras and straight rays.
 
 python pycolmap_sparse.py DATASET OUTPUT
 """

@@ -1,9 +1,10 @@
-"""The reliability of every trait of a result, from the intervals and verdicts in ``result.json``."""
+"""Reliability of every trait of a result, from the intervals and verdicts in ``result.json``."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from rhizotwin.recon.results import reasons
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment
@@ -16,28 +17,29 @@ Pair = tuple[float, float]
 def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = None) -> dict[str, Assessment]:
     """Return the assessment of each trait, by its field in `Traits`.
 
-    Volume, length, tips and mean diameter have intervals of their own; specific root length and tissue density take
-    theirs from length and volume. The other traits are not assessed, and not reliable where the scan as a whole is not.
+    Volume, length, tips and mean diameter have their own intervals; those of specific root length and tissue density
+    are derived from length and volume. The other traits are not assessed; they are not reliable if the volume is not.
 
     Parameters
     ----------
     summary : Json
         ``result.json``.
     traits : Traits
-        Of the result, or of one of several plants in it.
+        Traits of the result, or of one of several plants.
     volume_interval_mm3 : (float, float), optional
-        Of the plant, where ``traits`` are those of one of several; only its volume is assessed then.
+        Interval of the plant, if ``traits`` are those of one of several; only its volume is assessed then.
     """
     reason = str(summary["volume_verdict"]).removeprefix(NO_VOLUME)
-    refused = Assessment(verdict="not reliable", reason=f"the scan is not reliable: {reason}")
+    codes = reasons.reasons_for_volume(summary)
+    refused = Assessment(verdict="not reliable", reason=f"the scan is not reliable: {reason}", codes=codes)
     is_assessed = bool(summary["volume_budget"])
     found = dict.fromkeys((d.field for d in DEFINITIONS), refused if is_assessed and not summary["volume_trusted"] else NOT_ASSESSED)
     if is_assessed:
         low, high = summary["volume_interval_mm3"] if volume_interval_mm3 is None else volume_interval_mm3
-        found["volume_mm3"] = _judged(summary["volume_trusted"], (low, high), reason)
+        found["volume_mm3"] = _judge(summary["volume_trusted"], (low, high), reason, codes)
     for one in () if volume_interval_mm3 is not None else summary.get("estimates") or ():
         low, high = one["interval"]
-        found[one["name"]] = _judged(one["trusted"], (low, high), one["verdict"])
+        found[one["name"]] = _judge(one["trusted"], (low, high), one["verdict"], reasons.reasons_for_estimate(summary, one))
     found["specific_root_length_m_per_g"] = _derived(
         found["total_length_mm"], traits.total_length_mm, traits.specific_root_length_m_per_g, 1
     )
@@ -45,16 +47,17 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     return found
 
 
-def _judged(trusted: bool, interval: Pair, reason: str) -> Assessment:
+def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -> Assessment:
     return Assessment(
         verdict="reliable" if trusted else "not reliable",
         interval=(float(interval[0]), float(interval[1])),
         reason="" if trusted else reason,
+        codes=() if trusted else codes,
     )
 
 
 def _derived(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
-    """Return the assessment of a trait that is a known mass times a power of another trait."""
+    """Return the assessment of a trait that is proportional to a power of another trait."""
     if value is None or derived is None or base.interval is None or not base.interval[0] > 0.0:
         return replace(base, interval=None, verdict="not reliable" if base.verdict == "not reliable" else "not assessed")
     low, high = sorted(derived * (end / value) ** power for end in base.interval)

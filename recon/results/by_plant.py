@@ -1,4 +1,4 @@
-"""What a result says of each of several plants in the canister."""
+"""Results of each of several plants in the canister."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class OfPlant:
-    """One of several plants of a result."""
+    """One of several plants in a result."""
 
     subject: Subject
-    """Whose roots they are."""
+    """Plant and its treatment."""
     at_mm: Pair
-    """Where it hangs through the net pot's grid, as given."""
+    """Position in the grid of the net pot, as given."""
     volume_mm3: float
-    """Its share of the volume."""
+    """Volume assigned to the plant."""
     volume_interval_mm3: Pair
-    """90 % interval: the whole volume's, and what of its own may be another plant's and the other way round."""
+    """90 % interval: that of the whole volume, widened by the volume that could belong to another plant."""
     open_mm: float
-    """Length of its roots that may as well be another plant's."""
+    """Length of its roots that could belong to another plant."""
     traits: Traits
 
     def plain(self) -> Json:
-        """Return it as JSON values."""
+        """Convert to JSON values."""
         plain: Json = to_plain(self)
         return plain
 
 
 def of_summary(summary: Json, where: str) -> tuple[OfPlant, ...]:
-    """Return the plants that a ``result.json`` tells; none where there is one plant, or in earlier versions.
+    """Return the plants in a ``result.json``; empty for a single plant and for results of earlier versions.
 
     Raises
     ------
     UserError
-        Where it is damaged.
+        If the data are damaged.
     """
     place = Place(where).at("plants")
     found = from_plain(_Plants, {"plants": summary.get("plants") or []}, Place(where)).plants

@@ -1,4 +1,4 @@
-"""What a result's pictures told of its rig, for ``result.json``."""
+"""Parameters of the rig that were calibrated from the pictures, for ``result.json``."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ if TYPE_CHECKING:  # the command line reads results without starting the engine
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 SWAY_AT_MM = 100.0
-"""Depth at which a sway is told: about that of a grown plant's tips."""
+"""Depth at which the sway is reported, about that of the tips of a grown plant."""
 
 
 def of_cameras(cameras: Cameras) -> Json:
-    """Return what all views together told as JSON values, for the ``rig`` of a result.
+    """Return the calibration from all views as JSON values, for the ``rig`` of a result.
 
-    Empty where the cameras were given and no more.
+    It is empty if the cameras were given.
     """
-    found = {} if cameras.markers is None else _of_markers(cameras.markers)
+    found = {} if cameras.markers is None else _markers_json(cameras.markers)
     if found or cameras.roots is not None:
-        found |= _of_roots(cameras, found.get("focal_scale", 1.0))
+        found |= _roots_json(cameras, found.get("focal_scale", 1.0))
     sways = np.array([view.sway[:2] for view in cameras.views])
     return found | {"sway_mm": SWAY_AT_MM * float(np.sqrt(np.square(sways).sum(axis=1).mean()))} if sways.any() else found
 
 
-def _of_markers(found: MarkerCalibration) -> Json:
-    """Return what the markers and the canister's edges told."""
+def _markers_json(found: MarkerCalibration) -> Json:
+    """Return the calibration from markers and canister edges."""
     canister = found.canister
     return {
         "canister_from_strip": None if canister is None else canister.canister_from_strip.tolist(),
@@ -68,19 +68,19 @@ def _of_markers(found: MarkerCalibration) -> Json:
     }
 
 
-def _of_roots(cameras: Cameras, focal_scale: float) -> Json:
-    """Return what the roots told; the index's sigma is None where no roots could be asked.
+def _roots_json(cameras: Cameras, focal_scale: float) -> Json:
+    """Return the calibration from the roots; the sigma of the refractive index is None if there were no roots.
 
-    ``focal_scale`` is that of the markers; cameras that were corrected by the roots go with theirs.
+    ``focal_scale`` is that of the markers; cameras corrected by the roots include the correction of the latter.
     """
-    told, given = cameras.roots, cameras.optics.n_water
-    if told is None:
+    found_by_roots, given = cameras.roots, cameras.optics.n_water
+    if found_by_roots is None:
         return {"n_water": given, "n_water_given": given, "n_water_found": None, "n_water_sigma": None, "roots": None}
-    taken = {"focal_scale": focal_scale * told.focal_scale} if told.believed else {}
-    return taken | {
-        "n_water": told.n_water if told.believed else told.n_water_given,
-        "n_water_given": told.n_water_given,
-        "n_water_found": told.n_water,
-        "n_water_sigma": told.n_water_sigma,
-        "roots": {"nodes": told.nodes, "before_px": told.before_px, "after_px": told.after_px},
+    corrected = {"focal_scale": focal_scale * found_by_roots.focal_scale} if found_by_roots.believed else {}
+    return corrected | {
+        "n_water": found_by_roots.n_water if found_by_roots.believed else found_by_roots.n_water_given,
+        "n_water_given": found_by_roots.n_water_given,
+        "n_water_found": found_by_roots.n_water,
+        "n_water_sigma": found_by_roots.n_water_sigma,
+        "roots": {"nodes": found_by_roots.nodes, "before_px": found_by_roots.before_px, "after_px": found_by_roots.after_px},
     }

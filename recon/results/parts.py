@@ -1,4 +1,4 @@
-"""What a result folder is made of: its shapes in memory and packed, the names of its pictures, its version."""
+"""Parts of a result folder: shapes in memory and packed, names of pictures, and version."""
 
 import io
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 Json: TypeAlias = dict[str, Any]
-"""An object of JSON: what a key holds, its reader knows."""
+"""JSON object."""
 SCHEMA_VERSION = 1
-"""Of ``result.json``; it grows when what a key means changes."""
+"""Version of ``result.json``; it increases when the meaning of a key changes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leaves:
-    """The octree's occupied leaves: one covers ``origin_mm + voxel_mm * [low, low + size]``."""
+    """Occupied leaves of the octree: a leaf covers ``origin_mm + voxel_mm * [low, low + size]``."""
 
     low: NDArray[np.int32]
     """(N, 3) lowest voxel."""
     size: NDArray[np.int32]
-    """(N,) edge in voxels."""
+    """(N,) edge length in voxels."""
     occupancy: NDArray[np.float32]
     """(N,) fraction of the leaf inside, 0..1."""
     origin_mm: Floats
@@ -44,24 +44,24 @@ class Mesh:
 
     @staticmethod
     def of(mesh: "trimesh.Trimesh") -> "Mesh":
-        """Return vertices and faces of a mesh of trimesh's."""
+        """Return the vertices and faces of a trimesh mesh."""
         vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
         return Mesh(vertices_mm=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3))
 
     @property
     def corners_mm(self) -> Floats:
-        """The first, second and third corner of the faces (3, F, 3)."""
+        """First, second and third vertex of the faces (3, F, 3)."""
         return self.vertices_mm[self.faces.T]
 
     @property
     def areas_mm2(self) -> Floats:
-        """Of the faces (F,)."""
+        """Areas of the faces (F,)."""
         a, b, c = self.corners_mm
         return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
 
 
 def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
-    """Return the content of ``shape.npz``."""
+    """Return the contents of ``shape.npz``."""
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
@@ -78,5 +78,5 @@ def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
 
 
 def picture_path(folder: Path, frame_file: str) -> Path:
-    """Return where a frame's picture of the same name lies in ``folder`` (silhouettes, seen, masks): always PNG."""
+    """Return the path of a frame's picture in ``folder`` (silhouettes, seen, masks), always as PNG."""
     return Path(folder) / f"{PurePosixPath(frame_file).stem}.png"

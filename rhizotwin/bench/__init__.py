@@ -1,1 +1,1 @@
-"""Named benchmarks: pictures with perfect ground truth on which any method is run and scored."""
+"""Benchmarks: simulated scans with exact ground truth on which any method can be run and scored."""

@@ -1,7 +1,8 @@
-"""Whether two machines rendered the same pictures: sampled pixels and the volume, kept in the package.
+"""Fingerprints of rendered pictures, for checking that two computers rendered the same data.
 
-A checksum of files would differ by the last bits of rounding. Instead, pixels at places that a seed draws are compared:
-where 1 % of the pixels of 24 pictures differ, it is seen with a probability of 0.98, in 80 pictures with 0.999997.
+Checksums of files would change with rounding errors. Instead, pixels at random positions with a fixed seed are
+compared: a difference in 1 % of the pixels of 24 pictures is detected with a probability of 0.98, of 80 pictures with
+0.999997.
 """
 
 from __future__ import annotations
@@ -16,44 +17,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.bench.named import BENCHMARKS, Benchmark
+from rhizotwin.bench.benchmarks import BENCHMARKS, Benchmark
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import load_truth
 
 PIXELS = 16
-"""Of every picture."""
+"""Sampled pixels per picture."""
 LIMIT = 1e-3
-"""Of full scale."""
+"""Maximum difference, relative to full scale."""
 _SAME_VOLUME = 1e-6
-"""Relative; solids are united in another order by other versions."""
+"""Relative tolerance of the volume; versions of the mesh library differ in rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """How far a case is from the reference."""
+    """Difference between a rendered case and the reference."""
 
     case: str
     largest: float
-    """Difference of sampled pixels, of full scale; infinite where the pictures cannot be compared."""
+    """Largest difference of sampled pixels relative to full scale; infinite if the pictures cannot be compared."""
     volume: float
     """Relative difference of the true volumes."""
 
     @property
     def same(self) -> bool:
-        """Return whether the case is the reference's up to rounding."""
+        """Return whether the case equals the reference up to rounding."""
         return self.largest <= LIMIT and self.volume <= _SAME_VOLUME
 
 
 def take(folder: Path) -> dict[str, Any]:
-    """Return the fingerprint of a rendered case as JSON values: sampled 16-bit grey levels, and the volume."""
+    """Compute the fingerprint of a rendered case as JSON values: sampled 16-bit grey levels and the volume."""
     dataset = load_dataset(folder)
     return {"volume_mm3": load_truth(folder).volume_mm3, "pixels": [_sampled(dataset, k).tolist() for k in range(len(dataset.frames))]}
 
 
 def compare(folder: Path, case: str, reference: dict[str, Any]) -> Comparison:
-    """Compare a rendered case with its fingerprint in the reference."""
+    """Compare a rendered case with its reference fingerprint."""
     known, found = reference.get(case), take(folder)
     if known is None or len(known["pixels"]) != len(found["pixels"]):
         return Comparison(case=case, largest=float("inf"), volume=float("inf"))
@@ -62,14 +63,14 @@ def compare(folder: Path, case: str, reference: dict[str, Any]) -> Comparison:
 
 
 def write(benchmark: Benchmark, folder: Path, goal: Path) -> None:
-    """Write the fingerprints of a benchmark that was rendered into a folder, for `reference`."""
+    """Write the fingerprints of a rendered benchmark to a folder, for `reference`."""
     described = {"benchmark": benchmark.name, "versions": versions(("rhizotwin", "mitsuba", "drjit"))}
     cases = {case.name: take(folder / case.name) for case in benchmark.cases}
     atomic.write_text(goal / f"{benchmark.name}.json", json.dumps({**described, "cases": cases}, separators=(",", ":")) + "\n")
 
 
 def reference(benchmark: Benchmark) -> dict[str, Any]:
-    """Return the package's fingerprints of a benchmark's cases; empty where it has none."""
+    """Return the reference fingerprints of the cases of a benchmark; empty if there are none."""
     file = resources.files("rhizotwin.bench").joinpath("data", f"{benchmark.name}.json")
     return dict(json.loads(file.read_text(encoding="utf-8"))["cases"]) if benchmark.name in BENCHMARKS and file.is_file() else {}
 

@@ -1,4 +1,4 @@
-"""Render a named benchmark."""
+"""Rendering of a benchmark."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rhizotwin.bench import fingerprints
+from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.fingerprints import Comparison
-from rhizotwin.bench.named import Benchmark
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 
 def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[[str], None]) -> list[Comparison]:
-    """Render the cases of a benchmark, a dataset each; a stopped run is taken up.
+    """Render the cases of a benchmark, one dataset each; an interrupted run is continued.
 
     Parameters
     ----------
     benchmark : Benchmark
-        Its cases.
+        Benchmark to render.
     folder : path
-        Where the datasets go.
+        Folder of the datasets.
     monitor : Monitor
-        Hears of every view.
+        Progress monitor.
     say : callable
-        Hears a line a case.
+        Receives one line per case.
 
     Returns
     -------
     list of Comparison
-        Each case against the package's fingerprint.
+        Comparison of each case with its reference fingerprint.
     """
     from rhizotwin.sim.simulate import simulate
 
@@ -42,15 +42,17 @@ def make(benchmark: Benchmark, folder: Path, *, monitor: Monitor, say: Callable[
 
 
 def sentence(one: Comparison) -> str:
-    """Return a comparison in words."""
+    """Describe a comparison in a sentence."""
     if one.largest == float("inf"):
-        return f"{one.case}: rendered; this version has no fingerprint of it"
-    amount = f"sampled pixels differ by {one.largest:.1e} of full scale at most (limit {fingerprints.LIMIT:g})"
-    return f"{one.case}: {amount}, {'the same data' if one.same else 'NOT THE SAME DATA as the reference'}"
+        return f"{one.case}: rendered; there is no reference for this case in this version"
+    amount = f"maximum difference of sampled pixels {one.largest:.1e} of full scale (limit {fingerprints.LIMIT:g})"
+    return f"{one.case}: {amount}, {'identical to the reference' if one.same else 'DIFFERENT FROM THE REFERENCE'}"
 
 
 def check_made(benchmark: Benchmark, folder: Path) -> None:
-    """Refuse a folder that lacks a case; UserError names the command that makes it."""
+    """Raise UserError, with the command to run, if a case is missing in a folder."""
     for case in benchmark.cases:
         if not (folder / case.name / "truth" / "truth.json").is_file():
-            raise UserError(f"{folder} lacks {case.name}; make it with: rhizotwin bench make {benchmark.name} -o {folder}")
+            raise UserError(
+                f"the case {case.name} is missing in {folder}; render it with: rhizotwin bench make {benchmark.name} -o {folder}"
+            )

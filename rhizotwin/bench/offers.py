@@ -1,15 +1,14 @@
-"""A benchmark's scan as other methods read it: without truth, with cameras, masks and undistorted pictures beside.
+"""Input folder for other methods: a benchmark scan without ground truth, with cameras, masks and undistorted pictures.
 
-A folder that is offered holds
+The folder contains
 
-    dataset.json, images/   the dataset, as `rhizotwin simulate` writes it, without its truth
-    transforms.json         nerfstudio's form, pictures as they are, the lens with its distortion
-    colmap/                 the same cameras as COLMAP's text model
-    masks/                  binary silhouettes, measured from the pictures: 255 is root
-    undistorted/            pictures and masks of a pinhole, with a transforms.json of their own
+    dataset.json, images/   dataset as written by `rhizotwin simulate`, without its truth transforms.json
+    cameras in nerfstudio's format for the original pictures, with lens distortion colmap/                 the same
+    cameras in COLMAP's text format masks/                  binary silhouettes, segmented from the pictures: 255 is root
+    undistorted/            pictures and masks of a pinhole camera, with their own transforms.json
 
-All cameras are in the canister's frame and in mm. Pictures were taken through a round wall and water: straight rays
-from these cameras miss the roots by what is refracted.
+All cameras are in the canister frame in mm. The pictures show the roots through a round wall and water; straight rays
+from these cameras miss the roots by the refraction.
 """
 
 from __future__ import annotations
@@ -38,21 +37,21 @@ _HALF = 0.5
 
 
 def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
-    """Write a dataset in the forms that other methods read.
+    """Write a dataset in formats for other methods.
 
     Parameters
     ----------
     dataset_folder : path
-        With its truth, which is not offered.
+        Dataset with its ground truth, which is not copied.
     goal : path
         New folder.
     cameras : {"estimated", "true"}
-        Cameras as the markers give them, or the true ones. Masks are measured with the former either way.
+        Cameras estimated from the markers, or the true ones. Masks always use the estimated cameras.
 
     Raises
     ------
     UserError
-        If no cameras can be found in the pictures.
+        If no camera can be estimated from the pictures.
     """
     from rhizotwin.recon.calibration.curve import verify_curve
     from rhizotwin.recon.calibration.find_cameras import find_cameras
@@ -75,7 +74,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
         posed = [(files[k], np.asarray(found.all[k].cam_from_canister)) for k in used]
         lens = found.lens.as_pinhole()
     if not posed:
-        raise UserError(f"{dataset_folder}: no picture has a camera")
+        raise UserError(f"{dataset_folder}: no camera pose could be estimated from the pictures")
     write_nerfstudio(goal / "transforms.json", lens, posed)
     write_colmap(goal / "colmap", lens, posed)
     for file, mask in masks.items():
@@ -84,7 +83,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
 
 
 def _undistort(dataset: Dataset, lens: Camera, posed: Posed, masks: dict[str, Picture], goal: Path) -> None:
-    """Write the pictures and masks that a pinhole with the same focal length would see."""
+    """Write the pictures and masks of a pinhole camera with the same focal length."""
     (fx, fy), (cx, cy) = lens.focal_px, lens.principal_px
     matrix, distortion = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(lens.distortion)
     known, frames = {frame.file: frame for frame in dataset.frames}, []

@@ -1,9 +1,9 @@
-"""What a method left in its output folder, scored: the files are found by their names.
+"""Scoring of the output folder of a method; files are recognised by name.
 
     shape.{ply,stl,obj,glb}, voxels.{nrrd,npz}, points.{ply,xyz}, roots.rsml, traits.csv
 
-Any of them may be there, each is scored by itself; what cannot be read is said and the others are scored. A result of
-rhizotwin has such files; its ``result.json`` says beside whether the volume is trusted.
+Any of them may be present, and each is scored separately; for a file that cannot be read, the reason is reported. The
+``result.json`` of a result of rhizotwin adds whether the volume is reliable.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ KINDS: dict[str, tuple[tuple[str, ...], Score]] = {
 
 
 def score_outputs(output: Path, dataset: Path) -> tuple[dict[str, Any], list[str]]:
-    """Score every file in a method's output that has a known name.
+    """Score every file with a known name in the output of a method.
 
     Parameters
     ----------
     output : path
-        What the method wrote.
+        Output folder of the method.
     dataset : path
-        The simulated dataset with its truth.
+        Simulated dataset with its ground truth.
 
     Returns
     -------
     scores : dict
-        By kind: mesh, voxels, points, rsml, traits, as JSON values; ``trusted`` where a result says it.
+        Scores by kind: mesh, voxels, points, rsml, traits, as JSON values; ``trusted`` if a result contains it.
     sentences : list of str
-        Why a file could not be scored.
+        Reasons for files that could not be scored.
     """
     names, scores, sentences = contents(output) if output.is_dir() else [], dict[str, Any](), list[str]()
     for kind, (known, score) in KINDS.items():

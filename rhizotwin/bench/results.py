@@ -1,4 +1,4 @@
-"""Read results of benchmarks, lay them side by side, and compare them with a baseline."""
+"""Benchmark results: reading, tables of several methods, and comparison with a baseline."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable
 
 
 _LARGEST = sys.float_info.max
-"""JSON allows integers that no float can hold."""
+"""JSON allows integers beyond the range of a float."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of a row, and how far it may get worse before a gate shuts."""
+    """Quantity in a row of results, with its tolerance in comparisons with a baseline."""
 
     name: str
     heading: str
     places: tuple[tuple[str, ...], ...]
-    """Where it stands in a row; the first that is there counts."""
+    """Paths of the value in a row; the first one present is used."""
     scale: float
-    """From the number to the heading's unit."""
+    """Factor from the value to the unit of the heading."""
     digits: int
     larger_is_better: bool = False
     relative: float = 0.0
-    """Share of the baseline's size by which it may get worse."""
+    """Relative tolerance."""
     absolute: float = 0.0
-    """The same as it is."""
+    """Absolute tolerance."""
 
 
 QUANTITIES = (
@@ -66,23 +66,23 @@ QUANTITIES = (
     Quantity("cpu_s", "processor, s", (("cpu_s",),), 1, 1, relative=0.5, absolute=5.0),
     Quantity("memory_mib", "memory, MiB", (("memory_mib",),), 1, 0, relative=0.2, absolute=100.0),
 )  # fmt: skip
-"""What tables show and gates compare. Tolerances are about twice the scatter of repeated runs of rhizotwin."""
+"""Quantities in tables and comparisons. Tolerances are about twice the scatter of repeated runs of rhizotwin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """One run of a method."""
+    """Results of one method on a benchmark."""
 
     benchmark: str
     method: str
     cameras: str | None
     rows: dict[str, dict[str, Any]]
-    """By case, as JSON values."""
+    """Rows by case, as JSON values."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A number of a case against the baseline's."""
+    """Comparison of one number with the baseline."""
 
     case: str
     quantity: str
@@ -93,31 +93,33 @@ class Finding:
 
 
 def read(path: Path) -> Results:
-    """Read a file of results, from anybody.
+    """Read a file of results, which may come from an untrusted source.
 
     Raises
     ------
     UserError
-        Where the file is missing, damaged, or of another version.
+        If the file is missing, damaged, or of another version.
     """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
         if stored["schema_version"] != SCHEMA:
-            raise UserError(f"{path} has version {stored['schema_version']!r} of the form, and this program reads {SCHEMA}")
+            raise UserError(f"{path} has the format version {stored['schema_version']!r}, but this program reads version {SCHEMA}")
         rows = {str(row["case"]): dict(row) for row in stored["rows"]}
         for row in rows.values():
             if row["state"] not in STATES or not isinstance(row["scores"], dict):
-                raise ValueError(f"a row has the state {row['state']!r}")
+                raise ValueError(f"a row has the unknown state {row['state']!r}")
         cameras = stored.get("cameras")
         return Results(
             benchmark=str(stored["benchmark"]), method=str(stored["method"]), cameras=None if cameras is None else str(cameras), rows=rows
         )
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise UserError(f"{path} is no file of `rhizotwin bench run` or `score` ({printable(str(error))[:200]})") from None
+        raise UserError(
+            f"{path} is not a file written by 'rhizotwin bench run' or 'rhizotwin bench score' ({printable(str(error))[:200]})"
+        ) from None
 
 
 def value(row: dict[str, Any], quantity: Quantity) -> float | None:
-    """Return a number of a row; None where it is not there."""
+    """Return a number of a row; None if missing."""
     for place in quantity.places:
         found: Any = row if len(place) == 1 else row["scores"]
         for name in place:
@@ -128,7 +130,7 @@ def value(row: dict[str, Any], quantity: Quantity) -> float | None:
 
 
 def interval_holds(row: dict[str, Any]) -> bool | None:
-    """Return whether the stated interval of the volume holds the truth; None where none is stated."""
+    """Return whether the interval of the volume contains the true value; None without an interval."""
     try:
         holds = row["scores"]["traits"]["traits"]["volume"]["holds"]
     except (KeyError, TypeError):
@@ -137,7 +139,7 @@ def interval_holds(row: dict[str, Any]) -> bool | None:
 
 
 def text(row: dict[str, Any], quantity: Quantity) -> str:
-    """Return a number as it stands in a table."""
+    """Format a number for a table."""
     found = value(row, quantity)
     if found is None:
         return ""
@@ -146,7 +148,7 @@ def text(row: dict[str, Any], quantity: Quantity) -> str:
 
 
 def markdown(several: Sequence[Results]) -> str:
-    """Return a table in Markdown: a line a case and method."""
+    """Format a Markdown table with one row per case and method."""
     shown = [quantity for quantity in QUANTITIES if any(text(row, quantity) for one in several for row in one.rows.values())]
     head = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), ""]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -157,34 +159,34 @@ def markdown(several: Sequence[Results]) -> str:
 
 
 def ordered(several: Sequence[Results]) -> list[tuple[Results, dict[str, Any]]]:
-    """Return all rows, those of one case side by side."""
+    """Return all rows ordered by case."""
     pairs = [(one, row) for one in several for row in one.rows.values()]
     place = {(one.benchmark, case): number for one in reversed(several) for number, case in enumerate(one.rows)}
     return sorted(pairs, key=lambda pair: (pair[0].benchmark, place[pair[0].benchmark, pair[1]["case"]]))
 
 
 def held(row: dict[str, Any]) -> str:
-    """Return what became of the volume's interval, in a word."""
+    """Return whether the interval of the volume contains the true value, as a word."""
     return {True: "holds", False: "misses", None: ""}[interval_holds(row)]
 
 
 def remark(row: dict[str, Any]) -> str:
-    """Return what else is to be known of a row: why it has no numbers, or that its method does not trust its volume."""
+    """Return a remark on a row: why it has no numbers, or that its method marks the volume as not reliable."""
     if row["state"] != "done":
         return f"{row['state']}: {row.get('sentence', '')}"
-    return "volume not trusted" if row["scores"].get("trusted") is False else ""
+    return "volume marked as not reliable" if row["scores"].get("trusted") is False else ""
 
 
 def compare(found: Results, baseline: Results) -> list[Finding]:
-    """Compare results with a baseline, number by number; a case that is missing or no longer done is worse.
+    """Compare results with a baseline; a case that is missing or no longer completed counts as worse.
 
     Raises
     ------
     UserError
-        Where they are of different benchmarks.
+        If the results belong to different benchmarks.
     """
     if found.benchmark != baseline.benchmark:
-        raise UserError(f"the results are of {found.benchmark} and the baseline of {baseline.benchmark}")
+        raise UserError(f"the results belong to the benchmark {found.benchmark}, the baseline to {baseline.benchmark}")
     findings = []
     for case, before in baseline.rows.items():
         row = found.rows.get(case)
@@ -194,7 +196,7 @@ def compare(found: Results, baseline: Results) -> list[Finding]:
             continue
         findings += [one for quantity in QUANTITIES if (one := _finding(case, quantity, row, before)) is not None]
         if interval_holds(before) and interval_holds(row) is False:
-            sentence = "the interval of the volume misses the truth"
+            sentence = "the interval of the volume does not contain the true value"
             findings.append(Finding(case=case, quantity="interval", value=None, baseline=None, worse=True, sentence=sentence))
     return findings
 
@@ -204,15 +206,15 @@ def _finding(case: str, quantity: Quantity, row: dict[str, Any], before: dict[st
     if then is None:
         return None
     if now is None:
-        return Finding(case=case, quantity=quantity.name, value=None, baseline=then, worse=True, sentence="is no longer there")
+        return Finding(case=case, quantity=quantity.name, value=None, baseline=then, worse=True, sentence="is missing")
     allowed = quantity.absolute + quantity.relative * abs(then)
     loss = then - now if quantity.larger_is_better else abs(now) - abs(then) if quantity.name.endswith("_error") else now - then
-    sentence = f"{now:.6g}, baseline {then:.6g}, may get worse by {allowed:.3g}"
+    sentence = f"{now:.6g}, baseline {then:.6g}, tolerance {allowed:.3g}"
     return Finding(case=case, quantity=quantity.name, value=now, baseline=then, worse=loss > allowed, sentence=sentence)
 
 
 def junit(findings: Sequence[Finding], name: str) -> bytes:
-    """Return findings as a JUnit file: a test a number."""
+    """Format findings as a JUnit file, one test case per number."""
     worse = sum(one.worse for one in findings)
     suite = ET.Element("testsuite", name=printable(name), tests=str(len(findings)), failures=str(worse), errors="0")
     for one in findings:

@@ -1,4 +1,4 @@
-"""A page of results: methods against cases, sorted by a click on a column's head."""
+"""HTML page of benchmark results with columns that can be sorted."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ for (const button of document.querySelectorAll("th button")) button.addEventList
 
 
 def page(several: Sequence[Results]) -> str:
-    """Return results as one HTML page that needs nothing else.
+    """Return results as a self-contained HTML page.
 
     Parameters
     ----------
     several : sequence of Results
-        Runs of methods, of one benchmark or more.
+        Results of methods on one or more benchmarks.
     """
     shown = [quantity for quantity in QUANTITIES if any(text(row, quantity) for one in several for row in one.rows.values())]
     heads = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), "remarks"]
@@ -61,8 +61,8 @@ def page(several: Sequence[Results]) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Benchmark results</title><style>{_STYLE}</style></head><body><h1>Benchmark results</h1>"
-        "<p>Errors are found / true - 1. Errors are sorted by their size. The interval is the 90 % interval that a method states for "
-        "the volume; its score is width plus penalties for misses, relative to the truth: smaller is better.</p>"
+        "<p>Errors are estimate / true - 1 and are sorted by absolute value. The interval is the 90 % interval of the volume as reported "
+        "by the method. Its score is the width plus a penalty for misses, relative to the true volume; smaller is better.</p>"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
         f"<script>{_SCRIPT}</script></body></html>\n"
     )

@@ -1,4 +1,4 @@
-"""Run a method's command line on every case of a benchmark, and score what it leaves."""
+"""Execution of a method on each case of a benchmark, and scoring of its output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from rhizotwin.bench.named import Benchmark
+from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.offers import CameraSource, offer
 from rhizotwin.bench.outputs import score_outputs
 from rhizotwin.scenes.errors import UserError
@@ -33,55 +33,55 @@ TIMEOUT_S = 3600.0
 _SMALL = """
 import json, subprocess, sys
 try:
-    told = {"exit_code": subprocess.call(sys.argv[2:])}
+    measured = {"exit_code": subprocess.call(sys.argv[2:])}
 except OSError as error:
     sys.exit(f"{sys.argv[2]} cannot be started: {error.strerror}")
 try:
     import resource
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes there, KiB elsewhere
-    told |= {"cpu_s": used.ru_utime + used.ru_stime, "memory_mib": used.ru_maxrss / unit}
+    measured |= {"cpu_s": used.ru_utime + used.ru_stime, "memory_mib": used.ru_maxrss / unit}
 except ImportError:
     pass
 with open(sys.argv[1], "w", encoding="utf-8") as file:
-    json.dump(told, file)
+    json.dump(measured, file)
 """
-"""Between us and the method: Linux counts the memory of whoever starts a process as the process's own peak."""
+"""Helper process that starts the method, because Linux includes the parent in the peak memory of a process."""
 _LAST_WORDS = 400
-"""Characters of a failed method's last line of errors that are kept."""
+"""Maximum length of the quoted last error line of a failed method."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What became of one case."""
+    """Outcome of one case."""
 
     case: str
     state: State
-    """``nothing``: no file with a known name was left; ``unreadable``: none of them could be scored."""
+    """``nothing``: no file with a known name was written; ``unreadable``: none of them could be scored."""
     sentence: str = ""
     exit_code: int | None = None
     wall_s: float | None = None
     cpu_s: float | None = None
-    """Of all processes that ended; None on systems that do not count it."""
+    """CPU time of all finished processes; None on systems that do not report it."""
     memory_mib: float | None = None
-    """Of the largest process."""
+    """Peak memory of the largest process."""
     scores: dict[str, Any] = field(default_factory=dict)
 
 
 def command_of(method: str) -> str:
-    """Return the command line of a built-in method, or the one that was given.
+    """Return the command line of a built-in method, or the given one.
 
     Raises
     ------
     UserError
-        Where a command has no ``{output}``, or is no built-in method.
+        If a command has no ``{output}``, or is not a built-in method.
     """
     if method in BUILT_IN:
         return f"{shlex.quote(sys.executable)} -m rhizotwin reconstruct {{dataset}} -o {{output}} --method {method} --quiet"
     if "{output}" not in method:
         raise UserError(
-            f"--method {printable(method)[:80]!r} is none of {', '.join(BUILT_IN)}; a command line needs {{dataset}} and {{output}}, "
-            'such as --method "python my_method.py {dataset} {output}"'
+            f"--method {printable(method)[:80]!r} is not a built-in method ({', '.join(BUILT_IN)}); a command line must contain "
+            '{dataset} and {output}, such as --method "python my_method.py {dataset} {output}"'
         )
     return method
 
@@ -97,41 +97,41 @@ def run(
     finished: Mapping[str, Row] = MappingProxyType({}),
     say: Callable[[Row], None] = lambda _: None,
 ) -> list[Row]:
-    """Run a method on each case, in a folder that holds no truth; a case that goes wrong is a row that says so.
+    """Run a method on each case, in a folder without ground truth; failures are recorded in the rows.
 
     Parameters
     ----------
     benchmark : Benchmark
-        Its cases.
+        Benchmark to run.
     folder : path
-        Where `make` rendered them.
+        Rendered datasets.
     method : str
-        As `command_of` takes it; ``{dataset}`` and ``{output}`` become paths.
+        Command line as in `command_of`; ``{dataset}`` and ``{output}`` are replaced by paths.
     cameras : {"estimated", "true"}
         As in `offer`.
     timeout_s : float
-        After which a case is stopped, with all that it started.
+        Time limit after which a case is stopped, including its child processes.
     keep : path, optional
-        Folder for what the method wrote, a folder a case.
+        Folder in which the output of the method is kept, one subfolder per case.
     finished : mapping from str to Row
-        Rows of an earlier run by case, which are taken over.
+        Rows of an earlier run by case, which are reused.
     say : callable
-        Hears every row.
+        Receives each row.
 
     Returns
     -------
     list of Row
-        In the order of the cases.
+        Rows in the order of the cases.
 
     Raises
     ------
     UserError
-        Where a folder that would be kept exists already.
+        If a folder to be kept already exists.
     """
     command, rows = command_of(method), []
     for case in benchmark.cases:
         if keep is not None and case.name not in finished and (keep / case.name).exists():
-            raise UserError(f"{keep / case.name} exists already; remove it, or choose another folder for what the method writes")
+            raise UserError(f"{keep / case.name} already exists; remove it, or choose another folder for --keep")
     for case in benchmark.cases:
         row = finished.get(case.name) or _run_case(case.name, folder / case.name, command, cameras, timeout_s, keep)
         rows.append(row)
@@ -140,18 +140,18 @@ def run(
 
 
 def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[Row], None] = lambda _: None) -> list[Row]:
-    """Score outputs that were made elsewhere, without times and memory.
+    """Score output that was written elsewhere, without times and memory.
 
     Parameters
     ----------
     benchmark : Benchmark
-        Its cases.
+        Benchmark of the output.
     folder : path
-        Where `make` rendered them.
+        Rendered datasets.
     outputs : path
-        A folder for each case.
+        Folder with one subfolder per case.
     say : callable
-        Hears every row.
+        Receives each row.
     """
     rows = []
     for case in benchmark.cases:
@@ -163,18 +163,18 @@ def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[R
 
 
 def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, cameras: CameraSource | None) -> dict[str, Any]:
-    """Return rows with all that is needed to compare them with those of others, as JSON values.
+    """Return rows as JSON values, with the information needed to compare them with other results.
 
     Parameters
     ----------
     benchmark : Benchmark
-        What was run.
+        Benchmark of the rows.
     method, name : str
-        The command line, and the method's name in tables.
+        Command line, and name of the method in tables.
     rows : list of Row
-        As `run` or `score` gives them.
+        Rows from `run` or `score`.
     cameras : str or None
-        Which cameras were offered; None: not known.
+        Cameras given to the method; None: unknown.
     """
     return {
         "schema_version": SCHEMA,
@@ -189,27 +189,27 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
 
 
 def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
-    """Return the rows with scores of a run of the same command that was stopped before its last case.
+    """Return the scored rows of an interrupted run of the same command.
 
     Parameters
     ----------
     path : path
-        Its results.
+        Results of the run.
     benchmark : Benchmark
-        What is run.
+        Benchmark to run.
     method, cameras : str
         As in `run`.
 
     Returns
     -------
     dict of Row
-        By case; empty where there was no such run. A run that came to its end is not gone on with: the program behind
-        the command may have changed.
+        Rows by case; empty without an interrupted run. A completed run is repeated, because the program behind the
+        command may have changed.
     """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
-        asked = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
-        if asked != (*(stored[name] for name in ("schema_version", "benchmark", "command", "cameras")), stored["versions"]["rhizotwin"]):
+        expected = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
+        if expected != (*(stored[name] for name in ("schema_version", "benchmark", "command", "cameras")), stored["versions"]["rhizotwin"]):
             return {}
         rows = [Row(**row) for row in stored["rows"]]
     except (UserError, KeyError, TypeError, ValueError, RecursionError):
@@ -219,7 +219,7 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
 
 
 def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
-    """Run a method on a case and score what it wrote; this is moved to ``keep`` only when it is complete."""
+    """Run a method on a case and score its output, which is moved to ``keep`` when complete."""
     with tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True) as temporary:
         working = Path(temporary)
         offered, output = working / "dataset", working / "output"
@@ -236,7 +236,7 @@ def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, tim
 
 
 def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> Row:
-    """Run a command in its own group of processes and measure it."""
+    """Run a command in its own process group and measure it."""
     used, began = working / "used.json", time.perf_counter()
     with (working / "errors.txt").open("w+b") as errors:
         child = subprocess.Popen(
@@ -249,28 +249,30 @@ def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> R
         try:
             child.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            return Row(case=case, state="timeout", sentence=f"stopped after {timeout_s:g} s", wall_s=time.perf_counter() - began)
+            return Row(
+                case=case, state="timeout", sentence=f"stopped at the time limit of {timeout_s:g} s", wall_s=time.perf_counter() - began
+            )
         finally:
-            _end(child)  # with what it left running
+            _end(child)  # with its child processes
             child.wait()
         errors.seek(0)
         last = errors.read().decode(errors="replace").strip().splitlines()
-    told = json.loads(used.read_text(encoding="utf-8")) if used.is_file() else {}
-    code = told.get("exit_code", child.returncode)
+    measured = json.loads(used.read_text(encoding="utf-8")) if used.is_file() else {}
+    code = measured.get("exit_code", child.returncode)
     cause = f": {printable(last[-1])[:_LAST_WORDS]}" if last else ""
     return Row(
         case=case,
         state="failed" if code else "done",
-        sentence=f"ended with code {code}{cause}" if code else "",
+        sentence=f"exited with code {code}{cause}" if code else "",
         exit_code=code,
         wall_s=time.perf_counter() - began,
-        cpu_s=told.get("cpu_s"),
-        memory_mib=told.get("memory_mib"),
+        cpu_s=measured.get("cpu_s"),
+        memory_mib=measured.get("memory_mib"),
     )
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End a process with all of its group."""
+    """Terminate a process and its group."""
     try:
         if hasattr(os, "killpg"):
             os.killpg(child.pid, signal.SIGKILL)
@@ -281,11 +283,11 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def _scored(row: Row, output: Path, dataset: Path) -> Row:
-    """Return a row with the scores of what was written."""
+    """Return a row with the scores of the output."""
     if row.state != "done":
         return row
     scores, sentences = score_outputs(output, dataset)
     sentences = [sentence.replace(f"{output}{os.sep}", "") for sentence in sentences]
     state: State = "done" if scores else "unreadable" if sentences else "nothing"
-    sentence = "; ".join(sentences) or ("" if scores else "wrote no file with a known name (docs/benchmark.md lists them)")
+    sentence = "; ".join(sentences) or ("" if scores else "no output file with a known name (see docs/benchmark.md)")
     return replace(row, state=state, sentence=sentence, scores=scores)

@@ -1,1 +1,1 @@
-"""A rig that can be built from its files: printed parts, their drawings, and the wiring."""
+"""Printed parts of a rig, with drawings and wiring diagrams."""

@@ -1,4 +1,4 @@
-"""Dimensioned drawings of parts and of the whole rig, as pages at a scale that is written on them."""
+"""Dimensioned drawings of parts and of the complete rig, as pages with the scale stated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ PAGE_MM = (297.0, 210.0)
 """A4, landscape."""
 MARGIN_MM = 8.0
 TABLE_WIDE_MM = 92.0
-"""Of the column of numbers, at the right."""
+"""Width of the table at the right."""
 SCALES = (2.0, 1.0, 0.5, 0.4, 0.25, 0.2, 0.1, 0.05, 0.025, 0.02, 0.01)
-"""Of drawing over thing, as drawings have them."""
+"""Standard drawing scales, drawing over object."""
 ROOM_MM = 15.0
-"""Round each view, for its dimensions."""
+"""Margin around each view for its dimensions."""
 ROW_MM = 4.2
-"""Between dimensions, and between lines of the table."""
+"""Distance between dimension lines, and between the rows of the table."""
 HEAVY_MM, LIGHT_MM = 0.25, 0.1
 ARROW_MM = 1.6
 LETTER_MM = 1.7
@@ -32,7 +32,7 @@ LETTER_MM = 1.7
 
 @dataclass(frozen=True, kw_only=True)
 class _View:
-    """A view on the page: page = corner + (right, -up) * scale."""
+    """View on the page: page = corner + (right, -up) * scale."""
 
     side: Side
     drawn: Drawn
@@ -40,18 +40,18 @@ class _View:
     corner_mm: Array
 
     def at(self, point_mm: Array) -> Array:
-        """Return where a point (3,) of the part lies on the page."""
+        """Return the page position of a point (3,) of the part."""
         return self.on_page((self.side.axes @ point_mm)[:2])
 
     def on_page(self, points_mm: Array) -> Array:
-        """Return where points (..., 2) along right and up lie on the page."""
+        """Return the page positions of points (..., 2) along right and up."""
         return np.asarray(self.corner_mm + self.scale * (points_mm - self.drawn.low_mm) * np.array([1.0, -1.0]))
 
 
 def part_page(part: Part, *, title: str) -> Page:
-    """Return a drawing of a part.
+    """Draw a part.
 
-    From the front, the right, above and a corner, with its dimensions and the table of its numbers.
+    The page shows views from the front, the right, above and a corner, with dimensions and the table of parameters.
     """
     drawn = {side.name: draw(part.solid, side) for side in (FRONT, RIGHT, TOP, CORNER)}
     cell = (np.array(PAGE_MM) - [TABLE_WIDE_MM + MARGIN_MM, 2.0 * MARGIN_MM]) / 2.0
@@ -101,9 +101,9 @@ def _length(dimension: Dimension) -> float:
 
 
 def _way(dimension: Dimension, side: Side) -> str | None:
-    """Return how a dimension lies in a view.
+    """Return the orientation of a dimension in a view.
 
-    Each is drawn once, in the first view of front, right and above that shows its length.
+    Each dimension is drawn once, in the first view (front, right, above) that shows its true length.
     """
     for one in (FRONT, RIGHT, TOP):
         along = one.axes @ np.subtract(dimension.to_mm, dimension.from_mm)
@@ -114,7 +114,7 @@ def _way(dimension: Dimension, side: Side) -> str | None:
 
 
 def _across(x0: float, x1: float, y: float, *, from_y: tuple[float, float], value: float, name: str = "") -> list[Ink]:
-    """Return a dimension from left to right with its help lines."""
+    """Draw a horizontal dimension with extension lines."""
     parts: list[Ink] = [_line((x, start), (x, y + np.sign(y - start) * 1.0)) for x, start in zip((x0, x1), from_y, strict=True)]
     parts += [_line((x0, y), (x1, y)), *_arrows((x0, y), (x1, y))]
     text = f"{name} {value:.2f}".strip()
@@ -122,7 +122,7 @@ def _across(x0: float, x1: float, y: float, *, from_y: tuple[float, float], valu
 
 
 def _up(y0: float, y1: float, x: float, *, from_x: tuple[float, float], value: float, name: str = "") -> list[Ink]:
-    """Return a dimension from below upwards with its help lines."""
+    """Draw a vertical dimension with extension lines."""
     parts: list[Ink] = [_line((start, y), (x + np.sign(x - start) * 1.0, y)) for y, start in zip((y0, y1), from_x, strict=True)]
     parts += [_line((x, y0), (x, y1)), *_arrows((x, y0), (x, y1))]
     text = f"{name} {value:.2f}".strip()
@@ -134,7 +134,7 @@ def _line(a: tuple[float, float], b: tuple[float, float]) -> Line:
 
 
 def _arrows(a: tuple[float, float], b: tuple[float, float]) -> list[Ink]:
-    """Return open arrow heads at both ends of a line."""
+    """Draw open arrow heads at both ends of a line."""
     along = np.subtract(b, a)
     length = float(np.linalg.norm(along))
     if length < 2.0 * ARROW_MM:
@@ -149,7 +149,7 @@ def _arrows(a: tuple[float, float], b: tuple[float, float]) -> list[Ink]:
 
 
 def _table(part: Part, *, title: str, scale: float) -> list[Ink]:
-    """Return the title, what the part is for, and its numbers with where they come from."""
+    """Draw title, purpose, and parameters with their sources."""
     left = PAGE_MM[0] - TABLE_WIDE_MM
     wide, deep, high = part.size_mm
     lines = [
@@ -157,7 +157,7 @@ def _table(part: Part, *, title: str, scale: float) -> list[Ink]:
         title,
         "",
         *_wrapped(part.about, 62),
-        f"on the bed: {wide:.1f} x {deep:.1f} x {high:.1f}, {part.solid.volume() / 1000.0:.1f} ml of plastic",
+        f"print size: {wide:.1f} x {deep:.1f} x {high:.1f}, {part.solid.volume() / 1000.0:.1f} ml of plastic",
         *_wrapped(f"support: {part.support or 'none'}", 62),
         "",
     ]
@@ -185,13 +185,13 @@ def _scale_text(scale: float) -> str:
 
 
 def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> Page:
-    """Return the whole rig put together, from three sides, with its overall dimensions."""
+    """Draw the assembled rig from three sides, with overall dimensions."""
     whole = Manifold.compose([solid for part in parts for solid in part.placed()] + [one.solid for one in bought])
     drawn = {side.name: draw(whole, side) for side in (FRONT, RIGHT, TOP)}
     cell = (np.array(PAGE_MM) - 2.0 * MARGIN_MM) / 2.0
     largest = np.max([one.size_mm for one in drawn.values()], axis=0)
     scale = max((s for s in SCALES if (s * largest <= cell - 2.0 * ROOM_MM).all()), default=SCALES[-1])
-    axis = (Dimension(name="rim to axis", from_mm=(0.0, 0.0, 0.0), to_mm=(0.0, 0.0, 0.0)),)
+    axis = (Dimension(name="rim to arm axis", from_mm=(0.0, 0.0, 0.0), to_mm=(0.0, 0.0, 0.0)),)
     ink: list[Ink] = []
     for side, place in ((FRONT, (0.5, 0.5)), (RIGHT, (1.5, 0.5)), (TOP, (0.5, 1.5))):
         size = scale * drawn[side.name].size_mm
@@ -201,10 +201,10 @@ def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> 
         x, y = view.at(np.array(axis[0].from_mm))
         ink += [_line((x - 3.0, y), (x + 3.0, y)), _line((x, y - 3.0), (x, y + 3.0))]
     notes = [
-        f"{title}: the whole rig, scale {_scale_text(scale)}, mm",
-        "The cross is the table's axis in the plane of the canister's rim: zero of the rig's frame.",
-        "Printed parts, canister, motor, LED board, diffuser and the bars under the table;",
-        "the arm, the rest of the frame and the front lamp are not drawn.",
+        f"{title}: assembled rig, scale {_scale_text(scale)}, mm",
+        "The cross marks the origin of the rig frame: the turntable axis in the plane of the canister's rim.",
+        "Shown: printed parts, canister, motor, LED board, diffuser and the profiles below the turntable.",
+        "Not shown: the arm, the other profiles and the front lamp.",
     ]
     left = MARGIN_MM + cell[0] + 6.0
     ink += [
@@ -215,7 +215,7 @@ def rig_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> 
 
 
 def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str, list[Manifold]]]:
-    """Return each thing's name and its solids, moved apart."""
+    """Return the name and the displaced solids of each object."""
     things = [(part.name, [solid.translate(part.apart_mm) for solid in part.placed()]) for part in parts if part.rig_from_part]
     for one in bought:
         things.append((one.name, [one.solid.translate(one.apart_mm)]))
@@ -223,7 +223,7 @@ def exploded(parts: Sequence[Part], bought: Sequence[Bought]) -> list[tuple[str,
 
 
 def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> Page:
-    """Return the rig's parts moved apart, seen from a corner, each with its name."""
+    """Draw the exploded view from a corner, with the name of each part."""
     things = exploded(parts, bought)
     drawn = draw(Manifold.compose([solid for _, solids in things for solid in solids]), CORNER)
     room = np.array(PAGE_MM) - 2.0 * MARGIN_MM - [70.0, 8.0]
@@ -232,7 +232,7 @@ def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str
     middle = np.array([PAGE_MM[0] / 2.0, PAGE_MM[1] / 2.0 + 3.0])
     view = _View(side=CORNER, drawn=drawn, scale=scale, corner_mm=middle + size * np.array([-0.5, 0.5]))
     ink: list[Ink] = [Strokes(lines_mm=tuple(view.on_page(line) for line in drawn.strokes_mm), width_mm=LIGHT_MM)]
-    ink.append(Text(at_mm=(MARGIN_MM, MARGIN_MM + 3.0), text=f"{title}: the rig's parts, moved apart; not to scale", height_mm=2.4))
+    ink.append(Text(at_mm=(MARGIN_MM, MARGIN_MM + 3.0), text=f"{title}: exploded view, not to scale", height_mm=2.4))
     counts = {name: sum(len(solids) for other, solids in things if other == name) for name, _ in things}
     spots = {name: view.at(_middle(solids[0])) for name, solids in reversed(things)}
     for left in (True, False):
@@ -248,9 +248,9 @@ def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str
 
 
 def _middle(solid: Manifold) -> Array:
-    """Return a corner of a solid in the middle of those that look to the eye.
+    """Return a central vertex among those that face the viewer.
 
-    A line to it ends on the thing.
+    A leader line to it ends on the object.
     """
     vertices, _ = surface(solid)
     view = vertices @ CORNER.axes.T

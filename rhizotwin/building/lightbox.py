@@ -1,4 +1,4 @@
-"""The lightbox (E.1): clips on the frame, holders, and walls that close the room between the LEDs and the diffuser."""
+"""Lightbox of the panel (E.1): clips on the frame, holders, and walls around the space between LEDs and diffuser."""
 
 from itertools import pairwise
 
@@ -15,18 +15,18 @@ from rhizotwin.scenes.model import Scene
 
 CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
 CLIP_SCREWS_MM = 10.0
-"""Half the distance of the two screws that hold a panel holder on a clip."""
+"""Half the distance between the two screws that fasten a panel holder to a clip."""
 HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
 HOLDER_TAB_MM = 40.0
-"""Length of the tab that is screwed on the clip."""
+"""Length of the tab that is screwed to the clip."""
 HOLDER_EVERY_MM = 250.0
-"""One holder for so much of the panel's upper and lower edges."""
+"""Distance between holders along the upper and lower edge of the panel."""
 WALL_LONG_MM = 200.0
-"""Longest piece of the lightbox's walls."""
+"""Maximum length of a wall piece of the lightbox."""
 
 
 def _clip_outline(measures: Measures) -> CrossSection:
-    """Return a clip's outline: a C about a profile whose middle is the origin, open towards -y, its back towards +y."""
+    """Return the outline of a clip: a C around a profile at the origin, open towards -y, its back towards +y."""
     half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
     gap = half + fit
     nose = measures.slot_mm / 2.0 - fit
@@ -39,7 +39,7 @@ def _clip_outline(measures: Measures) -> CrossSection:
 
 
 def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return where along the panel's edges, y and z in the rig's frame, clips and holders sit."""
+    """Return the positions (y, z in the rig frame) of clips and holders along the edges of the panel."""
     wide, high = scene.lights.backlight_wh_mm
     count = max(2, int(np.ceil(wide / HOLDER_EVERY_MM)))
     across = (np.arange(count) + 0.5) / count * wide - wide / 2.0
@@ -48,12 +48,12 @@ def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
 
 
 def lightbox_clip(scene: Scene, measures: Measures) -> Part:
-    """Return the clip that snaps on a profile and carries a panel holder; the profile runs along its z."""
+    """Create the clip that snaps onto a profile and carries a panel holder; the profile runs along its z axis."""
     back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
     thick = CLIP_WALL_MM + 2.0
     drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
     through = drop.extrude(thick + 2.0).transform(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, back - 1.0], [0.0, 1.0, 0.0, 0.0]]))
-    # the profile runs along y, behind the panel; the clip's back, to which the holder is screwed, looks to the canister
+    # the profile runs along y behind the panel; the back of the clip, with the holder, faces the canister
     rig_axes = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     places = []
     for y, z in clip_places_mm(scene):
@@ -62,24 +62,24 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
         places.append(np.asarray(at @ rig_axes))
     return Part(
         name="lightbox_clip",
-        about="Snaps on a 2020 profile by two noses in its slots; a panel holder is screwed to its back.",
+        about="Snaps onto a 2020 profile with two noses in its slots; a panel holder is screwed to its back.",
         solid=raised(_clip_outline(measures), 0.0, CLIP_WIDE_MM) - through,
         rig_from_part=tuple(places),
         apart_mm=(-60.0, 0.0, 0.0),
         dimensions=(
-            Dimension(name="round the profile", from_mm=(-back, 0.0, CLIP_WIDE_MM), to_mm=(back, 0.0, CLIP_WIDE_MM)),
+            Dimension(name="around the profile", from_mm=(-back, 0.0, CLIP_WIDE_MM), to_mm=(back, 0.0, CLIP_WIDE_MM)),
             Dimension(name="screws", from_mm=(-1.5 * CLIP_SCREWS_MM, back, 0.0), to_mm=(1.5 * CLIP_SCREWS_MM, back, 0.0)),
         ),
         numbers=(
             ("opening_mm", 2.0 * back, "profile_mm + fit_mm"),
             ("screws_apart_mm", 3.0 * CLIP_SCREWS_MM, ""),
-            ("pieces", float(len(places)), f"one every {HOLDER_EVERY_MM:g} mm of the panel's upper and lower edge"),
+            ("pieces", float(len(places)), f"one per {HOLDER_EVERY_MM:g} mm of the upper and lower edge of the panel"),
         ),
     )
 
 
 def _holder_back_mm(measures: Measures) -> float:
-    """Return from the holder's back to the panel's bright face, the diffuser's, in the middle of its play."""
+    """Return the distance from the back of the holder to the front of the diffuser, centred in its clearance."""
     return _slots(measures)[1][1] - measures.fit_mm / 2.0
 
 
@@ -89,15 +89,15 @@ def _bar_x_mm(scene: Scene, measures: Measures) -> float:
 
 
 def _bar_beyond_mm() -> float:
-    """Return how far the profile's middle is beyond the panel's edge.
+    """Return the distance of the profile's centre from the edge of the panel.
 
-    Where the middle of the holder's two screws is.
+    The two screws of the holder are centred on the profile.
     """
     return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
 
 
 def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return where the slots of LED board and diffuser begin and end, from the channel's back."""
+    """Return the limits of the slots for LED board and diffuser, measured from the back of the channel."""
     wall, fit = HOLDER_WALL_MM, measures.fit_mm
     board = (wall, wall + measures.panel_board_mm + fit)
     bright = board[1] + measures.diffuser_gap_mm
@@ -105,7 +105,7 @@ def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]
 
 
 def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
-    """Return the outline of the channel at an edge of the panel: its floor below y = 0, fins beside the slots above."""
+    """Return the outline of the channel at an edge of the panel: floor below y = 0, fins beside the slots above."""
     wall = HOLDER_WALL_MM
     slots = _slots(measures)
     floor = rectangle((0.0, -wall), (slots[1][1] + wall, 0.0))
@@ -114,9 +114,9 @@ def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
 
 
 def panel_holder(scene: Scene, measures: Measures) -> Part:
-    """Return the channel that holds LED board and diffuser at one edge of the panel.
+    """Create the channel that holds LED board and diffuser at one edge of the panel.
 
-    Its back at x = 0, the edge's floor at y = 0.
+    Its back is at x = 0, the floor of the edge at y = 0.
     """
     wall, deep, tab = HOLDER_WALL_MM, HOLDER_DEEP_MM, HOLDER_TAB_MM
     board, diffuser = _slots(measures)
@@ -128,11 +128,11 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
     places = []
     x = _panel_x_mm(scene, measures)
     for y, z in clip_places_mm(scene):
-        up = -np.sign(z - scene.lights.backlight_z_mm)  # the channel opens towards the panel's middle
+        up = -np.sign(z - scene.lights.backlight_z_mm)  # the channel opens towards the centre of the panel
         places.append(_at_edge((x, y, z), up, HOLDER_LONG_MM))
     return Part(
         name="panel_holder",
-        about="Holds the LEDs' board and, before it, the diffuser at the upper and lower edge of the panel.",
+        about="Holds the LED board and the diffuser at the upper and lower edge of the panel.",
         solid=raised(outline, 0.0, HOLDER_LONG_MM) - through,
         rig_from_part=tuple(places),
         apart_mm=(-20.0, 0.0, 0.0),
@@ -144,20 +144,20 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
             ("board_slot_mm", board[1] - board[0], "panel_board_mm + fit_mm"),
             ("diffuser_slot_mm", diffuser[1] - diffuser[0], "diffuser_mm + fit_mm"),
             ("between_mm", diffuser[0] - board[1], "diffuser_gap_mm"),
-            ("pieces", float(len(places)), "as many as clips"),
+            ("pieces", float(len(places)), "same number as clips"),
         ),
     )
 
 
 def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -> Array:
-    """Return the place (4, 4) of a piece at the upper (``up`` is -1) or lower edge, from its middle there."""
+    """Return the pose (4, 4) of a piece at the upper (``up`` is -1) or lower edge, from its position along the edge."""
     x, y, z = middle_mm
     axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     return np.asarray(frames.translation(x, y + up * long_mm / 2.0, z) @ axes)
 
 
 def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
-    """Return the pieces that close the box between the holders, and at its sides."""
+    """Create the pieces that close the lightbox between the holders and at its sides."""
     wide = scene.lights.backlight_wh_mm[0]
     centres = sorted({y for y, _ in clip_places_mm(scene)})
     half = HOLDER_LONG_MM / 2.0
@@ -172,7 +172,7 @@ def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
 
 
 def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, middles_mm: list[float]) -> Part:
-    """Return a piece of the upper and lower walls."""
+    """Create a piece of the upper and lower walls."""
     z, high = scene.lights.backlight_z_mm, scene.lights.backlight_wh_mm[1]
     x, cut = _panel_x_mm(scene, measures), long_mm - measures.fit_mm
     places = []
@@ -181,17 +181,17 @@ def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, m
             places.append(_at_edge((x, y, z - up * high / 2.0), up, cut))
     return Part(
         name=f"lightbox_wall_{number}",
-        about="Closes the lightbox between two holders at its upper and lower edge; glue it to the board.",
+        about="Closes the lightbox between two holders at its upper and lower edge; glue it to the LED board.",
         solid=raised(_channel(measures), 0.0, cut),
         rig_from_part=tuple(places),
         apart_mm=(-40.0, 0.0, 0.0),
         dimensions=(Dimension(name="length", from_mm=(0.0, -HOLDER_WALL_MM, 0.0), to_mm=(0.0, -HOLDER_WALL_MM, cut)),),
-        numbers=(("length_mm", cut, "between the holders, less fit_mm"), ("pieces", float(len(places)), "")),
+        numbers=(("length_mm", cut, "between the holders, minus fit_mm"), ("pieces", float(len(places)), "")),
     )
 
 
 def _side_piece(scene: Scene, measures: Measures) -> Part:
-    """Return a piece of the left and right walls; its fins end before the corners, where those of the edges are."""
+    """Create a piece of the left and right walls; its fins end before the corners, to clear those of the edges."""
     wide, high = scene.lights.backlight_wh_mm
     count = int(np.ceil(high / WALL_LONG_MM))
     long = high / count - measures.fit_mm
@@ -200,23 +200,23 @@ def _side_piece(scene: Scene, measures: Measures) -> Part:
     solid = floor + raised(_channel(measures), clear, long - clear)
     x, low = _panel_x_mm(scene, measures), scene.lights.backlight_z_mm - high / 2.0
     places = []
-    for side in (-1.0, 1.0):  # opens towards the panel's middle
+    for side in (-1.0, 1.0):  # opens towards the centre of the panel
         axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -side, 0.0, 0.0], [0.0, 0.0, -side, 0.0], [0.0, 0.0, 0.0, 1.0]])
         for k in range(count):
             begin = low + (k + 0.5) * high / count + side * long / 2.0
             places.append(np.asarray(frames.translation(x, side * wide / 2.0, begin) @ axes))
     return Part(
         name="lightbox_side",
-        about="Closes the lightbox at its left and right; glue it to the board.",
+        about="Closes the lightbox at its left and right; glue it to the LED board.",
         solid=solid,
         bed_from_part=np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
         rig_from_part=tuple(places),
         apart_mm=(-40.0, 0.0, 0.0),
         dimensions=(Dimension(name="length", from_mm=(0.0, -HOLDER_WALL_MM, 0.0), to_mm=(0.0, -HOLDER_WALL_MM, long)),),
-        numbers=(("length_mm", long, "lights.backlight_wh_mm's height, less fit_mm"), ("pieces", float(len(places)), "")),
+        numbers=(("length_mm", long, "height of lights.backlight_wh_mm, minus fit_mm"), ("pieces", float(len(places)), "")),
     )
 
 
 def _panel_x_mm(scene: Scene, measures: Measures) -> float:
-    """Return x of the channels' back in the rig frame."""
+    """Return x of the back of the channels in the rig frame."""
     return -scene.lights.backlight_distance_mm - _holder_back_mm(measures)

@@ -1,4 +1,4 @@
-"""Line drawings of solids: outlines and sharp edges as they are seen from one side, hidden ones left out."""
+"""Line drawings of solids: silhouettes and sharp edges as seen from one side, with hidden lines removed."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.shading import Side, rasterise
 
 SHARP_DEG = 25.0
-"""Edges whose faces meet at a larger angle are drawn; round walls of 240 sides bend by 1.5 degrees from face to
-face."""
+"""Edges with a larger angle between their faces are drawn; the faces of a round wall with 240 sides differ by 1.5
+degrees."""
 PIXELS = 700
-"""Of the depth picture that tells what is hidden, along its longer side."""
+"""Size of the depth image for the hidden-line test, along its longer side."""
 NEAR_PX = 2.5
-"""An edge this many pixels behind what is seen is still seen: it lies on the surface that hides it from nothing."""
+"""Tolerance of the hidden-line test in pixels, for edges that lie on the visible surface."""
 
 TOP = Side(name="from above", right=(1.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), right_label="x (mm)")
 FRONT = Side(name="from the front", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), right_label="x (mm)")
@@ -35,12 +35,12 @@ CORNER = Side(
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """What is seen of a solid from one side."""
+    """Visible lines of a solid as seen from one side."""
 
     strokes_mm: list[Array]
-    """Lines (N, 2) along the side's right and up."""
+    """Lines (N, 2) along right and up."""
     low_mm: Array
-    """(2,) right and up of the solid's lower left corner."""
+    """(2,) lower left corner of the solid along right and up."""
     high_mm: Array
 
     @property
@@ -50,12 +50,12 @@ class Drawn:
 
 
 def draw(solid: Manifold, side: Side) -> Drawn:
-    """Return the visible edges of a solid.
+    """Compute the visible edges of a solid.
 
     Notes
     -----
-    An edge is drawn where its faces meet sharply, or where one looks to the eye and the other away. It is cut into
-    pieces of a pixel of a depth picture, and those that lie behind it are left out.
+    Sharp edges and silhouette edges are drawn. Each edge is divided into pieces of one pixel of a depth image, and
+    pieces behind the depth image are removed.
     """
     vertices, faces = surface(solid)
     view = vertices @ side.axes.T
@@ -74,13 +74,13 @@ def draw(solid: Manifold, side: Side) -> Drawn:
 
 
 def _nearest(mesh: Mesh, side: Side, box: tuple[float, float, float, float], px_mm: float) -> Array:
-    """Return the depth picture (H, W) towards the eye, -inf where nothing is."""
+    """Compute the depth image (H, W) towards the viewer, -inf where it is empty."""
     raster = rasterise(mesh, side, box_mm=box, px_mm=px_mm)
     return np.where(raster.hit, raster.depth_mm, -np.inf)
 
 
 def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the edges (E, 2) that are drawn, of a closed surface."""
+    """Return the edges (E, 2) of a closed surface that are drawn."""
     a, b, c = (view[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -89,7 +89,7 @@ def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     face = np.tile(np.arange(len(faces)), 3)
     key = np.sort(ends, axis=1)
     order = np.lexsort((key[:, 1], key[:, 0]))
-    one, other = face[order[0::2]], face[order[1::2]]  # a closed surface has two faces at each edge
+    one, other = face[order[0::2]], face[order[1::2]]  # each edge of a closed surface has two faces
     sharp = np.einsum("ij,ij->i", normal[one], normal[other]) < np.cos(np.deg2rad(SHARP_DEG))
     edge_on = 1e-6
     outline = (normal[one, 2] > edge_on) != (normal[other, 2] > edge_on)
@@ -97,7 +97,7 @@ def _edges(view: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], px_mm: float) -> NDArray[np.bool_]:
-    """Tell which points (N, 3) are not behind anything: the farthest surface of the pixels about each counts."""
+    """Return which points (N, 3) are visible: compared with the farthest surface in the pixels around each."""
     column = (points[:, 0] - box[0]) / px_mm - 0.5
     row = (box[3] - points[:, 1]) / px_mm - 0.5
     x = np.clip(np.rint(column).astype(int), 0, depth.shape[1] - 1)
@@ -106,9 +106,9 @@ def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], p
 
 
 def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> list[Array]:
-    """Return the ends (2, 2) of the stretches of straight edges that are seen.
+    """Return the ends (2, 2) of the visible parts of straight edges.
 
-    ``edge`` (N,) numbers that of each point.
+    ``edge`` (N,) is the index of the edge of each point.
     """
     same = np.concatenate([[False], (edge[1:] == edge[:-1]) & seen[1:] & seen[:-1], [False]])
     change = np.flatnonzero(np.diff(same.astype(np.int8)))
@@ -116,7 +116,7 @@ def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> li
 
 
 def _chained(strokes: list[Array]) -> list[Array]:
-    """Join strokes that follow each other into lines, so that the file is small; what is drawn is the same."""
+    """Join consecutive strokes to polylines, which makes the file smaller and does not change the drawing."""
     kept: dict[tuple[int, ...], Array] = {}
     for stroke in strokes:  # an edge and the one behind it may be drawn twice
         key = tuple(np.rint(stroke * 100.0).astype(int).ravel())

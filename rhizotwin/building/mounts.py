@@ -1,4 +1,4 @@
-"""What holds arm, camera, panel and calibration board on a frame of aluminium profile."""
+"""Mounts of arm, camera, panel and calibration board on a frame of aluminium profiles."""
 
 import numpy as np
 from manifold3d import CrossSection
@@ -14,34 +14,35 @@ from rhizotwin.scenes.model import Scene
 PLATE_MM = 4.0
 POST_MM = 7.0
 TAP_M25_MM = 2.1
-"""Hole in plastic that an M2.5 screw cuts its own thread into."""
+"""Hole in plastic for a self-tapping M2.5 screw."""
 M3_MM, M4_MM, M5_MM = 3.4, 4.5, 5.5
 """Clearance holes (ISO 273, medium)."""
 LEAST_POST_MM = 8.0
-"""The camera board's ribbon goes out behind it."""
+"""Minimum height of the posts, for the ribbon cable behind the camera board."""
 DRIVER_MM = 10.0
-"""Way for an M5 screw's head and its driver."""
+"""Diameter of the passage for the head of an M5 screw and its driver."""
 MOUNT_WALL_MM, MOUNT_TOP_MM, MOUNT_FOOT_MM = 5.0, 6.0, 6.0
 STAND_LEAN_DEG = 15.0
-"""How far the calibration board leans back in its stand."""
+"""Backward inclination of the calibration board in its stand."""
 STAND_DEEP_MM, STAND_WIDE_MM = 12.0, 24.0
 
 
 def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
-    """Return the plate on the arm's roll servo with four posts for the camera's board.
+    """Create the plate on the roll servo of the arm, with four posts for the camera board.
 
     The horn is at z = 0, the lens looks along +z.
 
     Raises
     ------
     UserError
-        Where the arm's last link is too short for it.
+        If the last link of the arm is too short.
     """
     deep = arm.links_mm[3] - measures.roll_face_mm - measures.camera_centre_mm
     if deep < PLATE_MM + LEAST_POST_MM:
         raise UserError(
-            f"arm.links_mm leaves {deep:.1f} mm between the roll servo's horn and the camera's board, but {PLATE_MM + LEAST_POST_MM:g} are "
-            f"needed: its last must be at least {measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM:.1f}"
+            f"arm.links_mm leaves {deep:.1f} mm between the horn of the roll servo and the camera board, but "
+            f"{PLATE_MM + LEAST_POST_MM:g} mm are required: its last value must be at least "
+            f"{measures.roll_face_mm + measures.camera_centre_mm + PLATE_MM + LEAST_POST_MM:.1f}"
         )
     low, high = measures.horn_holes_mm[0] / 2.0, measures.horn_holes_mm[1] / 2.0
     slots = [slot(M3_MM, (low * x, low * y), (high * x, high * y)) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]
@@ -52,7 +53,7 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
         raised(circle(POST_MM / 2.0, at, sides=48), 0.0, deep) - raised(hole(TAP_M25_MM, at), deep - 8.0, deep + 1.0) for at in corners
     ]
     ring = scene.plan.rings[0]
-    # the lens looks along -x at the canister; the ring's tilt is left out of the picture
+    # the lens looks along -x at the canister; the tilt of the ring is not drawn
     place = np.array(
         [
             [0.0, 0.0, -1.0, ring.distance_mm + measures.camera_centre_mm + deep],
@@ -63,34 +64,34 @@ def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
     )
     return Part(
         name="camera_bracket",
-        about="Carries the camera's board on the horn of the arm's roll servo, at the distance that the rig file's last link says.",
+        about="Carries the camera board on the horn of the arm's roll servo, at the distance given by the last link in the rig file.",
         solid=joined([raised(plate, 0.0, PLATE_MM), *posts]),
         rig_from_part=(place,),
         apart_mm=(40.0, 0.0, 0.0),
         dimensions=(
-            Dimension(name="horn to board", from_mm=(half, 0.0, 0.0), to_mm=(half, 0.0, deep)),
+            Dimension(name="horn to camera board", from_mm=(half, 0.0, 0.0), to_mm=(half, 0.0, deep)),
             Dimension(name="board's holes", from_mm=(-half, half, deep), to_mm=(half, half, deep)),
         ),
         numbers=(
-            ("horn_to_board_mm", deep, "arm.links_mm's last - roll_face_mm - camera_centre_mm"),
+            ("horn_to_board_mm", deep, "last of arm.links_mm - roll_face_mm - camera_centre_mm"),
             ("board_holes_mm", measures.camera_holes_mm, "camera_holes_mm"),
         ),
     )
 
 
 def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
-    """Return the block that lifts the arm's base to its place over two bars of the frame; its top at z = 0.
+    """Create the block that carries the arm's base above two profiles of the frame; its top is at z = 0.
 
     Raises
     ------
     UserError
-        Where the arm stands too low for it.
+        If the arm is too low.
     """
     high = arm.position_mm[2] - floor_mm
     if high < 30.0:
         raise UserError(
-            f"arm.position_mm: its base lies {high:.0f} mm above clearance.floor_z_mm, but the printed mount needs 30; "
-            "screw it to the frame itself"
+            f"arm.position_mm places the base of the arm {high:.0f} mm above clearance.floor_z_mm, but the printed mount needs 30 mm; "
+            "screw the arm to the frame instead"
         )
     along, across = measures.arm_base_mm
     wide, foot, wall = across + 2.0 * 12.0, measures.profile_mm, MOUNT_WALL_MM
@@ -121,7 +122,7 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
     x, y, z = arm.position_mm
     return Part(
         name="arm_mount",
-        about="Lifts the arm's base to the height that the rig file says; M5 screws go down through it into T-nuts of two bars.",
+        about="Carries the base of the arm at the height given in the rig file; M5 screws pass through it into T-nuts of two profiles.",
         solid=solid,
         bed_from_part=FLIPPED,
         rig_from_part=(moved(x, y, z),),
@@ -131,8 +132,8 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
             Dimension(name="bars apart", from_mm=(0.0, -left + foot / 2.0, -high), to_mm=(0.0, left - foot / 2.0, -high)),
         ),
         numbers=(
-            ("height_mm", high, "arm.position_mm's z - clearance.floor_z_mm"),
-            ("bars_apart_mm", wide - foot, "middle to middle, from arm_base_mm"),
+            ("height_mm", high, "z of arm.position_mm - clearance.floor_z_mm"),
+            ("bars_apart_mm", wide - foot, "centre to centre, from arm_base_mm"),
             ("base_holes_along_mm", along, "arm_base_mm; slots of 8"),
             ("base_holes_across_mm", across, "arm_base_mm"),
         ),
@@ -140,38 +141,38 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
 
 
 def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm: float) -> Part:
-    """Return a leg of the calibration board's stand.
+    """Create one leg of the stand of the calibration board.
 
-    It brings the board's middle to the height of the first ring's camera.
+    The stand holds the centre of the board at the height of the camera in the first ring.
 
     Parameters
     ----------
     scene : Scene
-        Where the board is to be seen.
+        Scene with the first ring.
     board : CharucoBoard
-        What stands in it.
+        Calibration board.
     measures : Measures
-        Paper, screws and play.
+        Dimensions of paper and screws, and clearances.
     floor_mm : float
-        Height of what it stands on.
+        Height of the floor.
 
     Returns
     -------
     Part
-        One of two.
+        One of the two legs.
 
     Raises
     ------
     UserError
-        Where the camera is too low for it.
+        If the camera is too low.
     """
     lean = np.deg2rad(STAND_LEAN_DEG)
     middle = scene.plan.rings[0].height_mm - floor_mm
     edge = middle - board.size_mm[1] / 2.0 * np.cos(lean)
     if edge < 20.0:
         raise UserError(
-            f"the calibration board's lower edge would stand {edge:.0f} mm above clearance.floor_z_mm, but its stand needs "
-            "20: take a smaller board, or lay it on something"
+            f"the lower edge of the calibration board would be {edge:.0f} mm above clearance.floor_z_mm, but the stand needs "
+            "20 mm: use a smaller board, or raise the stand"
         )
     thick = measures.stand_board_mm + measures.fit_mm
     foot = max(60.0, 0.8 * middle)
@@ -181,7 +182,10 @@ def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm:
     outline = block - groove - (window if edge > 40.0 else CrossSection())
     return Part(
         name="board_stand",
-        about="Two of them hold the calibration board upright before the camera, leaning back, its middle at the camera's height.",
+        about=(
+            "Two of them hold the calibration board in front of the camera, inclined "
+            "backwards, with its centre at the height of the camera."
+        ),
         solid=raised(outline, 0.0, STAND_WIDE_MM),
         dimensions=(
             Dimension(name="groove's floor", from_mm=(-foot / 2.0, 0.0, 0.0), to_mm=(-foot / 2.0, edge, 0.0)),
@@ -189,7 +193,7 @@ def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm:
         ),
         numbers=(
             ("groove_mm", thick, "stand_board_mm + fit_mm"),
-            ("groove_floor_mm", edge, "first ring's height_mm - clearance.floor_z_mm - half the board, leaning"),
+            ("groove_floor_mm", edge, "first ring's height_mm - clearance.floor_z_mm - half the height of the inclined board"),
             ("lean_deg", STAND_LEAN_DEG, ""),
             ("pieces", 2.0, ""),
         ),

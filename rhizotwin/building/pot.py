@@ -1,8 +1,4 @@
-"""The net pot with its grid, and the ring that keeps the canister in the table's middle.
-
-The canister's frame: the rim lies at z = 0. The pot sits on the rim; its skirt goes over the canister and carries the
-strip, its insert goes into it and carries the grid.
-"""
+"""Net pot with its grid, and the ring that centres the canister on the turntable."""
 
 import numpy as np
 
@@ -16,32 +12,32 @@ from rhizotwin.scenes.model import Scene
 LEAST_WALL_MM = 1.2
 """Three lines of a 0.4 mm nozzle: thinner walls leak and bend."""
 SEAT_MM = 3.0
-"""Width of the cone that the grid rests on."""
+"""Width of the conical seat of the grid."""
 GRID_MM = 2.4
 RIM_MM = 3.0
-"""Solid edge of the grid, which lies in the cone."""
+"""Width of the solid rim of the grid, which rests on the seat."""
 NOTCH_MM = 1.5
-"""Depth of the notch in the upper edge that marks the strip's seam."""
+"""Depth of the notch in the upper edge that marks the seam of the marker strip."""
 RING_WIDE_MM = 8.0
-"""Of the canister's ring: room for an M3 screw's head beside the canister."""
+"""Width of the canister ring: room for the head of an M3 screw beside the canister."""
 RING_SCREWS = 3
 M3_MM = 3.4
 """Clearance hole of an M3 screw (ISO 273, medium)."""
 
 
 def strip_seat_radius_mm(scene: Scene, measures: Measures) -> float:
-    """Return the radius under the paper: the scene's radius is the one over it."""
+    """Return the radius below the paper; the radius in the scene is that of the paper's outer face."""
     return scene.net_pot.outer_radius_mm - measures.paper_mm
 
 
 def _refuse_pot(scene: Scene, measures: Measures, *, skirt_mm: float, funnel_mm: float) -> None:
-    """Refuse a net pot whose walls would be too thin or too short."""
+    """Reject a net pot with walls that are too thin or too short."""
     pot = scene.net_pot
     if skirt_mm < LEAST_WALL_MM:
         least_mm = scene.canister.outer_radius_mm + measures.fit_mm + measures.paper_mm + LEAST_WALL_MM
         raise UserError(
-            f"the net pot's skirt would be {max(skirt_mm, 0.0):.2f} mm thick, but needs {LEAST_WALL_MM:g}: "
-            f"net_pot.outer_radius_mm must be at least {least_mm:.2f} with this canister and these measures"
+            f"the skirt of the net pot would be {max(skirt_mm, 0.0):.2f} mm thick, but at least {LEAST_WALL_MM:g} mm are required: "
+            f"net_pot.outer_radius_mm must be at least {least_mm:.2f} for this canister and these dimensions"
         )
     if pot.grid_z_mm > -SEAT_MM or pot.top_mm < funnel_mm + NOTCH_MM or pot.skirt_bottom_mm >= 0.0:
         raise UserError(
@@ -51,12 +47,12 @@ def _refuse_pot(scene: Scene, measures: Measures, *, skirt_mm: float, funnel_mm:
 
 
 def net_pot(scene: Scene, measures: Measures) -> Part:
-    """Return the net pot without its grid.
+    """Create the net pot without its grid.
 
     Raises
     ------
     UserError
-        Where the scene leaves too little for its walls.
+        If the walls would be too thin.
     """
     pot, can, fit = scene.net_pot, scene.canister, measures.fit_mm
     seat = strip_seat_radius_mm(scene, measures)
@@ -64,7 +60,7 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
     inside = into - measures.wall_mm
     funnel = over - inside
     _refuse_pot(scene, measures, skirt_mm=seat - over, funnel_mm=funnel)
-    # a circle's corners lie outside it, so that the strip's seat has the circumference of the paper
+    # vertices outside the circle, so that the circumference of the strip's seat equals that of the paper
     corner = seat * np.pi / SIDES / np.sin(np.pi / SIDES)
     body = turned(
         [
@@ -86,21 +82,21 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
     length = FlatStrip(strip=scene.strip, net_pot=pot, paper_mm=measures.paper_mm).length_mm
     return Part(
         name="net_pot",
-        about="Sits on the canister's rim; the strip is glued round its skirt, its seam at the notch.",
+        about="Rests on the rim of the canister; the marker strip is glued around its skirt, with the seam at the notch.",
         solid=body - wedge.transform(along_x),
         bed_from_part=FLIPPED,
         rig_from_part=(np.eye(4),),
         apart_mm=(0.0, 0.0, 60.0),
         dimensions=(
             Dimension(name="strip's seat", from_mm=(-seat, 0.0, pot.top_mm), to_mm=(seat, 0.0, pot.top_mm)),
-            Dimension(name="into the canister", from_mm=(-into, 0.0, pot.grid_z_mm), to_mm=(into, 0.0, pot.grid_z_mm)),
+            Dimension(name="inside the canister", from_mm=(-into, 0.0, pot.grid_z_mm), to_mm=(into, 0.0, pot.grid_z_mm)),
             Dimension(name="skirt", from_mm=(seat, 0.0, pot.skirt_bottom_mm), to_mm=(seat, 0.0, pot.top_mm)),
         ),
         numbers=(
             ("strip_seat_radius_mm", seat, "net_pot.outer_radius_mm - paper_mm"),
-            ("strip_length_mm", length, "the paper's, as `rhizotwin markers` draws it"),
+            ("strip_length_mm", length, "height of the paper, as drawn by 'rhizotwin markers'"),
             ("skirt_inner_radius_mm", over, "canister.outer_radius_mm + fit_mm"),
-            ("insert_outer_radius_mm", into, "canister's inner radius - fit_mm"),
+            ("insert_outer_radius_mm", into, "inner radius of the canister - fit_mm"),
             ("insert_inner_radius_mm", inside, "insert_outer_radius_mm - wall_mm"),
             ("skirt_bottom_mm", pot.skirt_bottom_mm, "net_pot.skirt_bottom_mm"),
             ("top_mm", pot.top_mm, "net_pot.top_mm"),
@@ -110,9 +106,9 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
 
 
 def net_pot_grid(scene: Scene, measures: Measures) -> Part:
-    """Return the grid: a disc that is dropped into the pot and rests on its cone.
+    """Create the grid, a disc that rests on the conical seat of the pot.
 
-    Its underside is at the scene's ``grid_z_mm``.
+    Its lower face is at ``grid_z_mm`` of the scene.
     """
     low = scene.canister.inner_radius_mm - measures.fit_mm - measures.wall_mm - SEAT_MM
     z = scene.net_pot.grid_z_mm
@@ -125,55 +121,55 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
     ) ^ circle(reach)
     middle = measures.mesh_middle_mm / 2.0
     if not 0.0 <= middle < reach - RIM_MM:
-        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} leaves no grid: give 0 to {2.0 * (reach - RIM_MM):.0f}")
-    if middle > 0.0:  # what grew through a grid without it was constricted, and had to be cut out (thesis, section 3.1)
+        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} is too large for the grid: give 0 to {2.0 * (reach - RIM_MM):.0f}")
+    if middle > 0.0:  # without the opening, roots were constricted and had to be cut out (thesis, section 3.1)
         openings = openings - circle(middle + RIM_MM) + circle(middle)
     return Part(
         name="net_pot_grid",
-        about="Lies in the net pot under the felt; roots grow through its open middle and its openings.",
+        about="Rests in the net pot below the felt; roots grow through the open centre and the openings.",
         solid=disc - raised(openings, z - 1.0, z + GRID_MM + 1.0),
         rig_from_part=(np.eye(4),),
         apart_mm=(0.0, 0.0, 110.0),
         dimensions=(Dimension(name="underside", from_mm=(-low, 0.0, z), to_mm=(low, 0.0, z)),),
         numbers=(
-            ("underside_radius_mm", low, "insert_inner_radius_mm - the cone's 3 mm"),
+            ("underside_radius_mm", low, "insert_inner_radius_mm - 3 mm of the conical seat"),
             ("thickness_mm", GRID_MM, ""),
             ("mesh_opening_mm", opening, "mesh_opening_mm"),
             ("mesh_bar_mm", measures.mesh_bar_mm, "mesh_bar_mm"),
             ("mesh_middle_mm", measures.mesh_middle_mm, "mesh_middle_mm"),
-            ("open_percent", 100.0 * openings.area() / (np.pi * low**2), "openings over the underside"),
+            ("open_percent", 100.0 * openings.area() / (np.pi * low**2), "open fraction of the lower face"),
         ),
     )
 
 
 def ring_outer_radius_mm(scene: Scene, measures: Measures) -> float:
-    """Return the outer radius of the canister's ring."""
+    """Return the outer radius of the canister ring."""
     return scene.canister.outer_radius_mm + measures.fit_mm + RING_WIDE_MM
 
 
 def ring_screws_mm(scene: Scene, measures: Measures) -> list[tuple[float, float]]:
-    """Return where the ring's screws go through ring and table."""
+    """Return the positions of the screws of the ring."""
     radius = scene.canister.outer_radius_mm + measures.fit_mm + RING_WIDE_MM / 2.0
     turn = 2.0 * np.pi * np.arange(RING_SCREWS) / RING_SCREWS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
 
 
 def canister_ring(scene: Scene, measures: Measures) -> Part:
-    """Return the ring that keeps the canister on the table's axis.
+    """Create the ring that centres the canister on the turntable.
 
-    It is as high as the canister's base, so that it hides no water.
+    It is as high as the base of the canister, so that it does not occlude the water.
     """
     can = scene.canister
     inner, outer = can.outer_radius_mm + measures.fit_mm, ring_outer_radius_mm(scene, measures)
     outline = circle(outer) - circle(inner / np.cos(np.pi / SIDES)) - union(hole(M3_MM, at) for at in ring_screws_mm(scene, measures))
     return Part(
         name="canister_ring",
-        about="Keeps the canister in the table's middle; three M3 screws into the table.",
+        about="Centres the canister on the turntable; fastened by three M3 screws.",
         solid=raised(outline, 0.0, can.base_mm),
         rig_from_part=(moved(0.0, 0.0, -can.height_mm),),
         apart_mm=(0.0, 0.0, -50.0),
         dimensions=(
-            Dimension(name="round the canister", from_mm=(-inner, 0.0, can.base_mm), to_mm=(inner, 0.0, can.base_mm)),
+            Dimension(name="around the canister", from_mm=(-inner, 0.0, can.base_mm), to_mm=(inner, 0.0, can.base_mm)),
             Dimension(name="outside", from_mm=(-outer, 0.0, 0.0), to_mm=(outer, 0.0, 0.0)),
         ),
         numbers=(

@@ -1,4 +1,4 @@
-"""All parts of a scene's rig, what is bought beside them, and how they stand together."""
+"""All printed and purchased parts of a rig and their positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,38 +15,38 @@ from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.model import Scene
 
 BAR_END_MM = 20.0
-"""Between the panel and the end of the frame's two bars under the table."""
+"""Distance from the panel to the end of the two profiles below the turntable."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bought:
-    """Something that is bought, for pictures and for checking that printed parts do not run into it."""
+    """Purchased part, for drawings and collision checks."""
 
     name: str
     solid: Manifold
-    """In the rig's frame."""
+    """Solid in the rig frame."""
     apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """As of a `Part`."""
+    """Displacement in the exploded view, as in `Part`."""
 
 
 def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBoard) -> list[Part]:
-    """Return every printed part of a scene's rig.
+    """Create all printed parts of a rig.
 
     Parameters
     ----------
     scene : Scene
-        Canister, net pot, strip, panel and first ring.
+        Canister, net pot, marker strip, panel and first ring.
     rig : RigFile
-        Where the arm and the floor are; a rig without an arm has neither bracket nor mount of one.
+        Positions of arm and floor; without an arm there are no bracket and no mount.
     measures : Measures
-        What is bought.
+        Dimensions of purchased parts.
     board : CharucoBoard
-        What the stand holds.
+        Calibration board.
 
     Raises
     ------
     UserError
-        Where the scene leaves no room for a part.
+        If there is not enough room for a part.
     """
     floor_mm, under = rig.clearance.floor_z_mm, tank.below(scene)
     parts = [
@@ -69,7 +69,7 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
 
 
 def thesis_rig(scene: Scene | None = None) -> RigFile:
-    """Return the rig file's defaults with an arm; on a floor that is lower by what a scene's tank needs."""
+    """Return the default rig file with an arm; the floor is lowered for the tank of the scene, if any."""
     rig = RigFile(arm=ArmPart())
     if scene is None or scene.tank is None:
         return rig
@@ -77,7 +77,7 @@ def thesis_rig(scene: Scene | None = None) -> RigFile:
 
 
 def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
-    """Return canister, motor, frame bars, LED board and diffuser, where they stand."""
+    """Create canister, motor, frame profiles, LED board and diffuser at their positions."""
     can, floor_mm = scene.canister, rig.clearance.floor_z_mm
     under = tank.below(scene)
     drive = table.drive_of(scene, measures)
@@ -118,7 +118,7 @@ def _shaft(measures: Measures) -> CrossSection:
 
 
 def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) -> Manifold:
-    """Return a profile along x: a square with a slot in the middle of each side, as deep as the widening begins."""
+    """Create a profile along x: a square with a slot in the middle of each side, up to the depth at which it widens."""
     side, slot, deep = measures.profile_mm, measures.slot_mm, 3.0 * measures.slot_lip_mm
     slots = union(
         CrossSection.square((slot, 2.0 * deep), center=True).translate((0.0, side / 2.0)).rotate(turn) for turn in (0.0, 90.0, 180.0, 270.0)
@@ -129,9 +129,9 @@ def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) 
 
 
 def collisions(parts: Sequence[Part], bought: Sequence[Bought], *, least_mm3: float = 1e-2) -> list[tuple[str, str, float]]:
-    """Return the pairs of things that fill the same room on the rig, and how much of it, mm3.
+    """Return the pairs of overlapping parts on the rig, with the volume of the overlap in mm3.
 
-    Parts that touch do not.
+    Parts that only touch are not included.
     """
     things = [(part.name, solid) for part in parts for solid in part.placed()] + [(one.name, one.solid) for one in bought]
     found = []

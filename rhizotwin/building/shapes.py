@@ -1,4 +1,4 @@
-"""Outlines and solids that parts are made of, by manifold3d. Millimetres; z is up."""
+"""Outlines and solids of parts, using manifold3d. Units are millimetres, z is up."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.frames import Array
 
 SIDES = 240
-"""Corners of a circle, unless it is small: one of 80 mm is 7 um from round."""
+"""Number of sides of a circle unless it is small; with a radius of 80 mm the deviation is 7 um."""
 PRESSURE_RAD = np.deg2rad(20.0)
 """Pressure angle of the gears (ISO 53)."""
 FLANK_POINTS = 6
-"""Points along a tooth's flank; the involute of the pinion's teeth is within 5 um of the chords."""
+"""Points along the flank of a tooth; for the pinion, the involute is within 5 um of the chords."""
 
 Outline: TypeAlias = Sequence[tuple[float, float]]
 
 
 def polygon(points: Outline | Array) -> CrossSection:
-    """Return the outline of corners (N, 2), in either direction."""
+    """Return the outline with vertices (N, 2), in either direction."""
     corners = np.asarray(points, dtype=np.float64)
     x, y = corners.T
     turn = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
@@ -28,25 +28,25 @@ def polygon(points: Outline | Array) -> CrossSection:
 
 
 def circle(radius: float, at: tuple[float, float] = (0.0, 0.0), *, sides: int = SIDES) -> CrossSection:
-    """Return a circle as a polygon with corners on it."""
+    """Return a circle as a polygon with its vertices on the circle."""
     return CrossSection.circle(radius, sides).translate(at)
 
 
 def hole(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a screw's hole; its sides, not its corners, lie on the circle, so that the screw passes."""
+    """Return the hole of a screw; its sides lie on the circle, so that the screw fits."""
     sides = 32
     return CrossSection.circle(diameter / 2.0 / np.cos(np.pi / sides), sides).translate(at)
 
 
 def slot(diameter: float, start: tuple[float, float], end: tuple[float, float]) -> CrossSection:
-    """Return a long hole between two centres."""
+    """Return a slotted hole between two centres."""
     return CrossSection.batch_hull([hole(diameter, start), hole(diameter, end)])
 
 
 def teardrop(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a hole that lies across the layers.
+    """Return a horizontal hole that can be printed without support.
 
-    A circle with a roof of 45 degrees towards +y, which needs no support.
+    It is a circle with a 45 degree roof towards +y.
     """
     radius = diameter / 2.0
     return CrossSection.batch_hull([circle(radius, sides=32), polygon([(-0.1, 0.0), (0.1, 0.0), (0.0, np.sqrt(2.0) * radius)])]).translate(
@@ -60,46 +60,46 @@ def rectangle(low: tuple[float, float], high: tuple[float, float]) -> CrossSecti
 
 
 def rounded(width: float, height: float, radius: float) -> CrossSection:
-    """Return a rectangle about the origin with round corners."""
+    """Return a rectangle with rounded corners, centred at the origin."""
     inner = CrossSection.square((width - 2.0 * radius, height - 2.0 * radius), center=True)
     return inner.offset(radius, JoinType.Round, circular_segments=48)
 
 
 def union(outlines: Iterable[CrossSection]) -> CrossSection:
-    """Return all that any of the outlines covers."""
+    """Return the union of outlines."""
     return CrossSection.batch_boolean(list(outlines), OpType.Add)
 
 
 def joined(solids: Iterable[Manifold]) -> Manifold:
-    """Return all that any of the solids fills."""
+    """Return the union of solids."""
     return Manifold.batch_boolean(list(solids), OpType.Add)
 
 
 def raised(outline: CrossSection, low: float, high: float) -> Manifold:
-    """Return an outline as an upright solid between two heights."""
+    """Extrude an outline between two heights."""
     return outline.extrude(high - low).translate((0.0, 0.0, low))
 
 
 def turned(points: Outline, *, sides: int = SIDES) -> Manifold:
-    """Return the solid that the outline of (radius, z) corners sweeps about the z axis."""
+    """Revolve an outline of (radius, z) vertices about the z axis."""
     return polygon(points).revolve(sides)
 
 
 def gear(teeth: int, module_mm: float, *, backlash_mm: float) -> CrossSection:
-    """Return the outline of a spur gear with involute flanks, a tooth centred on +x.
+    """Return the outline of a spur gear with involute flanks and a tooth centred on +x.
 
     Parameters
     ----------
     teeth : int
-        17 or more, or the flanks would be undercut.
+        Number of teeth; at least 17, to avoid undercut flanks.
     module_mm : float
-        Pitch diameter over teeth; a tooth is 1 module above the pitch circle and 1.25 below it (ISO 53).
+        Pitch diameter over number of teeth; a tooth is 1 module above the pitch circle and 1.25 below it (ISO 53).
     backlash_mm : float
-        By how much each tooth is thinner than half the pitch, along the pitch circle.
+        Reduction of the tooth thickness along the pitch circle.
     """
     pitch = module_mm * teeth / 2.0
     base, tip, root = pitch * np.cos(PRESSURE_RAD), pitch + module_mm, pitch - 1.25 * module_mm
-    half = (np.pi * module_mm / 2.0 - backlash_mm) / 2.0 / pitch  # of the tooth at the pitch circle, rad
+    half = (np.pi * module_mm / 2.0 - backlash_mm) / 2.0 / pitch  # half the tooth angle at the pitch circle, rad
     radius = np.linspace(max(base, root), tip, FLANK_POINTS)
     width = half + _involute(PRESSURE_RAD) - _involute(np.arccos(np.minimum(base / radius, 1.0)))
     radius, width = np.concatenate([[root], radius]), np.concatenate([width[:1], width])

@@ -1,8 +1,8 @@
-"""The turntable: a plate with a ring gear on loose balls, its base, its feet on the frame, and the motor's pinion.
+"""Turntable: plate with a ring gear on loose balls, base, feet on the frame, and the pinion of the motor.
 
-The plate's top is the canister's underside. A bolt through the plate's middle runs in a ball bearing in the base and
-keeps it centred; the balls carry the weight. The motor hangs below the base, beside the plate, out of the camera's
-sight.
+The top of the plate is the lower face of the canister. A bolt through the centre of the plate runs in a ball bearing in
+the base and centres the plate; the balls carry the weight. The motor is mounted below the base, beside the plate, out
+of the camera's view.
 """
 
 from dataclasses import dataclass
@@ -18,24 +18,24 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 MODULE_MM = 1.0
-"""Of the gears: the smallest that a 0.4 mm nozzle prints with clean flanks."""
+"""Module of the gears: the smallest with clean flanks from a 0.4 mm nozzle."""
 PINION_TEETH = 18
-"""The least round number that is not undercut at 20 degrees (17)."""
+"""Smallest round number without undercut at 20 degrees (17)."""
 BACKLASH_MM = 0.15
-"""By which every tooth is thinner; the scan always arrives from the same side."""
+"""Reduction of the tooth thickness; a scan always approaches its angles from the same side."""
 PLATE_MM, BASE_MM = 8.0, 8.0
 PLATE_GAP_MM = 2.0
-"""Between plate and base: neither touches when the balls' grooves are 0.5 mm off."""
+"""Gap between plate and base: they do not touch even if the ball grooves are 0.5 mm off."""
 TAP_M3_MM, TAP_M4_MM = 2.6, 3.4
-"""Holes in plastic that the screw cuts its own thread into."""
+"""Holes in plastic for self-tapping screws."""
 M4_MM = 4.5
 """Clearance holes (ISO 273, medium)."""
 COUNTERSINK_M4_MM = 9.4
-"""Of a countersunk M4 head (ISO 10642: 8.96 at most): the plate turns 2 mm above it."""
+"""Diameter of the countersink of an M4 screw (ISO 10642: at most 8.96); the plate rotates 2 mm above it."""
 HEX_M8_MM, HEX_M8_HIGH_MM = 13.3, 5.6
-"""Pocket for the head of an M8 bolt (ISO 4017: 13 wide, 5.3 high)."""
+"""Pocket for the head of an M8 bolt (ISO 4017: width 13, height 5.3)."""
 SLIDE_MM = 1.5
-"""How far the motor can be moved each way, to set the gears' play."""
+"""Range of the motor's slots in each direction, for adjusting the backlash."""
 FOOT_MM = 24.0
 HUB_MM = 6.0
 """Height of the pinion's hub, for a grub screw."""
@@ -44,64 +44,64 @@ TONGUE_MM = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """How the table is laid out."""
+    """Layout of the turntable drive."""
 
     teeth: int
-    """Of the ring gear."""
+    """Number of teeth of the ring gear."""
     race_radius_mm: float
-    """Of the balls' track."""
+    """Radius of the ball track."""
 
     @property
     def ratio(self) -> float:
-        """Turns of the motor for one of the table."""
+        """Gear ratio: turns of the motor per turn of the turntable."""
         return self.teeth / PINION_TEETH
 
     @property
     def centres_mm(self) -> float:
-        """From the table's axis to the motor's."""
+        """Distance between the axes of turntable and motor."""
         return MODULE_MM * (self.teeth + PINION_TEETH) / 2.0
 
     @property
     def tip_radius_mm(self) -> float:
-        """Of the ring gear."""
+        """Tip radius of the ring gear."""
         return MODULE_MM * (self.teeth / 2.0 + 1.0)
 
 
 def drive_of(scene: Scene, measures: Measures) -> Drive:
-    """Return the smallest whole gear ratio whose plate carries the canister's ring."""
+    """Return the smallest integer gear ratio for which the plate carries the canister ring."""
     needed = 2.0 * (ring_outer_radius_mm(scene, measures) + 1.0 + 1.25 * MODULE_MM) / MODULE_MM
     teeth = PINION_TEETH * int(np.ceil(needed / PINION_TEETH))
     return Drive(teeth=teeth, race_radius_mm=round(0.7 * scene.canister.outer_radius_mm))
 
 
 def top_mm(scene: Scene) -> float:
-    """Return the height of the plate's top in the rig's frame."""
+    """Return the height of the plate's top in the rig frame."""
     return -scene.canister.height_mm
 
 
 def base_top_mm(scene: Scene) -> float:
-    """Return the height of the base's top."""
+    """Return the height of the base's top in the rig frame."""
     return top_mm(scene) - PLATE_MM - PLATE_GAP_MM
 
 
 def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
-    """Return where the feet stand: in two rows along x, on one bar of the frame each."""
+    """Return the positions of the feet: two rows along x, each on one profile of the frame."""
     reach = round(drive.race_radius_mm * 0.83)
     return [(x, y) for x in (-reach, reach) for y in (-reach, reach)]
 
 
 def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tuple[float, float]]:
-    """Return the corners of the balls' V-shaped groove in a face at ``z``; ``into`` is -1 for a face that looks up."""
+    """Return the vertices of the V-shaped ball groove in a face at ``z``; ``into`` is -1 for a face that points up."""
     deep = measures.ball_mm / np.sqrt(2.0) - PLATE_GAP_MM / 2.0
     r, past = drive.race_radius_mm, 0.5
     return [(r - deep - past, z - into * past), (r, z + into * deep), (r + deep + past, z - into * past)]
 
 
 def table_plate(scene: Scene, measures: Measures) -> Part:
-    """Return the plate with its ring gear; its top at z = 0."""
+    """Create the plate with its ring gear; its top is at z = 0."""
     drive = drive_of(scene, measures)
     if measures.ball_mm / np.sqrt(2.0) <= PLATE_GAP_MM / 2.0 + 0.5:
-        raise UserError(f"ball_mm {measures.ball_mm:g} is too small for the {PLATE_GAP_MM:g} mm between plate and base")
+        raise UserError(f"ball_mm {measures.ball_mm:g} is too small for the gap of {PLATE_GAP_MM:g} mm between plate and base")
     outline = gear(drive.teeth, MODULE_MM, backlash_mm=BACKLASH_MM) - union(hole(TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     body = raised(outline - hole(measures.bearing_mm[0] + 0.4), -PLATE_MM, 0.0)
     head = CrossSection.circle(HEX_M8_MM / np.sqrt(3.0), 6)
@@ -110,7 +110,7 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
     step_deg = 1.8 / drive.ratio
     return Part(
         name="table_plate",
-        about="Carries the canister; its ring gear is driven by the motor's pinion, loose balls run under it.",
+        about="Carries the canister; its ring gear is driven by the pinion of the motor, and it runs on loose balls.",
         solid=solid,
         rig_from_part=(moved(0.0, 0.0, top_mm(scene)),),
         apart_mm=(0.0, 0.0, -80.0),
@@ -120,18 +120,18 @@ def table_plate(scene: Scene, measures: Measures) -> Part:
         ),
         numbers=(
             ("module_mm", MODULE_MM, "ISO 53, 20 degrees"),
-            ("ring_teeth", drive.teeth, "the least multiple of the pinion's that carries the canister's ring"),
+            ("ring_teeth", drive.teeth, "smallest multiple of the pinion's teeth that carries the canister ring"),
             ("pinion_teeth", PINION_TEETH, ""),
             ("full_step_deg", step_deg, "1.8 / (ring_teeth / pinion_teeth); turntable.full_step_deg of the rig file"),
-            ("steps_per_deg", 32.0 / step_deg, "at 1/32 microsteps; the board's DEFAULT_AXIS_STEPS_PER_UNIT"),
+            ("steps_per_deg", 32.0 / step_deg, "at 1/32 microsteps; DEFAULT_AXIS_STEPS_PER_UNIT of the board"),
             ("race_radius_mm", drive.race_radius_mm, "0.7 canister.outer_radius_mm"),
-            ("balls", float(int(2.0 * np.pi * drive.race_radius_mm / (3.0 * measures.ball_mm))), "one every three diameters"),
+            ("balls", float(int(2.0 * np.pi * drive.race_radius_mm / (3.0 * measures.ball_mm))), "one per three diameters"),
         ),
     )
 
 
 def pinion(scene: Scene, measures: Measures) -> Part:
-    """Return the motor's pinion, teeth below and hub above; the teeth begin at z = 0."""
+    """Create the pinion of the motor, with the teeth below and the hub above; the teeth start at z = 0."""
     shaft = circle(measures.shaft_mm / 2.0 + 0.1, sides=48) ^ rectangle(
         (-measures.shaft_mm, -measures.shaft_mm), (measures.shaft_flat_mm - measures.shaft_mm / 2.0 + 0.1, measures.shaft_mm)
     )
@@ -146,7 +146,7 @@ def pinion(scene: Scene, measures: Measures) -> Part:
     place = moved(0.0, -centre, top_mm(scene) - PLATE_MM, turn_deg=pinion_turn_deg(drive))
     return Part(
         name="pinion",
-        about="On the motor's shaft; an M3 grub screw in its hub presses on the shaft's flat.",
+        about="On the motor shaft; an M3 grub screw in its hub presses on the flat of the shaft.",
         solid=joined([teeth, hub]) - raised(shaft, -1.0, PLATE_MM + HUB_MM + 1.0) - screw,
         rig_from_part=(place,),
         apart_mm=(0.0, -60.0, -80.0),
@@ -162,14 +162,14 @@ def pinion(scene: Scene, measures: Measures) -> Part:
 
 
 def pinion_turn_deg(drive: Drive) -> float:
-    """Return how the pinion at -y is turned so that a gap of it faces a tooth of the ring, or the other way round."""
+    """Return the rotation of the pinion at -y for which its gap faces a tooth of the ring, or vice versa."""
     pitch_ring, pitch = 360.0 / drive.teeth, 360.0 / PINION_TEETH
-    ring_phase = (-90.0 / pitch_ring) % 1.0  # of the ring's teeth at -y, from a tooth
+    ring_phase = (-90.0 / pitch_ring) % 1.0  # angle of the ring's teeth at -y, from a tooth
     return 90.0 + pitch * (0.5 + ring_phase)
 
 
 def table_base(scene: Scene, measures: Measures) -> Part:
-    """Return the base under the plate; its top at z = 0."""
+    """Create the base below the plate; its top is at z = 0."""
     drive = drive_of(scene, measures)
     centre, bearing = drive.centres_mm, measures.bearing_mm
     disc = circle(drive.race_radius_mm + measures.ball_mm + 8.0)
@@ -183,21 +183,21 @@ def table_base(scene: Scene, measures: Measures) -> Part:
         [*slots, boss, hole(bearing[1] - 4.0), *(hole(M4_MM, at) for at in foot_places_mm(drive))]
     )
     if bearing[2] > BASE_MM - 1.0:
-        raise UserError(f"bearing_mm: a bearing of {bearing[2]:g} mm is wider than the base's {BASE_MM:g} mm allow; use a 608")
+        raise UserError(f"bearing_mm: a bearing of {bearing[2]:g} mm is wider than the base ({BASE_MM:g} mm) allows; use a 608")
     pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0)
     sunk, small = COUNTERSINK_M4_MM / 2.0, M4_MM / 2.0
-    # turned, so that none of its corners is one of the hole's: an edge would have four faces
+    # rotated, so that it shares no vertex with the hole: an edge would have four faces
     head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48).rotate((0.0, 0.0, 1.9))
     heads = joined(head.translate((x, y, 0.0)) for x, y in foot_places_mm(drive))
     solid = raised(outline, -BASE_MM, 0.0) - pocket - heads - turned(_groove(drive, measures, 0.0, -1.0))
     return Part(
         name="table_base",
-        about="Carries the balls, the bearing and, hanging below it, the motor, whose slots set the gears' play.",
+        about="Carries the balls, the bearing and the motor below it; the slots of the motor allow the backlash to be adjusted.",
         solid=solid,
         rig_from_part=(moved(0.0, 0.0, base_top_mm(scene)),),
         apart_mm=(0.0, 0.0, -110.0),
         dimensions=(
-            Dimension(name="axis to motor", from_mm=(0.0, 0.0, 0.0), to_mm=(0.0, -centre, 0.0)),
+            Dimension(name="turntable axis to motor axis", from_mm=(0.0, 0.0, 0.0), to_mm=(0.0, -centre, 0.0)),
             Dimension(name="bearing", from_mm=(-bearing[1] / 2.0, 0.0, 0.0), to_mm=(bearing[1] / 2.0, 0.0, 0.0)),
         ),
         numbers=(
@@ -209,28 +209,28 @@ def table_base(scene: Scene, measures: Measures) -> Part:
 
 
 def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
-    """Return a foot; its top at z = 0, its tongue in the groove of the frame below.
+    """Create a foot; its top is at z = 0, and its tongue fits the groove of the profile below.
 
     Raises
     ------
     UserError
-        Where the floor is too near for the table, or the motor reaches through the frame.
+        If the floor is too high for the turntable, or the motor reaches below the frame.
     """
     drive = drive_of(scene, measures)
     high = base_top_mm(scene) - BASE_MM - floor_mm
     if high < 10.0:
         raise UserError(
-            f"clearance.floor_z_mm {floor_mm:g} leaves the table's feet {high:.1f} mm, but they need 10: give the rig a floor at "
+            f"clearance.floor_z_mm {floor_mm:g} leaves {high:.1f} mm for the feet of the turntable, but 10 mm are required: set it to "
             f"{base_top_mm(scene) - BASE_MM - 10.0:.0f} or lower"
         )
     if measures.motor_length_mm > high + measures.profile_mm:
         raise UserError(
-            f"a motor of {measures.motor_length_mm:g} mm reaches below the frame: feet and profile leave "
+            f"a motor of {measures.motor_length_mm:g} mm reaches below the frame: feet and profile have a height of "
             f"{high + measures.profile_mm:.0f} mm; "
-            "use a shorter one (motor_length_mm), or a lower clearance.floor_z_mm"
+            "use a shorter motor (motor_length_mm), or a lower clearance.floor_z_mm"
         )
     wide = measures.slot_mm - 2.0 * 0.15
-    # it ends before the foot's sides, and narrows from a little below the foot: no edge lies in another one's face
+    # it ends inside the foot and narrows slightly below it, so that no edge lies in another face
     tongue = [
         (-wide / 2.0, -high + 1.0),
         (wide / 2.0, -high + 1.0),
@@ -247,7 +247,7 @@ def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
     solid = joined([body, polygon(tongue).extrude(long).transform(along_x)]) - screw
     return Part(
         name="table_foot",
-        about="Four of them carry the base on two bars of the frame; an M4 screw from above holds each.",
+        about="Four of them carry the base on two profiles of the frame; each is fastened by an M4 screw from above.",
         solid=solid,
         bed_from_part=FLIPPED,
         rig_from_part=tuple(moved(x, y, base_top_mm(scene) - BASE_MM) for x, y in foot_places_mm(drive)),

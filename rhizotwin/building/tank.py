@@ -1,7 +1,8 @@
-"""The tank's own parts: posts that carry it, and a carrier that turns the canister in it by magnets.
+"""Parts of the tank: posts that carry it, and a carrier that rotates the canister in it by magnets.
 
-No shaft goes through the tank's floor: magnets in the table's plate, below the floor, take those in the carrier along,
-above it. A carrier that slips is noticed by the markers, as a table that slips is. Motor and table stay dry.
+No shaft passes through the floor of the tank: magnets in the plate of the turntable below the floor drive those in the
+carrier above it. Slip of the carrier is detected from the markers, like slip of the turntable. Motor and turntable stay
+dry.
 """
 
 from dataclasses import replace
@@ -19,31 +20,31 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene, Tank
 
 CARRIER_MM, GLIDE_MM, PLAY_MM = 8.0, 1.0, 1.0
-"""Thickness of the carrier, height of the ring on which it glides, and air between the magnets below and the tank."""
+"""Thickness of the carrier, height of its sliding ring, and air gap between the magnets below and the tank."""
 PAD_MM = table.HUB_MM
-"""Height of the ring on the table's plate that lifts the magnets past the pinion's hub."""
+"""Height of the ring on the plate that raises the magnets above the hub of the pinion."""
 PAD_WIDE_MM = 16.0
 GLIDE_WIDE_MM = 3.0
 MAGNETS = 6
 PIN_MM, PIN_HIGH_MM, FOOT_MM, FOOT_HIGH_MM = 8.0, 6.0, 30.0, 0.8
-"""Pivot that is glued on the tank's floor."""
+"""Pivot, glued to the floor of the tank."""
 POST_MM, LIP_MM, LIP_HIGH_MM = 40.0, 4.0, 10.0
 LEAST_DRY_MM = 3.9
-"""Height to which water climbs on a wetted wall: sqrt(2) times its capillary length of 2.7 mm at 20 degrees C."""
+"""Height of the meniscus on a wetted wall: sqrt(2) times the capillary length of water, 2.7 mm at 20 degrees C."""
 
 
 def drop_mm(tank: Tank) -> float:
-    """Return how much lower the table stands than without a tank."""
+    """Return how much lower the turntable is than without a tank."""
     return CARRIER_MM + GLIDE_MM + tank.wall_mm + PLAY_MM + PAD_MM
 
 
 def floor_mm(scene: Scene, tank: Tank) -> float:
-    """Return the underside of the tank in the rig frame."""
+    """Return the height of the tank's lower face in the rig frame."""
     return -scene.canister.height_mm - CARRIER_MM - GLIDE_MM - tank.wall_mm
 
 
 def below(scene: Scene) -> Scene:
-    """Return the scene for the table's parts: with a tank, its canister ends lower by `drop_mm`."""
+    """Return the scene for the parts of the turntable: with a tank, the canister is lowered by `drop_mm`."""
     if scene.tank is None:
         return scene
     lower = replace(scene.canister, height_mm=scene.canister.height_mm + drop_mm(scene.tank))
@@ -51,24 +52,24 @@ def below(scene: Scene) -> Scene:
 
 
 def magnet_radius_mm(scene: Scene) -> float:
-    """Return how far the magnets sit from the axis."""
+    """Return the radius of the magnets."""
     return 0.5 * scene.canister.outer_radius_mm
 
 
 def magnet_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return where the magnets sit in plate and carrier."""
+    """Return the positions of the magnets in plate and carrier."""
     radius, turn = magnet_radius_mm(scene), 2.0 * np.pi * np.arange(MAGNETS) / MAGNETS
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in turn]
 
 
 def pockets(scene: Scene, measures: Measures, top_mm: float) -> Manifold:
-    """Return what is taken out of a part for the magnets, whose faces end flush with ``top_mm`` from below."""
+    """Return the pockets of the magnets, which are flush with ``top_mm``."""
     wide, high = measures.magnet_mm
     return joined(raised(hole(wide + 0.2, at), top_mm - high - 0.2, top_mm + 1.0) for at in magnet_places_mm(scene))
 
 
 def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
-    """Return the table's plate with a ring on it that holds magnets; the plate itself without a tank."""
+    """Return the plate of the turntable with a ring that holds magnets; the plate itself without a tank."""
     if scene.tank is None:
         return plate
     radius, half = magnet_radius_mm(scene), PAD_WIDE_MM / 2.0
@@ -77,35 +78,35 @@ def with_magnets(plate: Part, scene: Scene, measures: Measures) -> Part:
 
 
 def parts(scene: Scene, measures: Measures, ground_mm: float) -> list[Part]:
-    """Return carrier, pivot and posts; nothing without a tank.
+    """Create carrier, pivot and posts; empty without a tank.
 
     Parameters
     ----------
     scene : Scene
-        Canister, tank and strip.
+        Canister, tank and marker strip.
     measures : Measures
-        What is bought.
+        Dimensions of purchased parts.
     ground_mm : float
-        z of what the rig stands on.
+        z of the floor below the rig.
 
     Raises
     ------
     UserError
-        Where the tank's water would wet the marker strip, or the tank stands too low for posts.
+        If the water of the tank would wet the marker strip, or the tank is too low for the posts.
     """
     if scene.tank is None:
         return []
     dry = scene.strip.bottom_mm - scene.tank.level_mm
     if scene.strip.rows and dry < LEAST_DRY_MM:
         raise UserError(
-            f"strip.bottom_mm lies {dry:.1f} mm above tank.level_mm, but water climbs {LEAST_DRY_MM:g} mm on what it wets: "
-            f"fill the tank to {scene.strip.bottom_mm - LEAST_DRY_MM:.1f} at most, or glue the strip higher"
+            f"strip.bottom_mm is {dry:.1f} mm above tank.level_mm, but the meniscus on a wetted wall reaches {LEAST_DRY_MM:g} mm: "
+            f"reduce tank.level_mm to {scene.strip.bottom_mm - LEAST_DRY_MM:.1f} or less, or glue the strip higher"
         )
     return [_carrier(scene, measures, dry), _pivot(scene, scene.tank), _post(scene, scene.tank, ground_mm)]
 
 
 def solid(scene: Scene, tank: Tank) -> Manifold:
-    """Return the tank itself, in the rig frame."""
+    """Create the tank itself, in the rig frame."""
     low = floor_mm(scene, tank)
     outside = rectangle((-tank.front_mm, -tank.half_width_mm), (tank.front_mm, tank.half_width_mm))
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
@@ -114,7 +115,7 @@ def solid(scene: Scene, tank: Tank) -> Manifold:
 
 
 def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
-    """Return the disc under the canister; its top at z = 0."""
+    """Create the disc below the canister; its top is at z = 0."""
     outer, glide = ring_outer_radius_mm(scene, measures), 0.7 * scene.canister.outer_radius_mm
     screws = union(hole(table.TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
     disc = raised(circle(outer) - screws, -CARRIER_MM, 0.0)
@@ -124,26 +125,26 @@ def _carrier(scene: Scene, measures: Measures, dry_mm: float) -> Part:
     body = joined([disc, raised(ring, -CARRIER_MM - GLIDE_MM, -CARRIER_MM + 1.0)]) - under - pin
     return Part(
         name="tank_carrier",
-        about="Carries the canister's ring in the tank; the magnets in it follow those in the table's plate below the tank's floor.",
+        about="Carries the canister ring in the tank; its magnets follow those in the plate of the turntable below the tank.",
         solid=body,
         bed_from_part=FLIPPED,
         rig_from_part=(moved(0.0, 0.0, -scene.canister.height_mm),),
         apart_mm=(0.0, 0.0, -60.0),
         dimensions=(Dimension(name="outside", from_mm=(-outer, 0.0, 0.0), to_mm=(outer, 0.0, 0.0)),),
         numbers=(
-            ("magnets", float(MAGNETS), "in the carrier, and as many in the plate; opposite poles face each other"),
+            ("magnets", float(MAGNETS), "in the carrier, and the same number in the plate; opposite poles face each other"),
             ("glide_radius_mm", glide, "0.7 canister.outer_radius_mm"),
-            ("strip_above_water_mm", dry_mm, f"strip.bottom_mm - tank.level_mm; at least {LEAST_DRY_MM:g}, to which water climbs"),
+            ("strip_above_water_mm", dry_mm, f"strip.bottom_mm - tank.level_mm; at least {LEAST_DRY_MM:g}, the height of the meniscus"),
         ),
     )
 
 
 def _pivot(scene: Scene, tank: Tank) -> Part:
-    """Return the pin on the tank's floor; its underside at z = 0."""
+    """Create the pin on the floor of the tank; its lower face is at z = 0."""
     pin = raised(circle(PIN_MM / 2.0, sides=96), 0.0, FOOT_HIGH_MM + PIN_HIGH_MM)
     return Part(
         name="tank_pivot",
-        about="Glued on the tank's floor at the table's axis, it keeps the carrier in its place.",
+        about="Glued to the floor of the tank at the turntable axis; centres the carrier.",
         solid=joined([raised(circle(FOOT_MM / 2.0), 0.0, FOOT_HIGH_MM), pin]),
         rig_from_part=(moved(0.0, 0.0, floor_mm(scene, tank) + tank.wall_mm),),
         apart_mm=(0.0, 0.0, -75.0),
@@ -152,17 +153,17 @@ def _pivot(scene: Scene, tank: Tank) -> Part:
 
 
 def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
-    """Return a post under a corner of the tank; the tank's underside at z = 0, its corner at the origin.
+    """Create a post below a corner of the tank; the lower face of the tank is at z = 0, its corner at the origin.
 
     Raises
     ------
     UserError
-        Where there is no room for it.
+        If there is not enough room.
     """
     high = floor_mm(scene, tank) - ground_mm
     if high < 10.0:
         raise UserError(
-            f"clearance.floor_z_mm {ground_mm:g} leaves the tank's posts {high:.1f} mm, but they need 10: give the rig a floor at "
+            f"clearance.floor_z_mm {ground_mm:g} leaves {high:.1f} mm for the posts of the tank, but 10 mm are required: set it to "
             f"{floor_mm(scene, tank) - 10.0:.0f} or lower"
         )
     edge = LIP_MM + 0.2
@@ -173,10 +174,10 @@ def _post(scene: Scene, tank: Tank, ground_mm: float) -> Part:
     corners = [(x, y, 0.0), (-x, y, 90.0), (-x, -y, 180.0), (x, -y, 270.0)]
     return Part(
         name="tank_post",
-        about="Four of them carry the tank's corners above the table.",
+        about="Four of them carry the corners of the tank above the turntable.",
         solid=column - corner,
         rig_from_part=tuple(turned @ moved(a, b, floor_mm(scene, tank), turn_deg=turn) for a, b, turn in corners),
         apart_mm=(0.0, 0.0, -150.0),
         dimensions=(Dimension(name="height", from_mm=(edge, edge, -high), to_mm=(edge, edge, 0.0)),),
-        numbers=(("height_mm", high, "from the tank's underside to clearance.floor_z_mm"),),
+        numbers=(("height_mm", high, "lower face of the tank to clearance.floor_z_mm"),),
     )

@@ -1,6 +1,6 @@
-"""How the electronics are wired: a table of connections for each of the two ways, and its drawing.
+"""Wiring of the electronics: a table of connections and a diagram for each of the two controllers.
 
-Supplies are drawn as labels at a pin, as circuit diagrams do; every other connection is a line.
+Supplies are drawn as labels at a pin, as usual in circuit diagrams; every other connection is a line.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from rhizotwin.rig.rig_file import HatPart
 
 PAGE_WIDE_MM = 297.0
 PIN_MM = 5.4
-"""Between the pins of a box."""
+"""Distance between the pins of a box."""
 LETTER_MM = 1.8
 BOX_WIDE_MM = 62.0
 COLUMNS_MM = (14.0, 168.0)
@@ -24,22 +24,22 @@ COLUMNS_MM = (14.0, 168.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Wire:
-    """A connection from a pin of the controller's side to a pin of what it drives, or of a supply's label to a pin."""
+    """Connection between a pin of the controller side and a pin of a device, or between a supply label and a pin."""
 
     start: tuple[str, str]
-    """Box and pin; the box of a supply is ``""`` and its pin the label."""
+    """Box and pin; for a supply, the box is ``""`` and the pin is the label."""
     end: tuple[str, str]
     note: str = ""
-    """A part in the line, or what to mind."""
+    """Component in the line, or a remark."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diagram:
-    """One way to wire a rig."""
+    """Wiring diagram of a rig."""
 
     title: str
     left: tuple[str, ...]
-    """Boxes of the left column, from above."""
+    """Boxes of the left column, from top to bottom."""
     right: tuple[str, ...]
     wires: tuple[Wire, ...]
     notes: tuple[str, ...]
@@ -49,7 +49,7 @@ SHIFTER, PANEL, FRONT_LAMP, MOTOR = "74AHCT125 level shifter", "panel, WS2812B",
 
 
 def marlin_diagram() -> Diagram:
-    """Return the wiring of a Marlin board."""
+    """Return the wiring with a Marlin board."""
     board, computer, adapter, arm = "Marlin board", "computer", "LX bus adapter", "arm, LX servos"
     return Diagram(
         title="Marlin board, arm on its own bus adapter",
@@ -73,16 +73,16 @@ def marlin_diagram() -> Diagram:
             Wire(start=("", "GND"), end=(adapter, "GND")),
         ),
         notes=(
-            "One ground for all: LED supply, motor supply, arm supply and board.",
-            "Panel: 5 V at both ends and every metre, 1000 uF across it, 20 A for 300 LEDs.",
-            "Motor driver about 1 A; less makes microsteps uneven. Never plug the motor while it is powered.",
-            "The arm has a supply of its own: a stalled servo pulls the LEDs' down.",
+            "Connect the grounds of LED supply, motor supply, arm supply and board.",
+            "Panel: feed 5 V at both ends and every metre, 1000 uF across the supply, 20 A for 300 LEDs.",
+            "Motor driver at about 1 A; lower currents give uneven microsteps. Never connect the motor while it is powered.",
+            "The arm has its own supply, because a stalled servo would reduce the voltage of the LEDs.",
         ),
     )
 
 
 def hat_diagram(part: HatPart) -> Diagram:
-    """Return the wiring of the thesis's hat (section 3.4): a Raspberry Pi, a DRV8825 and NeoPixels on its pins."""
+    """Return the wiring of the thesis's hat (section 3.4): a Raspberry Pi with a DRV8825 and NeoPixels on its pins."""
     pi, driver, adapter, arm = "Raspberry Pi", "DRV8825", "LX bus adapter", "arm, LX servos"
     return Diagram(
         title="Raspberry Pi with the thesis's hat: DRV8825 and NeoPixels on GPIO",
@@ -91,7 +91,7 @@ def hat_diagram(part: HatPart) -> Diagram:
         wires=(
             Wire(start=(pi, f"GPIO{part.step_pin}"), end=(driver, "STEP")),
             Wire(start=(pi, f"GPIO{part.direction_pin}"), end=(driver, "DIR")),
-            Wire(start=(pi, f"GPIO{part.enable_pin}"), end=(driver, "nENABLE"), note="10 k to 3.3 V: off at start"),
+            Wire(start=(pi, f"GPIO{part.enable_pin}"), end=(driver, "nENABLE"), note="10 k to 3.3 V: off at power-up"),
             Wire(start=(pi, f"GPIO{part.fault_pin}"), end=(driver, "nFAULT"), note="10 k to 3.3 V"),
             *(Wire(start=("", "+3.3 V"), end=(driver, pin)) for pin in ("nSLEEP, nRESET", "MODE0, MODE2")),
             Wire(start=("", "+12 V"), end=(driver, "VMOT"), note="100 uF at the pin"),
@@ -110,8 +110,8 @@ def hat_diagram(part: HatPart) -> Diagram:
         notes=(
             "MODE0 and MODE2 high, MODE1 open: 1/32 step (DRV8825 data sheet, table 1).",
             "Vref sets the current: 0.5 V for 1 A with 0.1 ohm sense resistors.",
-            "GPIO18 and GPIO13 are the two PWM channels of rpi_ws281x: switch the sound off (dtparam=audio=off).",
-            "The thesis's figure 3.4 does not name its pins: these are this program's, [hat] of the rig file.",
+            "GPIO18 and GPIO13 are the two PWM channels of rpi_ws281x: disable audio (dtparam=audio=off).",
+            "Figure 3.4 of the thesis does not name the pins; those shown are the defaults of [hat] in the rig file.",
         ),
     )
 
@@ -127,12 +127,12 @@ def _lamps() -> tuple[Wire, ...]:
 
 
 def wiring_pages() -> dict[str, Page]:
-    """Return the drawings by the name of their board: ``marlin`` and ``hat``."""
+    """Return the diagrams by controller: ``marlin`` and ``hat``."""
     return {"marlin": page_of(marlin_diagram()), "hat": page_of(hat_diagram(HatPart()))}
 
 
 def page_of(diagram: Diagram) -> Page:
-    """Draw a diagram: boxes in two columns, a line for each connection, a label for each supply."""
+    """Draw a diagram: boxes in two columns, a line per connection, a label per supply."""
     pins = {name: _pins(diagram, name) for name in (*diagram.left, *diagram.right)}
     ink: list[Ink] = [Text(at_mm=(14.0, 12.0), text=diagram.title, height_mm=2.8)]
     places: dict[tuple[str, str], tuple[float, float]] = {}
@@ -162,7 +162,7 @@ def page_of(diagram: Diagram) -> Page:
 
 
 def _pins(diagram: Diagram, name: str) -> list[str]:
-    """Return a box's pins in the order of the table."""
+    """Return the pins of a box in the order of the table."""
     ends = [end for wire in diagram.wires for end in (wire.start, wire.end) if end[0] == name]
     return list(dict.fromkeys(pin for _, pin in ends))
 
@@ -177,7 +177,7 @@ def _lines(wires: Sequence[Wire], places: dict[tuple[str, str], tuple[float, flo
         if wire in across:
             lane = gap[0] + 26.0 + (gap[1] - gap[0] - 52.0) * (across.index(wire) + 0.5) / len(across)
             path, note = [[x0, y0], [lane, y0], [lane, y1], [x1, y1]], (lane + 1.0, y1 - 0.8)
-        else:  # both in one column: round its outer side
+        else:  # both in one column: routed around its outer side
             edge = outer[wire.start]
             side = -1.0 if edge < x0 else 1.0
             lane = edge + side * (3.0 + 1.6 * [w for w in drawn if w not in across].index(wire))
@@ -192,7 +192,7 @@ def _lines(wires: Sequence[Wire], places: dict[tuple[str, str], tuple[float, flo
 
 
 def _supply(wire: Wire, at: tuple[float, float], *, left: bool) -> list[Ink]:
-    """Return a supply's label at a pin."""
+    """Draw the label of a supply at a pin."""
     way = 1.0 if left else -1.0
     end = at[0] + way * 4.0
     text = f"{wire.start[1]}  ({wire.note})" if wire.note else wire.start[1]

@@ -1,4 +1,4 @@
-"""Write the printed parts of a scene's rig: solids, drawings, pictures and the table of their numbers."""
+"""Writing of the printed parts of a rig: meshes, drawings, pictures and the table of parameters."""
 
 import csv
 import io
@@ -28,7 +28,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.shading import rasterise, shade
 
 PICTURE_PX = 1100
-"""Longer side of the pictures, before they are made half as large for smooth edges."""
+"""Longer side of the pictures before downsampling by two for smooth edges."""
 COLOURS = {
     "canister": (0.75, 0.85, 0.95),
     "tank": (0.80, 0.88, 0.92),
@@ -50,38 +50,38 @@ def write_parts(
     bed_mm: tuple[float, float, float],
     names: Sequence[str] = (),
 ) -> list[Part]:
-    """Write a folder with all that is needed to print the parts and put them together.
+    """Write a folder with all files for printing and assembling the parts.
 
-    With ``names`` only these are written, without the drawings, pictures and wiring of the whole. What does not fit
-    another part is refused all the same.
+    With ``names``, only these parts are written, without the drawings, pictures and wiring of the whole rig. Collisions
+    between parts are checked in any case.
 
     Parameters
     ----------
     scene : Scene
-        What the parts have to fit.
+        Scene that the parts must fit.
     folder : Path
-        New or empty.
+        New or empty folder.
     rig : RigFile
-        Where the arm and the floor are.
+        Positions of arm and floor.
     measures : Measures
-        Of what is bought.
+        Dimensions of purchased parts.
     board : CharucoBoard
-        What the stand holds.
+        Calibration board.
     bed_mm : tuple of float
-        Width, depth and height of what the printer can print.
+        Build volume of the printer: width, depth and height.
     names : sequence of str
-        Of the parts that are written; empty: all.
+        Names of the parts to write; empty: all.
 
     Returns
     -------
     list of Part
-        Those that were written.
+        Written parts.
 
     Raises
     ------
     UserError
-        For a name that no part has, a part that cannot be, does not fit the bed, or stands in another's way,
-        and for a folder that is not empty.
+        If a name is unknown, a part is impossible, does not fit the build volume or collides with another part, or the
+        folder is not empty.
     """
     parts = parts_of(scene, rig=rig, measures=measures, board=board)
     wanted = _wanted(parts, names)
@@ -89,7 +89,7 @@ def write_parts(
         check_bed(part, bed_mm)
     bought = bought_of(scene, rig=rig, measures=measures)
     for one, other, mm3 in collisions(parts, bought):
-        raise UserError(f"{one} and {other} would fill the same {mm3:.1f} mm3 of the rig: change the scene, the rig file or the measures")
+        raise UserError(f"{one} and {other} overlap by {mm3:.1f} mm3: change the scene, the rig file or the dimensions")
     with new_folder(folder) as inside:
         for part in tqdm(wanted, desc="parts", unit="part", leave=False):
             write_bytes(inside / f"{part.name}.stl", stl_bytes(part.printed))
@@ -102,15 +102,15 @@ def write_parts(
 
 
 def _wanted(parts: Sequence[Part], names: Sequence[str]) -> list[Part]:
-    """Return the parts of some names, all where none is given."""
+    """Return the parts with the given names, or all."""
     unknown = [name for name in names if name not in {part.name for part in parts}]
     if unknown:
-        raise UserError(f"no part of this rig is called {unknown[0]!r}; there are {', '.join(part.name for part in parts)}")
+        raise UserError(f"unknown part {unknown[0]!r}; available: {', '.join(part.name for part in parts)}")
     return [part for part in parts if part.name in names or not names]
 
 
 def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> None:
-    """Write what shows all parts together."""
+    """Write the files that show all parts together."""
     drawings = folder / "drawings"
     write_pages([rig_page(parts, bought, title=title)], drawings / "rig.svg", title=f"rig of {title}")
     write_pages([exploded_page(parts, bought, title=title)], drawings / "exploded.svg", title=f"parts of {title}")
@@ -120,7 +120,7 @@ def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], 
 
 
 def stl_bytes(solid: Manifold) -> bytes:
-    """Return a solid as a binary STL, mm."""
+    """Return a solid as a binary STL in mm."""
     vertices, faces = surface(solid)
     return bytes(trimesh.Trimesh(vertices=vertices, faces=faces, process=False).export(file_type="stl"))
 
@@ -154,11 +154,15 @@ def _json(scene: Scene, parts: Sequence[Part], measures: Measures) -> dict[str, 
 
 def _numbers(part: Part) -> list[tuple[str, float, str]]:
     sizes = zip(("bed_width_mm", "bed_depth_mm", "bed_height_mm"), part.size_mm, strict=True)
-    return [*part.numbers, *((name, size, "as it is printed") for name, size in sizes), ("volume_mm3", part.solid.volume(), "of plastic")]
+    return [
+        *part.numbers,
+        *((name, size, "printing orientation") for name, size in sizes),
+        ("volume_mm3", part.solid.volume(), "of plastic"),
+    ]
 
 
 def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """Return the rig's parts moved apart as a shaded picture (H, W, 3): printed parts orange."""
+    """Render the exploded view of the rig (H, W, 3), with printed parts in orange."""
     things = [(COLOURS.get(name, PRINTED), surface(solid)) for name, solids in exploded(parts, bought) for solid in solids]
     view = np.concatenate([vertices @ CORNER.axes.T for _, (vertices, _) in things])
     low, high = view.min(axis=0)[:2] - 10.0, view.max(axis=0)[:2] + 10.0
@@ -166,7 +170,7 @@ def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndar
     box = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
     picture = nearest = None
     for colour, (vertices, faces) in things:
-        # a corner for each triangle: edges stay sharp
+        # separate vertices for each triangle keep edges sharp
         mesh = Mesh(vertices_mm=vertices[faces].reshape(-1, 3), faces=np.arange(3 * len(faces)).reshape(-1, 3))
         raster = rasterise(mesh, CORNER, box_mm=box, px_mm=px_mm)
         rgba = shade(raster, colour, px_mm=px_mm, flat=False)
@@ -177,7 +181,7 @@ def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndar
         picture[front] = rgba[front][:, :3]
         nearest[front] = depth[front]
     if picture is None:
-        raise UserError("there are no parts to be shown")
+        raise UserError("there are no parts to show")
     half = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
     half = half.reshape(half.shape[0] // 2, 2, half.shape[1] // 2, 2, 3).mean(axis=(1, 3))
     return np.asarray(np.rint(255.0 * half), dtype=np.uint8)

@@ -1,67 +1,67 @@
-"""The commands: a module each, with a plain typed function of its name whose numpydoc docstring is its ``--help``.
+"""The commands, one module each. The module holds a typed function whose numpydoc docstring is the ``--help`` text.
 
-To add one, write the function in a module of its name and add a line to `COMMANDS`. The module is loaded only when its
-command is typed; what takes time to load (Mitsuba, SciPy, ...) is imported inside the function, so that ``--help``
-stays quick.
+To add a command, write its function in a module of the same name and add a line to `COMMANDS`. A module is imported
+only when its command is typed. Slow imports (Mitsuba, SciPy, ...) belong inside the function, so that ``--help`` is
+fast.
 """
 
 COMMANDS = {
-    "scenes": "List the scenes and profiles that come with the program, write a copy of one, or its specimen to be printed.",
-    "simulate": "Render a scene to a dataset, with its truth.",
-    "reconstruct": "Find the root's shape and volume in a dataset's pictures.",
-    "import": "Make a dataset of a folder of pictures taken elsewhere.",
-    "batch": "Reconstruct many scans, here or on a cluster.",
+    "scenes": "List the example scenes and error profiles, or write a scene or its specimen to a file.",
+    "simulate": "Render the pictures of a scene, with the ground truth.",
+    "reconstruct": "Reconstruct root shape and volume from the pictures of a dataset.",
+    "import": "Create a dataset from a folder of pictures.",
+    "batch": "Reconstruct many scans, locally or on a cluster.",
     "batch simulate": "Render many scenes: plants, days, treatments, profiles and seeds.",
-    "score": "Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or unseen pictures.",
-    "view": "Look at results in a browser, and correct them.",
-    "report": "Write the page of a result again, or one page for many results.",
-    "edit": "Apply saved corrections to a result, without a browser.",
-    "traits": "Print the traits of results, or write them to a table for spreadsheets.",
-    "growth": "Follow plants and their roots over days, and compare treatments.",
+    "score": "Compare a result with ground truth, a known part, a measured volume or other pictures.",
+    "view": "Inspect and correct results in a browser.",
+    "report": "Write the report of a result again, or one report for several results.",
+    "edit": "Apply saved corrections to a result without a browser.",
+    "traits": "Print the traits of results, or write them to a table.",
+    "growth": "Track plants and single roots over time, and compare treatments.",
     "biomass": "Predict the mass of living plants from harvested ones.",
-    "biomass tables": "Write the thesis's tables of masses and volumes.",
-    "biomass fit": "Fit masses to volumes and other traits, with errors on both sides.",
+    "biomass tables": "Write the tables of masses and volumes of Kliman's thesis (2022).",
+    "biomass fit": "Fit a model of mass on volume and other traits, with errors in both variables.",
     "biomass predict": "Predict the mass of plants that were not weighed, with 90 % intervals.",
-    "export": "Write a result in the files of other programs, or publish datasets and results.",
-    "plan": "Try capture plans on the twin before building or scanning.",
-    "bench": "Run any method on named benchmarks, and compare methods.",
+    "export": "Convert a result to other file formats, or publish datasets and results.",
+    "plan": "Compare capture plans (views, rings, picture sizes) in simulation.",
+    "bench": "Run reconstruction methods on standard benchmarks and compare them.",
     "bench list": "List the benchmarks and their cases.",
-    "bench make": "Render a benchmark, and check that its pictures are those of every other machine.",
-    "bench run": "Run a method on each case of a benchmark, score what it writes, and measure time and memory.",
-    "bench score": "Score what a method wrote elsewhere, such as on a cluster.",
-    "bench table": "Lay results of several methods side by side.",
-    "bench gate": "Compare results with a baseline; the exit code is 1 where a number got worse.",
-    "demo": "Take all three steps on a small printed root: a few minutes.",
-    "markers": "Write the marker strip of a scene for the printer, at true scale.",
-    "parts": "Write the parts of a scene's rig for a 3D printer.",
-    "calibrate": "Print a calibration board, and find the camera's lens from pictures of it.",
-    "calibrate board": "Write the calibration board for the printer, at true scale.",
+    "bench make": "Render a benchmark and verify its pictures.",
+    "bench run": "Run a method on each case of a benchmark, score its output, and measure time and memory.",
+    "bench score": "Score output that a method wrote on another computer, such as a cluster.",
+    "bench table": "Show the results of several methods side by side.",
+    "bench gate": "Compare results with a baseline; the exit code is 1 if a number got worse.",
+    "demo": "Simulate, reconstruct and score a small printed root (a few minutes).",
+    "markers": "Write the marker strip of a scene for printing at true scale.",
+    "parts": "Write the mechanical parts of a rig for 3D printing.",
+    "calibrate": "Calibrate the camera: print a calibration board and fit the lens to pictures of it.",
+    "calibrate board": "Write the calibration board for printing at true scale.",
     "calibrate camera": "Fit the lens to pictures of the calibration board.",
-    "calibrate transfer": "Measure the camera's curve from light to numbers, from a series of exposures.",
-    "calibrate simulate": "Render pictures of the calibration board with a scene's camera.",
-    "scan": "Take the pictures of a plan on a rig, or on its emulated twin.",
-    "twin": "Run the emulated rig alone, on ports that any serial program can open.",
-    "rig": "Look at every device, move them by hand, write a rig file.",
-    "rig check": "Look at every device: one line each, what is well or what is wrong.",
-    "rig jog": "Move every device by typed lines.",
-    "rig align": "Turn the camera to face the canister: level, upright, and through its axis.",
-    "rig example": "Write a complete rig file with comments, to be changed.",
-    "camera": "Serve this computer's camera to another one.",
+    "calibrate transfer": "Measure the response curve of the camera from an exposure series.",
+    "calibrate simulate": "Render pictures of the calibration board with the camera of a scene.",
+    "scan": "Scan a plant: take the pictures of a capture plan on a rig, or on the emulated rig.",
+    "twin": "Run the emulated rig on ports that any serial program can open.",
+    "rig": "Check and move the devices of a rig, and write a rig file.",
+    "rig check": "Check every device of a rig.",
+    "rig jog": "Move the devices of a rig by typed commands.",
+    "rig align": "Align the camera with the canister: level, upright, and aimed at the axis.",
+    "rig example": "Write a complete, commented rig file as a starting point.",
+    "camera": "Serve the camera of this computer to another computer.",
 }
-"""Each command and the first line of its help. ``a b`` is the function ``b`` of the module ``a``; ``a`` alone is ``a``
-of ``a``."""
+"""Name and one-line help of each command. ``a b`` is function ``b`` of module ``a``; ``a`` is function ``a``
+of module ``a``."""
 
 GROUPS = frozenset(name.partition(" ")[0] for name in COMMANDS if " " in name)
-"""Commands that hold others; their help is their module's docstring."""
+"""Commands with subcommands. Their help is the docstring of their module."""
 
 ALONE = frozenset({"batch"})
-"""Those of them that are commands by themselves too; their help is their function's docstring."""
+"""Groups that are also commands themselves. Their help is the docstring of their function."""
 
 
 def place(name: str) -> str:
-    """Return where a command's function is, as ``module:function``; a word of Python's own gets an underscore.
+    """Return the location of a command's function as ``module:function``.
 
-    So ``import`` is ``import_``.
+    Python keywords get an underscore: ``import`` becomes ``import_``.
     """
     module, _, function = name.partition(" ")
     module, function = (f"{word}_" if word in ("import", "list") else word for word in (module, function or module))

@@ -1,4 +1,4 @@
-"""Reconstruct many scans, here or on a cluster."""
+"""Reconstruct many scans, locally or on a cluster."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,20 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import Device, SceneChanges, SceneName, Seed, VoxelMm, between, list_of, named, option, output, read_day, whole
+from rhizotwin.arguments import (
+    Device,
+    SceneChanges,
+    SceneName,
+    Seed,
+    VoxelMm,
+    list_of,
+    option,
+    output,
+    read_day,
+    read_integer,
+    read_number,
+    with_metavar,
+)
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import Factors
 
@@ -14,60 +27,62 @@ if TYPE_CHECKING:
     from rhizotwin.batches.run import Batch
 
 Outputs = Annotated[str, output("FOLDER")]
-Workers = Annotated[int, option(lambda text: whole(text, 1, 10000, "give 1 to 10000"), "N")]
-Cluster = Annotated[str, named("ADDRESS|slurm")]
+Workers = Annotated[int, option(lambda text: read_integer(text, 1, 10000, "give 1 to 10000"), "N")]
+Cluster = Annotated[str, with_metavar("ADDRESS|slurm")]
 
 
 def read_treatment(text: str) -> tuple[str, float, Factors]:
     """Read a treatment as NAME:GROWTH, or with factors of the nutrient solution NAME:GROWTH:ELEMENT=FACTOR:..."""
     name, *words = (word.strip() for word in text.split(":"))
     if not words or not name or not all("=" in word for word in words[1:]):
-        raise ValueError(f"{text!r} is no treatment, write it as NAME:GROWTH or NAME:GROWTH:K=0.5, such as 'low N:0.85'")
+        raise ValueError(f"{text!r} is not a treatment; write it as NAME:GROWTH or NAME:GROWTH:K=0.5, such as 'low N:0.85'")
     parts = (word.partition("=") for word in words[1:])
-    factors = tuple((element.strip(), between(factor, (0.0, 100.0), f"times {element}", "times")) for element, _, factor in parts)
-    return name, between(words[0], (0.1, 10.0), "times the scene's growth", "times"), factors
+    factors = tuple((element.strip(), read_number(factor, (0.0, 100.0), f"times {element}", "times")) for element, _, factor in parts)
+    return name, read_number(words[0], (0.1, 10.0), "times the scene's growth", "times"), factors
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Computing")
 @dataclass(frozen=True, kw_only=True)
 class Workforce:
-    """Who does the work."""
+    """Computing resources."""
 
     workers: Workers | None = None
-    """Most scans at once; default: one a processor, as many as memory allows."""
+    """Maximum number of scans processed in parallel; default: one per processor, limited by memory."""
     cluster: Cluster | None = None
-    """A Dask scheduler's address (tcp://host:8786), or slurm; workers need this program and the same folders."""
+    """Address of a Dask scheduler (tcp://host:8786), or slurm. The workers need this program and access to the same \
+folders."""
     device: Device = "auto"
-    """What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one)."""
+    """Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available)."""
 
 
 def batch(
-    scans: Annotated[list[str], named("SCANS")],
+    scans: Annotated[list[str], with_metavar("SCANS")],
     /,
     *,
     output: Outputs,
     voxel_mm: VoxelMm | None = None,
-    settings: Annotated[Path | None, named("FILE")] = None,
+    settings: Annotated[Path | None, with_metavar("FILE")] = None,
     work: Workforce = Workforce(),
 ) -> None:
-    """Reconstruct many scans, here or on a cluster.
+    """Reconstruct many scans, locally or on a cluster.
 
-    Every dataset that is found is reconstructed into a folder of its name. What is finished (same dataset, settings,
-    code) is kept, so that the same command goes on after Ctrl-C or a power cut. A scan that fails is told at the end,
-    with its sentence. At the end there are traits.csv and overview.html, a row and a picture for each scan.
+    Each dataset is reconstructed to a result folder of the same name. Finished results of the same dataset, settings
+    and program version are kept; after an interruption, run the same command again to continue. Failed scans are listed
+    at the end with the reason. The traits of all scans are written to traits.csv, and overview.html shows a row with a
+    picture for each scan.
 
     Parameters
     ----------
     scans : list of str
-        Datasets, folders that hold some, patterns in quotes, or addresses (s3://...).
+        Datasets, folders that contain datasets, quoted patterns such as 'scans/day_*', or addresses (s3://...).
     output : str
         Folder or address for the results.
     voxel_mm : float, optional
-        Edge of the smallest voxels, as of 'reconstruct'.
+        Edge length of the smallest voxels, as in 'rhizotwin reconstruct'.
     settings : Path, optional
-        TOML file of what may be set, as of 'reconstruct'.
+        TOML file with settings of the stages, as in 'rhizotwin reconstruct'.
     work : Workforce
-        Who does the work.
+        Computing resources.
 
     Examples
     --------
@@ -88,16 +103,16 @@ def batch(
         for path in written:
             print(f"wrote {path}")
         print(summary)
-    _tell(made, "reconstructed")
+    _print_outcome(made, "reconstructed")
 
 
 def simulate(
-    scenes: Annotated[list[SceneName], named("SCENES")],
+    scenes: Annotated[list[SceneName], with_metavar("SCENES")],
     /,
     *,
     output: Outputs,
     changes: SceneChanges = SceneChanges(),
-    plants: Annotated[int, option(lambda text: whole(text, 1, 1000, "give 1 to 1000"), "N")] = 1,
+    plants: Annotated[int, option(lambda text: read_integer(text, 1, 1000, "give 1 to 1000"), "N")] = 1,
     days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None,
     treatments: Annotated[tuple[tuple[str, float, Factors], ...] | None, option(list_of(read_treatment), "NAME:GROWTH[:K=0.5],...")] = None,
     seed: Seed = 0,
@@ -105,29 +120,29 @@ def simulate(
 ) -> None:
     """Render many scenes: plants, days, treatments, profiles and seeds.
 
-    Each scene is rendered into a dataset of its name. A grown plant can have sisters of other seeds, other days (the
-    older one holds the younger), and treatments under which its roots grow by a factor faster and longer; the datasets
-    say which is which.
+    Each scene is rendered to a dataset of the same name. Scenes with a simulated plant can be varied: several plants
+    (different growth seeds), several days of the same plant, and treatments that scale the growth rate of its roots.
+    Plant, day and treatment are stored in the datasets.
 
     Parameters
     ----------
     scenes : list of str
-        Names from 'rhizotwin scenes', or scene files (TOML).
+        Names of scenes (listed by 'rhizotwin scenes') or scene files (TOML).
     output : str
         Folder or address for the datasets.
     changes : SceneChanges
-        What is changed in every scene.
+        Changes to every scene.
     plants : int
-        Plants of each scene and treatment.
+        Number of plants per scene and treatment.
     days : tuple of float, optional
-        Ages of each plant; default: the scene's.
+        Ages of each plant in days; default: as in the scene.
     treatments : tuple of (str, float, Factors), optional
-        Names, each with the factor of growth and, where the scene has a [solution], factors of elements in it, such as
-        control:1,low N:0.85:N=0.5.
+        Treatments, each with a name and a factor of root growth and, if the scene has a [solution], factors of its
+        elements, such as control:1,low N:0.85:N=0.5.
     seed : int
         Random seed for all simulated errors and noise.
     work : Workforce
-        Who does the work.
+        Computing resources.
 
     Examples
     --------
@@ -142,25 +157,24 @@ def simulate(
     loaded = [front_door.load_scene(scene, **vars(changes)) for scene in scenes]
     varied = {name: scene for one in loaded for name, scene in vary(one, plants=plants, days=days, treatments=treatments).items()}
     if len(varied) < len(loaded):
-        raise UserError("two scenes have one name; give each a name of its own in its file")
+        raise UserError("two scenes have the same name; change the name in one of the scene files")
     jobs = collect.renderings(varied, output, profile=changes.profile or "scene", seed=seed, device=work.device)
     made = run(jobs, output, cluster=work.cluster, workers=work.workers)
-    _tell(made, "rendered")
+    _print_outcome(made, "rendered")
 
 
-def _tell(made: "Batch", what: str) -> None:
-    """Print what became of a batch.
+def _print_outcome(made: "Batch", what: str) -> None:
+    """Print the outcome of a batch.
 
     Raises
     ------
     UserError
-        Where something failed, after all the rest was told.
+        If a scan failed, after the outcome was printed.
     """
     for job, sentence in made.failed:
         print(f"failed: {job.name}: {sentence}")
-    kept = f", {len(made.kept)} were finished before" if made.kept else ""
+    kept = f", {len(made.kept)} already finished" if made.kept else ""
     print(f"{len(made.done)} scans {what}{kept}")
     if made.failed:
-        raise UserError(
-            f"{len(made.failed)} of {len(made.failed) + len(made.done) + len(made.kept)} scans failed; the same command tries them again"
-        )
+        count = len(made.failed) + len(made.done) + len(made.kept)
+        raise UserError(f"{len(made.failed)} of {count} scans failed; run the same command again to retry them")

@@ -1,7 +1,7 @@
-"""Run any method on named benchmarks, and compare methods.
+"""Run reconstruction methods on standard benchmarks and compare them.
 
-A benchmark is a set of simulated scans with perfect ground truth. A method is a command line that reads a dataset and
-writes meshes, voxels, points, centre lines or a table of traits.
+A benchmark is a set of simulated scans with exact ground truth. A method is any program that reads a dataset and writes
+a mesh, voxels, points, centre lines or a table of traits.
 
 Examples
 --------
@@ -18,38 +18,38 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from cyclopts import Parameter
 
 from rhizotwin import steps
-from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, between, list_of, named, option
+from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, list_of, option, read_number, with_metavar
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
-    from rhizotwin.bench.named import Benchmark
+    from rhizotwin.bench.benchmarks import Benchmark
 
 TIMEOUT_LIMITS_S = (1.0, 1e6)
 Cases: TypeAlias = Annotated[tuple[str, ...], option(list_of(str), "NAME,NAME,...")]
-BenchmarkFolder: TypeAlias = Annotated[Path, named("FOLDER")]
+BenchmarkFolder: TypeAlias = Annotated[Path, with_metavar("FOLDER")]
 
 
 def read_timeout_s(text: str) -> float:
     """Read a time limit."""
-    return between(text, TIMEOUT_LIMITS_S, "s")
+    return read_number(text, TIMEOUT_LIMITS_S, "s")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How a method is run."""
+    """Options for running a method."""
 
-    label: Annotated[str | None, named("TEXT")] = None
-    """The method's name in tables; default: its command line."""
+    label: Annotated[str | None, with_metavar("TEXT")] = None
+    """Name of the method in tables; default: its command line."""
     cases: Cases = ()
-    """Only these cases; default: all."""
+    """Cases to run; default: all."""
     cameras: Literal["estimated", "true"] = "estimated"
-    """estimated: as the markers give them; true: as the pictures were rendered."""
+    """Cameras given to the method: estimated (from the markers) or true (as rendered)."""
     timeout_s: Annotated[float, option(read_timeout_s, "S")] = 3600.0
-    """Seconds after which a case is stopped."""
-    keep: Annotated[Path | None, named("FOLDER")] = None
-    """Folder for what the method writes, a folder a case; default: it is removed."""
+    """Time limit per case in seconds."""
+    keep: Annotated[Path | None, with_metavar("FOLDER")] = None
+    """Folder in which to keep the output of the method, with one subfolder per case; default: the output is deleted."""
 
 
 def list_() -> None:
@@ -59,7 +59,7 @@ def list_() -> None:
     --------
     rhizotwin bench list
     """
-    from rhizotwin.bench.named import BENCHMARKS
+    from rhizotwin.bench.benchmarks import BENCHMARKS
 
     for benchmark in BENCHMARKS.values():
         print(f"{benchmark.name}: {benchmark.description}")
@@ -69,7 +69,7 @@ def list_() -> None:
 
 
 def make(
-    name: Annotated[str, named("NAME")],
+    name: Annotated[str, with_metavar("NAME")],
     /,
     *,
     output: OutputFolder,
@@ -77,30 +77,31 @@ def make(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Render a benchmark, and check that its pictures are those of every other machine.
+    """Render a benchmark and verify its pictures.
 
-    A dataset is made for each case. Stopped half-way, the same command goes on where it stopped.
+    One dataset is rendered for each case, and the pictures are compared with stored reference values, so that results
+    of different computers are comparable. If interrupted, run the same command again to continue.
 
     Parameters
     ----------
     name : str
-        Of the benchmark; 'rhizotwin bench list' lists them.
+        Name of the benchmark, as listed by 'rhizotwin bench list'.
     output : Path
         Folder of the datasets.
     cases : tuple of str
-        Only these cases; default: all.
+        Cases to render; default: all.
     device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
     rhizotwin bench make quick-1 -o my_quick
     rhizotwin bench make roots-1 -o my_roots --cases bean,maize
     """
+    from rhizotwin.bench.benchmarks import find
     from rhizotwin.bench.make import make as render
-    from rhizotwin.bench.named import find
 
     benchmark = find(name).chosen(cases)
     steps.start_engine(device, quiet=progress.quiet)
@@ -108,12 +109,12 @@ def make(
         found = render(benchmark, output, monitor=bar, say=print)
     wrong = [one.case for one in found if one.largest != float("inf") and not one.same]
     if wrong:
-        raise UserError(f"{', '.join(wrong)} of {output} is not what other machines render; results on it cannot be compared with theirs")
+        raise UserError(f"the pictures of {', '.join(wrong)} in {output} differ from the reference; results on them are not comparable")
     print(f'next: rhizotwin bench run {name} {output} --method "my_tool {{dataset}} {{output}}" -o results.json')
 
 
 def run(
-    name: Annotated[str, named("NAME")],
+    name: Annotated[str, with_metavar("NAME")],
     folder: BenchmarkFolder,
     /,
     *,
@@ -123,30 +124,30 @@ def run(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Run a method on each case of a benchmark, score what it writes, and measure time and memory.
+    """Run a method on each case of a benchmark, score its output, and measure time and memory.
 
-    The method sees a folder without truth that holds the dataset, cameras for nerfstudio (transforms.json) and COLMAP
-    (colmap), binary masks (masks) and undistorted pictures (undistorted). What it writes is scored by the names of its
-    files: shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz, roots.rsml, traits.csv. A method that
-    crashes, hangs or writes nothing is a row that says so. Results are written after each case. Stopped half-way, the
-    same command goes on with the case at which it stopped.
+    The method receives a copy of the dataset without ground truth, with cameras for nerfstudio (transforms.json) and
+    COLMAP (colmap), binary masks (masks) and undistorted pictures (undistorted). Its output is recognised by file name:
+    shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz, roots.rsml, traits.csv. If a method crashes,
+    exceeds the time limit or writes nothing, this is recorded as its result. Results are saved after each case; if
+    interrupted, run the same command again to continue.
 
     Parameters
     ----------
     name : str
-        Of the benchmark.
+        Name of the benchmark.
     folder : Path
-        Where 'rhizotwin bench make' put it.
+        Folder written by 'rhizotwin bench make'.
     method : str
-        Command line in which {dataset} and {output} stand for folders; or ours, thesis, hull.
+        Command line of the method, in which {dataset} and {output} are replaced by folders; or ours, thesis, hull.
     output : Path
-        JSON file of the results.
+        JSON file of results to write.
     options : RunOptions
-        How it is run.
+        Options for running the method.
     device : str
-        What computes cameras and masks: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+        Compute device for cameras and masks: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -154,11 +155,11 @@ def run(
     rhizotwin bench run quick-1 my_quick --method ours --cases print,bean -o ours.json
     """
     from rhizotwin.bench import results, run_method
+    from rhizotwin.bench.benchmarks import find
     from rhizotwin.bench.make import check_made
-    from rhizotwin.bench.named import find
 
     benchmark = find(name).chosen(options.cases)
-    run_method.command_of(method)  # a mistake is said before the work
+    run_method.command_of(method)  # report an invalid command line first
     check_made(benchmark, folder)
     steps.start_engine(device, quiet=progress.quiet)
     _run_cases(benchmark, folder, method, output, options, progress)
@@ -174,9 +175,9 @@ def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, 
     rows: list[run_method.Row] = []
     with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
 
-        def tell(row: run_method.Row) -> None:
-            taken = ", from an earlier run" if row.case in finished else ""
-            print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}{taken}", flush=True)
+        def record(row: run_method.Row) -> None:
+            earlier = ", from an earlier run" if row.case in finished else ""
+            print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}{earlier}", flush=True)
             rows.append(row)
             stored = run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras)
             atomic.write_json(output, stored)
@@ -184,68 +185,68 @@ def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, 
 
         run_method.run(
             benchmark, folder, method,
-            cameras=options.cameras, timeout_s=options.timeout_s, keep=options.keep, finished=finished, say=tell,
+            cameras=options.cameras, timeout_s=options.timeout_s, keep=options.keep, finished=finished, say=record,
         )  # fmt: skip
 
 
 def score(
-    name: Annotated[str, named("NAME")],
+    name: Annotated[str, with_metavar("NAME")],
     folder: BenchmarkFolder,
-    outputs: Annotated[Path, named("OUTPUTS")],
+    outputs: Annotated[Path, with_metavar("OUTPUTS")],
     /,
     *,
     output: OutputFile,
-    label: Annotated[str, named("TEXT")],
+    label: Annotated[str, with_metavar("TEXT")],
     cases: Cases = (),
 ) -> None:
-    """Score what a method wrote elsewhere, such as on a cluster.
+    """Score output that a method wrote on another computer, such as a cluster.
 
     Parameters
     ----------
     name : str
-        Of the benchmark.
+        Name of the benchmark.
     folder : Path
-        Where 'rhizotwin bench make' put it.
+        Folder written by 'rhizotwin bench make'.
     outputs : Path
-        A folder for each case, named by it, with the method's files.
+        Folder with the output of the method, with one subfolder per case, named after the case.
     output : Path
-        JSON file of the results.
+        JSON file of results to write.
     label : str
-        The method's name in tables.
+        Name of the method in tables.
     cases : tuple of str
-        Only these cases; default: all.
+        Cases to score; default: all.
 
     Examples
     --------
     rhizotwin bench score quick-1 my_quick my_outputs --label "my method" -o mine.json
     """
     from rhizotwin.bench import results, run_method
+    from rhizotwin.bench.benchmarks import find
     from rhizotwin.bench.make import check_made
-    from rhizotwin.bench.named import find
 
     benchmark = find(name).chosen(cases)
     check_made(benchmark, folder)
     if not outputs.is_dir():
-        raise UserError(f"{outputs} does not exist; give the folder that holds a folder for each case")
+        raise UserError(f"the folder {outputs} does not exist; give the folder that contains one subfolder per case")
     rows = run_method.score(benchmark, folder, outputs)
     atomic.write_json(output, run_method.as_json(benchmark, "", rows, name=label, cameras=None))
     print(results.markdown([results.read(output)]))
 
 
 def table(
-    files: Annotated[tuple[Path, ...], named("RESULTS.json")],
+    files: Annotated[tuple[Path, ...], with_metavar("RESULTS.json")],
     /,
     *,
     output: OutputFile | None = None,
 ) -> None:
-    """Lay results of several methods side by side.
+    """Show the results of several methods side by side.
 
     Parameters
     ----------
     files : tuple of Path
-        What 'rhizotwin bench run' or 'score' wrote, here or elsewhere.
+        Result files, written by 'rhizotwin bench run' or 'rhizotwin bench score'.
     output : Path, optional
-        A page (.html) whose columns can be sorted, or a table in Markdown (.md); default: print it.
+        File to write: a page with sortable columns (.html) or a Markdown table (.md); default: print the table.
 
     Examples
     --------
@@ -257,33 +258,33 @@ def table(
 
     several = [results.read(file) for file in files]
     if not several:
-        raise UserError("give at least one file of results")
+        raise UserError("give at least one result file")
     if output is None:
         print(results.markdown(several))
         return
     if output.suffix.lower() not in (".html", ".md"):
-        raise UserError(f"{output}: give a name that ends in .html or .md")
+        raise UserError(f"{output} must end in .html or .md")
     atomic.write_text(output, page(several) if output.suffix.lower() == ".html" else results.markdown(several) + "\n")
     print(f"wrote {output}")
 
 
 def gate(
-    file: Annotated[Path, named("RESULTS.json")],
+    file: Annotated[Path, with_metavar("RESULTS.json")],
     /,
     *,
-    baseline: Annotated[Path, named("FILE")],
-    junit: Annotated[Path | None, named("FILE")] = None,
+    baseline: Annotated[Path, with_metavar("FILE")],
+    junit: Annotated[Path | None, with_metavar("FILE")] = None,
 ) -> int:
-    """Compare results with a baseline; the exit code is 1 where a number got worse.
+    """Compare results with a baseline; the exit code is 1 if a number got worse.
 
     Parameters
     ----------
     file : Path
-        What 'rhizotwin bench run' wrote.
+        Result file, written by 'rhizotwin bench run'.
     baseline : Path
-        The same of an earlier version, kept beside the method's code.
+        Result file of an earlier version of the method.
     junit : Path, optional
-        Write a JUnit file, a test for each number.
+        JUnit file to write, with one test case per number.
 
     Examples
     --------

@@ -10,7 +10,7 @@ rhizotwin biomass predict my_other_results --model radish.json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rhizotwin.arguments import OutputFolder, between, named, option, output
+from rhizotwin.arguments import OutputFolder, option, output, read_number, with_metavar
 from rhizotwin.experiment.masses import BALANCE_G
 from rhizotwin.scenes.errors import UserError
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 BALANCE_LIMITS_G = (1e-7, 10.0)
 
-Results = Annotated[list[Path], named("RESULTS")]
+Results = Annotated[list[Path], with_metavar("RESULTS")]
 
 
 def tables(*, output: OutputFolder) -> None:
-    """Write the thesis's tables of masses and volumes.
+    """Write the tables of masses and volumes of Kliman's thesis (2022).
 
-    Masses of eighteen radishes, fresh and dry, root and shoot (table A.1), and the volumes that the thesis found for
-    them (table 4.1), as CSV with their source: examples of what 'biomass fit' reads.
+    Fresh and dry masses of roots and shoots of eighteen radishes (table A.1) and their root volumes as measured in the
+    thesis (table 4.1), as CSV files. They are example input for 'biomass fit'.
 
     Parameters
     ----------
     output : Path
-        Folder to write them to.
+        Output folder.
 
     Examples
     --------
@@ -48,24 +48,25 @@ def fit(
     /,
     *,
     output: Annotated[Path, output("MODEL")],
-    balance_g: Annotated[float, option(lambda text: between(text, BALANCE_LIMITS_G, "g", "grams"), "G")] = BALANCE_G,
+    balance_g: Annotated[float, option(lambda text: read_number(text, BALANCE_LIMITS_G, "g", "grams"), "G")] = BALANCE_G,
 ) -> None:
-    """Fit masses to volumes and other traits, with errors on both sides.
+    """Fit a model of mass on volume and other traits, with errors in both variables.
 
-    Each kind of mass (root and shoot, fresh and dry) is fitted to volume, length, surface and leaf area, in proportion
-    and as a power. What predicts a plant best that was left out is kept; its 90 % interval comes of the volume's
-    interval, the balance, and how much plants differ. Traits that are not reliable are left out and counted.
+    Each kind of mass (root and shoot, fresh and dry) is fitted to volume, length, surface and leaf area, by a
+    proportional and by a power law. The model with the smallest leave-one-out error is kept for each mass. Its 90 %
+    intervals combine the interval of the trait, the readability of the balance and the variation among plants. Traits
+    that are not reliable are excluded; their number is printed.
 
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, or tables of traits (.csv); the last is the table of masses (.csv): columns plant,
-        where wanted day, and root_fresh_g, root_dry_g, shoot_fresh_g, shoot_dry_g; with root_foil_g and
-        root_foil_scraped_g what stuck to the foil is added.
+        Result folders, folders that contain results, or tables of traits (.csv), followed by the table of masses
+        (.csv). Its columns are plant, optionally day, and any of root_fresh_g, root_dry_g, shoot_fresh_g and
+        shoot_dry_g; root_foil_scraped_g - root_foil_g, the dry matter left on the foil, is added to root_dry_g.
     output : Path
-        Model to write (JSON); must not exist yet.
+        Model file to write (JSON); must not exist yet.
     balance_g : float
-        Readability of the balance.
+        Readability of the balance in grams.
 
     Examples
     --------
@@ -74,9 +75,9 @@ def fit(
     """
     *sources, masses = results
     if not sources or masses.suffix.lower() != ".csv":
-        raise UserError("give results and, as the last, the table of masses (.csv)")
+        raise UserError("give one or more results, followed by the table of masses (.csv)")
     if output.exists():
-        raise UserError(f"{output} exists already; choose another name")
+        raise UserError(f"{output} already exists; choose another name")
     from rhizotwin.experiment import biomass, model_file
     from rhizotwin.experiment.masses import read_masses
     from rhizotwin.experiment.measured import read_all
@@ -86,7 +87,7 @@ def fit(
     model_file.save_model(model, output)
     for note in model.notes:
         print(f"note: {note}")
-    _say(model, found)
+    _print_fits(model, found)
     print(f"wrote {output}")
     print(f"next: rhizotwin biomass predict OTHER_RESULTS --model {output}")
 
@@ -95,7 +96,7 @@ def predict(
     results: Results,
     /,
     *,
-    model: Annotated[Path, named("MODEL")],
+    model: Annotated[Path, with_metavar("MODEL")],
     table: Annotated[Path | None, output("FILE")] = None,
 ) -> None:
     """Predict the mass of plants that were not weighed, with 90 % intervals.
@@ -103,11 +104,11 @@ def predict(
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, or tables of traits (.csv).
+        Result folders, folders that contain results, or tables of traits (.csv).
     model : Path
-        Written by 'rhizotwin biomass fit', of the same species.
+        Model file written by 'rhizotwin biomass fit' for the same species.
     table : Path, optional
-        Table to write (.csv); must not exist yet.
+        CSV table to write; must not exist yet.
 
     Examples
     --------
@@ -115,42 +116,42 @@ def predict(
     rhizotwin biomass predict my_results --model radish.json -o masses.csv
     """
     if table is not None and (table.suffix.lower() != ".csv" or table.exists()):
-        raise UserError(f"{table} {'exists already; choose another name' if table.exists() else 'must end in .csv'}")
+        raise UserError(f"{table} {'already exists; choose another name' if table.exists() else 'must end in .csv'}")
     from rhizotwin.experiment import model_file
     from rhizotwin.experiment.measured import read_all
     from rhizotwin.scenes import atomic
 
     found = model_file.predict(model_file.load_model(model), read_all(results))
     if not found:
-        raise UserError(f"none of the results has a trait that {model} tells a mass by")
+        raise UserError(f"none of the results has a trait that the model {model} requires")
     for one in found:
-        told = f"{one.measured.who}: {one.relation.kind} {one.grams:.4g} g, 90 % interval {one.low_g:.4g} to {one.high_g:.4g} g"
+        predicted = f"{one.measured.who}: {one.relation.kind} {one.grams:.4g} g, 90 % interval {one.low_g:.4g} to {one.high_g:.4g} g"
         cautions = [
-            (one.assessment.verdict == "not reliable", f"not reliable: its {one.relation.trait} is not reliable"),
-            (one.beyond, f"its {one.relation.trait} is beyond the model's plants"),
+            (one.assessment.verdict == "not reliable", f"not reliable, because its {one.relation.trait} is not reliable"),
+            (one.beyond, f"extrapolated: its {one.relation.trait} is outside the range of the model's plants"),
         ]
-        print("; ".join([told, *(words for is_open, words in cautions if is_open)]))
+        print("; ".join([predicted, *(words for is_open, words in cautions if is_open)]))
     if table is not None:
         atomic.write_text(table, model_file.to_csv(found))
         print(f"wrote {table}")
 
 
-def _say(model: "Model", found: "list[Pair]") -> None:
-    """Print what was tried, and the densities."""
+def _print_fits(model: "Model", found: "list[Pair]") -> None:
+    """Print every fitted relation, and the densities."""
     import numpy as np
 
     from rhizotwin.experiment import biomass
 
-    print(f"{'':2}{'mass from trait':<46}{'plants':>7}{'error':>9}{'held':>7}{'slope':>8}")
+    print(f"{'':2}{'mass from trait':<46}{'plants':>7}{'error':>9}{'covered':>9}{'slope':>8}")
     for one in model.tried:
         mark = "*" if one in model.relations else ""
-        print(f"{mark:2}{one.name:<46}{one.plants:>7}{100 * one.error:>8.1f}%{100 * one.held:>6.0f}%{one.line.slope:>8.3f}")
-    print("error: of plants that were left out, root mean square; held: by the 90 % interval; *: kept")
+        print(f"{mark:2}{one.name:<46}{one.plants:>7}{100 * one.error:>8.1f}%{100 * one.held:>8.0f}%{one.line.slope:>8.3f}")
+    print("error: leave-one-out error (rms); covered: share of plants within their 90 % interval; *: selected relation")
     known = biomass.ratios(found)
     if known:
-        print(f"mean of fresh root mass over volume: {np.mean([ratio for _, ratio in known]):.4g} g/ml of {len(known)} plants")
+        print(f"fresh root mass per volume: mean {np.mean([ratio for _, ratio in known]):.4g} g/ml, {len(known)} plants")
     for one in model.tried:
         if one.kind == "root_fresh" and one.trait == "volume" and one.proportional:
             middle, reach = one.line.intercept, one.line.reach(biomass.SHARE) * one.line.covariance[0][0] ** 0.5
             low, density, high = (1000.0 * float(np.exp(middle + side * reach)) for side in (-1.0, 0.0, 1.0))
-            print(f"density of fresh roots by the fit: {density:.4g} g/ml, 90 % interval {low:.4g} to {high:.4g} g/ml")
+            print(f"fitted density of fresh roots: {density:.4g} g/ml, 90 % interval {low:.4g} to {high:.4g} g/ml")

@@ -1,7 +1,7 @@
-"""Print a calibration board, and find the camera's lens from pictures of it.
+"""Calibrate the camera: print a calibration board and fit the lens to pictures of it.
 
-Three steps: print the board, take about 20 pictures of it, and fit the lens to them. 'simulate' renders such pictures
-with a scene's camera, to try it out.
+Print the board, take about 20 pictures of it, and fit the lens to the pictures. For a trial without a camera,
+'calibrate simulate' renders such pictures.
 
 Examples
 --------
@@ -17,7 +17,20 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from rhizotwin import steps
-from rhizotwin.arguments import Device, ImageWh, OutputFile, OutputFolder, Profile, Progress, SceneName, Seed, named, option, output, whole
+from rhizotwin.arguments import (
+    Device,
+    ImageWh,
+    OutputFile,
+    OutputFolder,
+    Profile,
+    Progress,
+    SceneName,
+    Seed,
+    option,
+    output,
+    read_integer,
+    with_metavar,
+)
 from rhizotwin.pages import BoardOptions, PageOptions
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
@@ -35,38 +48,38 @@ OutputPictures: TypeAlias = Annotated[Path, output("PICTURES")]
 def read_pictures(text: str) -> int:
     """Read a number of pictures."""
     low, high = PICTURES_LIMITS
-    return whole(text, low, high, f"give {low} to {high}")
+    return read_integer(text, low, high, f"give {low} to {high}")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class BoardPictures:
-    """How the pictures are taken."""
+    """Options of the simulated pictures."""
 
     profile: Profile | None = None
-    """Distortion, blur and noise of the camera, or a file; default: the scene's own."""
+    """Profile, or TOML file, with distortion, blur and noise of the camera; default: as in the scene."""
     pictures: Annotated[int, option(read_pictures, "N")] = 20
-    """How many."""
+    """Number of pictures."""
     image_wh: ImageWh | None = None
-    """Picture size in pixels, such as 800x600; default: the scene's."""
+    """Picture size in pixels, such as 800x600; default: as in the scene."""
     seed: Seed = 0
     """Random seed for poses and noise: 0, 1, 2, ..."""
 
 
 def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: BoardOptions = BoardOptions()) -> None:
-    """Write the calibration board for the printer, at true scale.
+    """Write the calibration board for printing at true scale.
 
-    A ChArUco board is written as one PDF or SVG page, with a ruler to check the printer by, and beside it, under the
-    same name, a board file (.toml) that tells 'calibrate camera' what was printed.
+    A ChArUco board is written as a PDF or SVG page with a ruler for checking the scale of the print. A board file
+    (.toml) of the same name describes the board for 'calibrate camera'.
 
     Parameters
     ----------
     output : Path
         File to write, .pdf or .svg; must not exist yet.
     page : PageOptions
-        What it is printed on.
+        Paper.
     drawn : BoardOptions
-        The board.
+        Board dimensions.
 
     Examples
     --------
@@ -80,46 +93,48 @@ def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: Board
     made = drawn.board()
     described = output.with_suffix(".toml")
     if described.exists():
-        raise UserError(f"{described} exists already, and the board's description would be written there; choose another name or remove it")
+        raise UserError(f"the board file {described} already exists; choose another name or remove it")
     title = f"ChArUco board, {made.squares_xy[0]}x{made.squares_xy[1]} squares of {made.square_mm:g} mm"
     write_pages([board_page(made, paper=page.paper())], output, title=title)
     save_board(made, described)
     print(f"{title}: {output}, described by {described}")
-    print("print at 100 %, glue it on something flat, take about 20 pictures of it")
+    print("print at 100 % scale, glue the board onto a flat plate, and take about 20 pictures of it")
     print(f"next: rhizotwin calibrate camera PICTURES --board {described} -o my_lens")
 
 
 def camera(
-    pictures: Annotated[Path, named("PICTURES")],
+    pictures: Annotated[Path, with_metavar("PICTURES")],
     /,
     *,
     output: OutputFolder,
-    board: Annotated[Path | None, named("FILE")] = None,
+    board: Annotated[Path | None, with_metavar("FILE")] = None,
     drawn: BoardOptions = BoardOptions(),
     scene: SceneName | None = None,
     progress: Progress = Progress(),
 ) -> None:
     """Fit the lens to pictures of the calibration board.
 
-    Find focal length, principal point and distortion from pictures of the board, all taken at the focus of the scan.
-    Pictures that cannot be used are named with the reason. Writes camera.toml (a [camera] section for scene files),
-    calibration.json (every number) and report.html (residuals, coverage, each picture).
+    Estimate focal length, principal point and distortion from pictures of the board. Take all pictures with the focus
+    that is used for scanning. Pictures that cannot be used are listed with the reason. The output folder contains
+    camera.toml (a [camera] section for scene files), calibration.json (all numbers) and report.html (residuals,
+    coverage, every picture).
 
     Parameters
     ----------
     pictures : Path
-        Folder of pictures (PNG, JPG, TIFF) of the board, of one size.
+        Folder of pictures of the board (PNG, JPG, TIFF), all of the same size.
     output : Path
-        Folder to write to: new or empty.
+        Output folder: new or empty.
     board : Path, optional
-        Board file that was written with the board; default: board.toml in PICTURES if it is there, else the sizes
-        below.
+        Board file, written together with the board; default: board.toml in PICTURES if present, otherwise the
+        dimensions given by the options.
     drawn : BoardOptions
-        The board, where there is no file of it.
+        Board dimensions, if there is no board file.
     scene : str, optional
-        Also write scene.toml: this scene with the calibrated camera; its picture size must be the pictures'.
+        Also write scene.toml, a copy of this scene with the calibrated camera. The pictures must have the picture size
+        of the scene.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -150,18 +165,18 @@ def camera(
 
 
 def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
-    """Return the board's file among the pictures, where no board is given."""
+    """Return the board file in the folder of the pictures, if no board is given."""
     beside = pictures / "board.toml"
     if drawn.given() or not beside.is_file():
         return None
-    print(f"the board is as {beside} says")
+    print(f"using the board file {beside}")
     return beside
 
 
 def _tell(made: "Calibration", *, of: int) -> None:
-    """Print the lens that so many pictures told."""
+    """Print the calibration; ``of`` is the number of pictures."""
     for name, reason in made.rejected.items():
-        print(f"left out {name}: {reason}")
+        print(f"not used: {name}: {reason}")
     for warning in made.warnings:
         print(f"warning: {warning}")
     from rhizotwin.rig.lens.calibration import model_text
@@ -175,22 +190,26 @@ def _tell(made: "Calibration", *, of: int) -> None:
 
 
 def transfer(
-    pictures: Annotated[Path, named("PICTURES")], /, *, output: OutputFile, exposures_s: Annotated[str | None, named("S,S,...")] = None
+    pictures: Annotated[Path, with_metavar("PICTURES")],
+    /,
+    *,
+    output: OutputFile,
+    exposures_s: Annotated[str | None, with_metavar("S,S,...")] = None,
 ) -> None:
-    """Measure the camera's curve from light to numbers, from a series of exposures.
+    """Measure the response curve of the camera from an exposure series.
 
-    Take five pictures or more of one still scene that holds every grey, such as the lit panel with the canister before
-    it, from much too dark to much too bright; change the exposure time only. The file that is written goes into the
-    scene's [camera].
+    Take at least five pictures of a static scene with many grey levels, such as the canister in front of the lit panel,
+    from strongly underexposed to strongly overexposed. Vary the exposure time only. Paste the contents of the output
+    file into the [camera] section of the scene file.
 
     Parameters
     ----------
     pictures : Path
-        Folder with the pictures, in the natural order of their names.
+        Folder of the pictures, ordered by name.
     output : Path
         File to write (.toml); must not exist yet.
     exposures_s : str, optional
-        Exposure times in seconds, with commas, in the order of the pictures; default: as their EXIF says.
+        Exposure times in seconds, separated by commas, in the order of the pictures; default: from their EXIF data.
 
     Examples
     --------
@@ -203,14 +222,14 @@ def transfer(
     from rhizotwin.scenes.atomic import write_text
 
     if output.exists():
-        raise UserError(f"{output} exists already; choose another name or remove it")
+        raise UserError(f"{output} already exists; choose another name or remove it")
     images, times = read_series(list_pictures(pictures), exposures_s)
     found = fit_transfer(images, times)
     write_text(output, transfer_text(found, len(images)))
     low, high = found.reached
-    print(f"the camera's curve is {found.curve.name}, from {100.0 * low:.0f} to {100.0 * high:.0f} % of full scale")
-    print(f"residual {100.0 * found.residual:.1f} % of the light, rms, in {len(images)} pictures of {min(times):g} to {max(times):g} s")
-    print(f"  {output}: put it into the scene's [camera]")
+    print(f"response curve: {found.curve.name}, measured from {100.0 * low:.0f} to {100.0 * high:.0f} % of full scale")
+    print(f"residual {100.0 * found.residual:.1f} % of the light (rms), {len(images)} pictures, {min(times):g} to {max(times):g} s")
+    print(f"wrote {output}: paste its contents into the [camera] section of the scene file")
 
 
 def simulate(
@@ -223,25 +242,26 @@ def simulate(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Render pictures of the calibration board with a scene's camera.
+    """Render pictures of the calibration board with the camera of a scene.
 
-    The board is rendered before the scene's camera at its working distance, with the lens distortion, blur and noise of
-    a profile. The true lens is in truth/camera.json, board.toml beside the pictures.
+    The board is placed at the working distance of the camera and rendered with the lens distortion, blur and noise of a
+    profile. The true lens parameters are written to truth/camera.json, the board file to board.toml in the folder of
+    the pictures.
 
     Parameters
     ----------
     scene : str
-        A name from 'rhizotwin scenes', or a scene file (TOML).
+        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
     output : Path
-        Folder to write to: new or empty.
+        Output folder: new or empty.
     taken : BoardPictures
-        How the pictures are taken.
+        Options of the pictures.
     drawn : BoardOptions
-        The board.
+        Board dimensions.
     device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -260,12 +280,12 @@ def simulate(
 
 
 def _with_camera(scene: Scene, found: Camera) -> Scene:
-    """Return a scene with the calibrated camera; its converter's depth stays."""
+    """Return a scene with the calibrated camera; its bit depth is kept."""
     if scene.camera.image_wh != found.image_wh:
         (wide, high), (width, height) = scene.camera.image_wh, found.image_wh
         raise UserError(
-            f"scene {scene.name}: its camera takes pictures of {wide}x{high} px, but those of the board are {width}x{height}; "
-            "set camera.image_wh, or take the pictures of the board as the scan takes its own"
+            f"the camera of scene {scene.name} has {wide}x{high} pixels, but the pictures of the board have {width}x{height}; "
+            "change camera.image_wh, or take the pictures of the board at the size used for scanning"
         )
     calibrated = replace(scene, camera=replace(found, bits=scene.camera.bits))
     check_scene(calibrated, where=f"scene {scene.name} with the calibrated camera")

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from rhizotwin.arguments import Port, SceneName, named
+from rhizotwin.arguments import Port, SceneName, with_metavar
 from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
 
@@ -10,26 +10,27 @@ DEFAULT_PORT = 8471
 
 
 def camera(
-    rig: Annotated[str, named("RIG")],
+    rig: Annotated[str, with_metavar("RIG")],
     /,
     *,
     scene: SceneName | None = None,
-    host: Annotated[str, named("ADDRESS")] = "127.0.0.1",
+    host: Annotated[str, with_metavar("ADDRESS")] = "127.0.0.1",
     port: Port = DEFAULT_PORT,
 ) -> None:
-    """Serve this computer's camera to another one.
+    """Serve the camera of this computer to another computer.
 
-    Serve the camera of a rig file over HTTP, for a computer whose rig file has kind = "http" in its [camera] section.
-    Only this computer can connect unless --host says otherwise; there is no password. Ctrl-C ends it.
+    The camera of the rig file is served over HTTP, for use by a computer whose rig file has kind = "http" in its
+    [camera] section. There is no password; by default, only connections from this computer are accepted. Press Ctrl-C
+    to stop.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML) with the camera of this computer.
+        Rig file (TOML) that describes the camera of this computer.
     scene : str, optional
-        Whose camera says the size of the pictures until a scan asks; default: 800x600.
+        Scene whose camera gives the picture size until a scan requests another; default: 800x600 pixels.
     host : str
-        Address to listen on; 0.0.0.0: all.
+        Network address to listen on; 0.0.0.0 accepts connections from other computers.
     port : int
         Port to listen on.
 

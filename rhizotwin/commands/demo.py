@@ -9,21 +9,22 @@ from rhizotwin.arguments import Device, OutputFolder, Profile, Progress
 def demo(
     *, output: OutputFolder = Path("demo"), profile: Profile = "clean", device: Device = "auto", progress: Progress = Progress()
 ) -> None:
-    """Take all three steps on a small printed root: a few minutes.
+    """Simulate, reconstruct and score a small printed root (a few minutes).
 
-    Simulate a small printed root, reconstruct it from the pictures alone, score it, and make pictures of what was
-    found.
+    Render pictures of a small 3D-printed root, reconstruct it from these pictures, compare the result with the ground
+    truth, and write a report.
 
     Parameters
     ----------
     output : Path
-        Folder for everything; a finished demo in it is replaced, a stopped one taken up.
+        Folder for all files. A finished demo in it is replaced, an interrupted one continued.
     profile : str
-        What the rig gets wrong.
+        Simulated errors of the rig: clean (none), bench (a well-built rig), camera (bench with an ordinary camera),
+        harsh (a badly adjusted rig), real (a first scan of a living plant), or a TOML file.
     device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin import steps
-from rhizotwin.arguments import OutputResult, Progress, ResultFolder, named
+from rhizotwin.arguments import OutputResult, Progress, ResultFolder, with_metavar
 from rhizotwin.scenes.errors import UserError
 
 
@@ -12,35 +12,36 @@ def edit(
     result: ResultFolder,
     /,
     *,
-    apply: Annotated[Path, named("FILE")],
+    apply: Annotated[Path, with_metavar("FILE")],
     output: OutputResult,
-    dataset: Annotated[Path | None, named("DATASET")] = None,
+    dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     progress: Progress = Progress(),
 ) -> None:
-    """Apply saved corrections to a result, without a browser.
+    """Apply saved corrections to a result without a browser.
 
-    Make the corrections of a log (edits.json, saved by 'rhizotwin view') again in another folder. The corrected shape
-    is measured and compared with the pictures: what they contradict widens the interval, or takes the trust away.
+    Apply the corrections in edits.json, saved by 'rhizotwin view', and write the corrected result to another folder.
+    The corrected shape is measured and compared with the pictures. Corrections that contradict the pictures widen the
+    intervals or make the result not reliable.
 
     Parameters
     ----------
     result : Path
-        Folder made by 'rhizotwin reconstruct'.
+        Result folder, written by 'rhizotwin reconstruct'.
     apply : Path
-        The log of corrections.
+        File of corrections (edits.json).
     output : Path
-        Folder for the corrected result: new, empty, or an earlier result, which is replaced.
+        Result folder to write: new, empty, or an earlier result, which is replaced.
     dataset : Path, optional
-        Where the pictures are, if they have moved.
+        Dataset of the result, if its folder was moved.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
     rhizotwin edit my_result --apply my_result/edits.json -o my_corrected
     """
     if output.resolve() == result.resolve():
-        raise UserError(f"{output} is the result itself, which stays as it is; choose another folder")
+        raise UserError(f"the corrected result cannot overwrite {output}; choose another folder")
     steps.refuse_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session

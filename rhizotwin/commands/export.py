@@ -6,64 +6,64 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin.arguments import Flag, OutputFile, Progress, named
+from rhizotwin.arguments import Flag, OutputFile, Progress, with_metavar
 from rhizotwin.scenes.errors import UserError
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Publication")
 @dataclass(frozen=True, kw_only=True)
 class Publication:
-    """Datasets and results, or folders of them, copied to a folder that a data repository takes as it is."""
+    """Publication of datasets and results in a folder for a data repository."""
 
-    publish: Annotated[Path | None, named("FOLDER")] = None
-    """Folder to make: copies, RO-Crate metadata, tables of MIAPPE 1.1, checksums, a contact sheet. Links and damaged
-    pictures are refused."""
-    study: Annotated[Path | None, named("FILE")] = None
-    """TOML file with title, description, licence and authors of what is published (docs/publishing.md)."""
+    publish: Annotated[Path | None, with_metavar("FOLDER")] = None
+    """Folder to write for upload to a data repository: copies of the data, RO-Crate metadata, MIAPPE 1.1 tables, \
+checksums and a contact sheet. Links and damaged pictures are rejected."""
+    study: Annotated[Path | None, with_metavar("FILE")] = None
+    """TOML file with title, description, licence and authors of the publication (docs/publishing.md)."""
 
 
 def export(
-    sources: Annotated[list[Path], named("RESULT")],
+    sources: Annotated[list[Path], with_metavar("RESULT")],
     /,
     *,
     output: OutputFile | None = None,
-    dataset: Annotated[Path | None, named("DATASET")] = None,
+    dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     roots: Literal["order", "diameter"] | None = None,
     undistorted: Flag = False,
     publication: Publication = Publication(),
     progress: Progress = Progress(),
 ) -> None:
-    """Write a result in the files of other programs, or publish datasets and results.
+    """Convert a result to other file formats, or publish datasets and results.
 
-    The name's suffix says in which form:
-      .ply .stl   the surface, mm, z up (3D printing, MeshLab)
-      .glb        the surface, metres, y up as glTF asks (viewers, Blender)
-      .nrrd       voxels, 0 to 255 is the share of root, mm (3D Slicer, ImageJ)
-      .rsml       the roots' centre lines and diameters, mm, z up (CPlantBox, archiDART, OpenAlea)
-      .csv        the traits with units and definitions (spreadsheets, R)
-      .json       the cameras as nerfstudio's transforms.json, mm
-      no suffix   a folder with the cameras as COLMAP's text model, mm
+    The suffix of the output file selects the format:
+      .ply .stl   surface, mm, z up (3D printing, MeshLab)
+      .glb        surface, metres, y up as glTF requires (viewers, Blender)
+      .nrrd       voxels, mm; 0 to 255 is the root fraction of a voxel (3D Slicer, ImageJ)
+      .rsml       centre lines and diameters of the roots, mm, z up (CPlantBox, archiDART, OpenAlea)
+      .csv        traits with units and definitions (spreadsheets, R)
+      .json       cameras in nerfstudio's transforms.json format, mm
+      no suffix   folder with the cameras in COLMAP's text format, mm
 
-    With --roots a mesh is the roots as tubes, coloured by order or diameter; STL has no colours. Cameras are those in
-    air: programs that follow straight rays get wrong shapes of roots from them, whatever the lens model, but are right
-    outside of the canister. For them --undistorted writes pictures as a pinhole camera in the water would see them.
+    With --roots, a mesh shows the roots as tubes coloured by order or diameter (STL has no colours). The exported
+    cameras are those in air. Programs that assume straight rays reconstruct wrong shapes inside the canister from them;
+    for such programs, --undistorted writes pictures as seen by a pinhole camera in the water.
 
     Parameters
     ----------
     sources : list of Path
-        Folder made by 'rhizotwin reconstruct'; with --publish several, and datasets.
+        Result folder, written by 'rhizotwin reconstruct'; with --publish, any number of results and datasets.
     output : Path, optional
-        What to write; its suffix says in which form.
+        File or folder to write; its suffix selects the format.
     dataset : Path, optional
-        The dataset that the result was made from; cameras need its lens.
+        Dataset of the result; required for cameras, whose lens is stored there.
     roots : str, optional
-        Write the roots as tubes in colours of this, for a mesh.
+        Write a mesh of the roots as tubes, coloured by order or diameter.
     undistorted : bool
         Write pictures without refraction to a folder, with cameras for nerfstudio and COLMAP.
     publication : Publication
-        What is published.
+        Publication in a folder for a data repository.
     progress : Progress
-        How much is shown while pictures are written.
+        Progress output.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def export(
     """
     if publication.publish is not None:
         if output is not None or dataset is not None or roots is not None or undistorted:
-            raise UserError("--publish FOLDER makes a folder of its own; leave -o, --dataset, --roots and --undistorted out")
+            raise UserError("--publish cannot be combined with -o, --dataset, --roots or --undistorted")
         _publish(sources, publication.publish, publication.study, progress)
     elif output is None or len(sources) != 1:
         raise UserError("give one result and -o FILE, or --publish FOLDER for several results and datasets")
@@ -100,4 +100,4 @@ def _publish(sources: list[Path], folder: Path, study: Path | None, progress: Pr
     described = read_study(study)
     with progress.bar(copy=1.0) as bar:
         publish(sources, folder, described, monitor=bar)
-    print(f"wrote {folder}: read its README.md, look at contact_sheet.png, then upload the folder")
+    print(f"wrote {folder}: check its README.md and contact_sheet.png, then upload the folder")

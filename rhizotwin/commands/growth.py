@@ -3,28 +3,28 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFolder, named
+from rhizotwin.arguments import OutputFolder, with_metavar
 
 
-def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: OutputFolder) -> None:
-    """Follow plants and their roots over days, and compare treatments.
+def growth(results: Annotated[list[Path], with_metavar("RESULTS")], /, *, output: OutputFolder) -> None:
+    """Track plants and single roots over time, and compare treatments.
 
-    Results of one plant on several days are laid on each other, and every root gets an identity through time: when it
-    came, how fast it grew. Curves of length, volume, depth and root ends have a mean a day with its 90 % interval, and
-    treatments are compared by a linear mixed model. Where nutrient solutions differ, the response to each ion is fitted
-    in the same way. Values that are not reliable are left out and counted. The datasets
-    must say plant and day, and the treatment where there are several. Tables of masses, weighed or predicted, give
-    curves of wet mass, dry mass and water content, beside results or alone.
+    Results of the same plant on several days are aligned, and each root is matched across days to find its day of
+    emergence and its growth rate. Growth curves of length, volume, depth and number of root tips show the mean of each
+    day with its 90 % interval. Treatments are compared with a linear mixed model; if nutrient solutions differ, the
+    response to each ion is fitted in the same way. Values that are not reliable are excluded; their number is reported.
+    The datasets must contain plant and day, and the treatment if there are several. Tables of masses, weighed or
+    predicted, add curves of fresh mass, dry mass and water content.
 
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, tables of traits (.csv), which have curves but no roots to follow, and tables of
-        masses (.csv).
+        Result folders, folders that contain results, tables of traits (.csv; growth curves only) or tables of masses
+        (.csv).
     output : Path
-        Folder to make: traits.csv, roots.csv, treatments.csv, growth.html, growth.png, and roots as RSML with time; of
-        nutrient solutions doses.csv and doses.png; of masses masses.csv and masses.png; of plants that share a canister
-        neighbours.csv.
+        Folder to write: traits.csv, roots.csv, treatments.csv, growth.html, growth.png and RSML files with time; for
+        several nutrient solutions also doses.csv and doses.png, for masses masses.csv and masses.png, for plants that
+        share a canister neighbours.csv.
 
     Examples
     --------
@@ -58,4 +58,4 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
         atomic.write_text(building / "growth.html", growth_page.page(measured, picture))
     for sentence in [] if measured is None else growth_page.sentences(measured):
         print(sentence)
-    print(f"look at it: {output / 'growth.html'}")
+    print(f"report: {output / 'growth.html'}")

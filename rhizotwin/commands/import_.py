@@ -3,49 +3,49 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, named
+from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, with_metavar
 from rhizotwin.scenes import files
 
 
 def import_(
-    pictures: Annotated[Path, named("PICTURES")],
+    pictures: Annotated[Path, with_metavar("PICTURES")],
     /,
     *,
     scene: SceneName,
     output: OutputDataset,
-    cameras: Annotated[Path | None, named("JSON")] = None,
+    cameras: Annotated[Path | None, with_metavar("JSON")] = None,
     masks: Flag = False,
     no_strip: Flag = False,
     subject: SubjectOptions = SubjectOptions(),
     progress: Progress = Progress(),
 ) -> None:
-    """Make a dataset of a folder of pictures taken elsewhere.
+    """Create a dataset from a folder of pictures.
 
-    The pictures are PNG, JPG or TIFF, of one size, in the natural order of their names. The scene describes the rig
-    they were taken on: canister, water, strip, camera. If the scene's plan has as many views as there are pictures, its
-    table angles are assumed.
+    The pictures (PNG, JPG or TIFF) must have the same size; they are ordered by name. The scene describes the rig on
+    which they were taken: canister, water, marker strip and camera. If the capture plan of the scene has as many views
+    as there are pictures, its turntable angles are used.
 
     Parameters
     ----------
     pictures : Path
         Folder of pictures.
     scene : str
-        A scene file (TOML) or a name from 'rhizotwin scenes'.
+        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
     output : Path
-        Folder to make the dataset in: new or empty.
+        Dataset folder to write: new or empty.
     cameras : Path, optional
-        Poses and lens in nerfstudio's form (transforms.json), its world the canister frame in millimetres: no markers
-        are needed then.
+        Camera poses and lens in nerfstudio's format (transforms.json), in the canister frame in mm; markers are not
+        used then.
     masks : bool
-        The pictures are silhouettes already: white root on black; needs --cameras, they show no markers.
+        The pictures are binary silhouettes (white root on black background); requires --cameras.
     no_strip : bool
-        There is no marker strip: 'reconstruct' finds the cameras by the canister's edges and the roots. For a
-        telecentric camera (camera.kind in the scene) and one turn; the scene's canister.outer_radius_mm gives the
-        scale.
+        The pictures show no marker strip; 'rhizotwin reconstruct' then estimates the cameras from the edges of the
+        canister and from the roots. Requires a telecentric camera (camera.kind in the scene) and one full turn; the
+        scale is given by canister.outer_radius_mm of the scene.
     subject : SubjectOptions
-        Whose roots they are.
+        Plant in the canister.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -56,10 +56,10 @@ def import_(
     """
     from rhizotwin.importer import import_pictures
 
-    told = subject.told(files.load_scene(scene))
+    described = subject.apply_to(files.load_scene(scene))
     with progress.bar(copy=1.0) as bar:
-        made = import_pictures(pictures, told, output, cameras=cameras, masks=masks, no_strip=no_strip, monitor=bar)
+        made = import_pictures(pictures, described, output, cameras=cameras, masks=masks, no_strip=no_strip, monitor=bar)
     for note in made.notes:
         print(f"note: {note}")
-    print(f"{len(made.dataset.frames)} pictures in {output}")
+    print(f"wrote {len(made.dataset.frames)} pictures to {output}")
     print(f"next: rhizotwin reconstruct {output} -o my_result")

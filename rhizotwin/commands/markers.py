@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFile, SceneName, millimetres, option
+from rhizotwin.arguments import OutputFile, SceneName, option, read_length_mm
 from rhizotwin.pages import PageOptions
 from rhizotwin.scenes import files
 
@@ -10,8 +10,8 @@ PAPER_LIMITS_MM = (0.0, 2.0)
 
 
 def read_paper_mm(text: str) -> float:
-    """Read how thick paper is."""
-    return millimetres(text, PAPER_LIMITS_MM)
+    """Read the thickness of paper in mm."""
+    return read_length_mm(text, PAPER_LIMITS_MM)
 
 
 def markers(
@@ -22,21 +22,22 @@ def markers(
     page: PageOptions = PageOptions(),
     paper_mm: Annotated[float, option(read_paper_mm, "MM")] = 0.1,
 ) -> None:
-    """Write the marker strip of a scene for the printer, at true scale.
+    """Write the marker strip of a scene for printing at true scale.
 
-    The strip is written as PDF or SVG pages, with cut marks, glue tabs and a ruler to check the printer by. Several SVG
-    pages become strip-1.svg, strip-2.svg, ...
+    The strip is written as PDF or SVG pages with cut marks, glue tabs and a ruler for checking the scale of the print.
+    Several SVG pages are numbered: strip-1.svg, strip-2.svg, ...
 
     Parameters
     ----------
     scene : str
-        A name from 'rhizotwin scenes', or a scene file (TOML).
+        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
     output : Path
         File to write, .pdf or .svg; must not exist yet.
     page : PageOptions
-        What it is printed on.
+        Paper.
     paper_mm : float
-        Thickness of what is printed on: net_pot.outer_radius_mm is the radius over it.
+        Thickness of the paper. The strip is sized so that net_pot.outer_radius_mm of the scene is the outer radius of
+        the glued paper.
 
     Examples
     --------
@@ -50,5 +51,6 @@ def markers(
     drawn = files.load_scene(scene)
     written = write_pages(strip_pages(drawn, paper=page.paper(), paper_mm=paper_mm), output, title=f"marker strip of {drawn.name}")
     across_mm = 2.0 * drawn.net_pot.outer_radius_mm
-    print(f"the strip of {drawn.name} in {', '.join(str(path) for path in written)}")
-    print(f"print at 100 %, measure the ruler, cut, glue; over the paper it must measure {across_mm:.1f} mm across the pot")
+    print(f"wrote the marker strip of {drawn.name} to {', '.join(str(path) for path in written)}")
+    print("print at 100 % scale, measure the ruler, cut out the strip and glue it around the net pot")
+    print(f"the outer diameter of the strip on the pot must be {across_mm:.1f} mm")

@@ -3,17 +3,17 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFolder, SceneName, millimetres, named, option, options
+from rhizotwin.arguments import OutputFolder, SceneName, option, options, read_length_mm, with_metavar
 
 BED_LIMITS_MM = (50.0, 2000.0)
 
 
 def read_bed_mm(text: str) -> tuple[float, float, float]:
-    """Read a printer's room such as 220x220x250."""
+    """Read a build volume such as 220x220x250."""
     sides = text.lower().split("x")
     if len(sides) != 3:
-        raise ValueError(f"{text!r} is no printer's room, write width, depth and height in mm as 220x220x250")
-    wide, deep, high = (millimetres(side, BED_LIMITS_MM) for side in sides)
+        raise ValueError(f"{text!r} is not a build volume; write width, depth and height in mm as 220x220x250")
+    wide, deep, high = (read_length_mm(side, BED_LIMITS_MM) for side in sides)
     return wide, deep, high
 
 
@@ -22,36 +22,39 @@ def parts(
     /,
     *,
     output: OutputFolder,
-    rig: Annotated[Path | None, named("FILE")] = None,
-    measures: Annotated[Path | None, named("FILE")] = None,
+    rig: Annotated[Path | None, with_metavar("FILE")] = None,
+    measures: Annotated[Path | None, with_metavar("FILE")] = None,
     bed_mm: Annotated[tuple[float, float, float], option(read_bed_mm, "WxDxH")] = (220.0, 220.0, 250.0),
     part: Annotated[tuple[str, ...], options(str, "NAME")] = (),
 ) -> None:
-    """Write the parts of a scene's rig for a 3D printer.
+    """Write the mechanical parts of a rig for 3D printing.
 
-    Net pot, canister ring, turntable with its gears, feet, camera bracket, arm mount, clips and holders of the panel,
-    the calibration board's stand: all from the scene's own numbers, so that they fit its canister and strip.
+    The parts are: net pot, canister ring, turntable with gears, feet, camera bracket, arm mount, clips and holders of
+    the light panel, and a stand for the calibration board. Dimensions are derived from the scene, so that the parts fit
+    its canister and marker strip. Files:
 
-      NAME.stl                       watertight, mm, as it lies on the printer's bed
+      NAME.stl                       watertight mesh in mm, in printing orientation
       drawings/NAME.svg              three views with dimensions; also rig.svg, exploded.svg and wiring_*.svg
-      parameters.csv, .json          every number, and where it comes from
+      parameters.csv, .json          every dimension and its source
 
-    Nothing has been printed yet: print the net pot and the canister ring first, and try them.
+    These parts have not been printed yet. Print and test the net pot and the canister ring first.
 
     Parameters
     ----------
     scene : str
-        A name from 'rhizotwin scenes', or a scene file (TOML).
+        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
     output : Path
-        Folder to write; new or empty.
+        Output folder: new or empty.
     rig : Path, optional
-        Rig file, for the arm's place and last link and the floor's height; default: the thesis's arm.
+        Rig file with the position of the arm, its last link and the height of the floor; default: the arm of Kliman's
+        thesis (2022).
     measures : Path, optional
-        TOML file of what you bought and measured, such as fit_mm = 0.25; the defaults are in parameters.json.
+        TOML file with the dimensions of purchased parts and your own measurements, such as fit_mm = 0.25; the defaults
+        are listed in parameters.json.
     bed_mm : tuple
-        What your printer can print.
+        Build volume of your printer: width, depth and height in mm.
     part : tuple of str
-        Only this part, such as net_pot, without the drawings of the whole; once for each part; default: all.
+        Part to write, such as net_pot, without the drawings of the whole rig; may be repeated; default: all.
 
     Examples
     --------
@@ -73,4 +76,4 @@ def parts(
     for one in made:
         wide, deep, high = one.size_mm
         print(f"{one.name:<16} {wide:6.1f} x {deep:6.1f} x {high:5.1f} mm   {one.about}")
-    print(f"wrote {output}; nothing has been printed from it yet: try the net pot and the canister ring first")
+    print(f"wrote {output}; these parts have not been printed yet: print and test the net pot and the canister ring first")

@@ -8,39 +8,41 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rhizotwin import steps
-from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, named, option
+from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, option, with_metavar
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Method")
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What those give who study the method."""
+    """Options for the study of the method."""
 
-    settings: Annotated[Path | None, named("FILE")] = None
-    """TOML file of settings of the stages (docs/settings.md); --voxel-mm overrides it."""
+    settings: Annotated[Path | None, with_metavar("FILE")] = None
+    """TOML file with settings of the stages (docs/settings.md); --voxel-mm overrides its voxel size."""
     keep_stages: Flag = False
-    """Keep what each stage made in RESULT/stages (docs/datasets.md): cameras, coverage, hull, roots, solid."""
+    """Save the intermediate results of the stages in RESULT/stages (docs/datasets.md): cameras, coverage, hull, \
+roots, solid."""
     method: Literal["ours", "thesis", "regularised", "hull"] = "ours"
-    """ours, or a baseline whose volume is never trusted: thesis (the method of the thesis of 2022), regularised (the
-    regularised visual hull of Zheng et al. 2011, which the thesis proposes), hull (the untrimmed visual hull)."""
+    """Reconstruction method: ours, or a baseline for comparison, whose volume is always marked as not reliable: hull \
+(visual hull), regularised (regularised visual hull, Zheng et al. 2011), thesis (method of Kliman's thesis, \
+2022)."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class PictureChoice:
-    """Which pictures are used."""
+    """Selection of the pictures."""
 
     leave_out: Annotated[tuple[str, ...], option(list_of(str), "FILE,FILE,...")] = ()
-    """Pictures to leave out, by the names of their files."""
+    """File names of pictures to exclude."""
     tolerant: Flag = False
-    """Leave out pictures that are missing or cannot be read, instead of stopping at the first."""
+    """Exclude pictures that are missing or cannot be read, instead of stopping with an error."""
 
     @property
     def settings(self) -> "PictureSettings":
-        """Return the settings of a reconstruction."""
+        """Picture settings of the reconstruction."""
         from rhizotwin.recon.settings import PictureSettings
 
         return PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant)
@@ -58,30 +60,30 @@ def reconstruct(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Find the root's shape and volume in a dataset's pictures.
+    """Reconstruct root shape and volume from the pictures of a dataset.
 
-    Find the cameras from the marker strip, the silhouettes from the pictures, and the root's shape and volume from
-    both. The truth of a simulated dataset is only drawn beside the result, never used. Single pictures that contradict
-    all others, such as a half-written one, are left out with a warning.
+    The camera poses are estimated from the marker strip, the silhouettes are segmented, and the roots are fitted to the
+    silhouettes of all views, including refraction. The ground truth of a simulated dataset is only shown next to the
+    result. Pictures that contradict all others, such as an incomplete file, are excluded with a warning.
 
     Parameters
     ----------
     dataset : Path
-        Folder made by 'rhizotwin simulate' or 'rhizotwin import'.
+        Dataset folder, written by 'rhizotwin simulate', 'scan' or 'import'.
     output : Path
-        Folder to write the result to: new, empty, or an earlier result, which is replaced.
+        Result folder to write: new, empty, or an earlier result, which is replaced.
     voxel_mm : float
-        Edge of the smallest voxels, 0.01 to 10 mm, 0.27 if not given; smaller is slower and finer.
+        Edge length of the smallest voxels, 0.01 to 10 mm, default 0.27; smaller voxels take longer.
     mass_g : float, optional
-        Mass of the roots, if weighed: gives specific root length and tissue density.
+        Fresh mass of the roots in grams, for specific root length and tissue density.
     pictures : PictureChoice
-        Which pictures are used.
+        Selection of the pictures.
     study : Study
-        For who studies the method.
+        Options for the study of the method.
     device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        How much is told meanwhile; quiet prints the volume alone, verbose also what the scan calibrated by itself.
+        Progress output; quiet prints only the volume, verbose also the calibration.
 
     Examples
     --------
@@ -96,20 +98,20 @@ def reconstruct(
     settings = steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
     kept: dict[str, Any] = {"keep_stages": study.keep_stages, "method": study.method}
     written = steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
-    _tell(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
+    _print_summary(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
     if progress.quiet:
         return
     if progress.verbose:
         for path in written:
             print(f"  {path}")
-    print(f"look at it: {output / 'report.html'}")
+    print(f"report: {output / 'report.html'}")
     print(f"next: rhizotwin view {output}")
     if (dataset / "truth").is_dir():
         print(f"or:   rhizotwin score {output} {dataset}")
 
 
-def _tell(summary: dict[str, Any], progress: Progress) -> None:
-    """Print what was found."""
+def _print_summary(summary: dict[str, Any], progress: Progress) -> None:
+    """Print volume, traits and warnings."""
     from rhizotwin.report import words
     from rhizotwin.stored import calibration_table
 

@@ -3,35 +3,35 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Progress, named, output
+from rhizotwin.arguments import Progress, output, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import recover
 
 
 def report(
-    results: Annotated[list[Path], named("RESULT")],
+    results: Annotated[list[Path], with_metavar("RESULT")],
     /,
     *,
     page: Annotated[Path | None, output("FILE")] = None,
-    dataset: Annotated[Path | None, named("DATASET")] = None,
+    dataset: Annotated[Path | None, with_metavar("DATASET")] = None,
     progress: Progress = Progress(),
 ) -> None:
-    """Write the page of a result again, or one page for many results.
+    """Write the report of a result again, or one report for several results.
 
-    The page is one file with everything inside: the volume with its interval, whether it can be used and what to do,
-    the shape in 3D, pictures with the reconstruction's outline, traits, methods. It opens from disk without a network.
-    Without -o it becomes report.html in the result's folder.
+    The report is a single HTML file that can be opened without a network: the volume with its interval and
+    reliability, recommendations, the shape in 3D, the pictures with the outline of the reconstruction, traits, and
+    methods. Without -o it is written to report.html in the result folder.
 
     Parameters
     ----------
     results : list of Path
-        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch'.
+        Result folders, or folders that contain results, such as the output of 'rhizotwin batch'.
     page : Path, optional
-        Where to write the page; needed for more than one result.
+        HTML file to write; required for more than one result.
     dataset : Path, optional
-        Where the pictures are, if they have moved; for one result.
+        Dataset of the result, if its folder was moved; for one result only.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -44,9 +44,9 @@ def report(
 
     results = result_files.results_in(results)
     if page is None and len(results) > 1:
-        raise UserError("one page for many results needs a name: give it with -o FILE.html")
+        raise UserError("a report of several results needs a file name: give it with -o FILE.html")
     if dataset is not None and len(results) > 1:
-        raise UserError("--dataset is for one result; leave it out")
+        raise UserError("--dataset can be used with one result only; remove it")
     from rhizotwin.report import page as pages
 
     with progress.bar(page=1.0) as bar, bar.stage("page"):

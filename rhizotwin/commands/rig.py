@@ -1,6 +1,6 @@
-"""Look at every device, move them by hand, write a rig file.
+"""Check and move the devices of a rig, and write a rig file.
 
-For a person on the bench, before the first scan and when something is wrong.
+Use these commands before the first scan and for troubleshooting.
 
 Examples
 --------
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rhizotwin import rigs
-from rhizotwin.arguments import OutputFile, SceneName, millimetres, named, option
+from rhizotwin.arguments import OutputFile, SceneName, option, read_length_mm, with_metavar
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
 
@@ -30,31 +30,32 @@ def check(
     /,
     *,
     scene: SceneName | None = None,
-    record: Annotated[Path | None, named("FILE")] = None,
-    first_day: Annotated[Path | None, named("FOLDER")] = None,
+    record: Annotated[Path | None, with_metavar("FILE")] = None,
+    first_day: Annotated[Path | None, with_metavar("FOLDER")] = None,
     twin: rigs.TwinErrors = rigs.TwinErrors(),
 ) -> None:
-    """Look at every device: one line each, what is well or what is wrong.
+    """Check every device of a rig.
 
-    Connect to every device and take pictures with the lamps off and on. Nothing moves. The exit code is not 0 when
-    anything is wrong.
+    Connect to every device, take pictures with the lamps off and on, and print one line per device. Nothing moves. The
+    exit code is not 0 if a check fails.
 
-    With --first-day you are walked on through what only a person can see, and things move: lamps, each joint's
-    direction, the arm before the canister, focus, a mirrored strip, the panel's evenness, the table's direction, and
-    sizes by calipers. The findings are written to a folder, to be sent back.
+    With --first-day, an interactive checklist follows, during which devices move: lamps, direction of each joint, arm
+    in front of the canister, focus, mirrored strip, uniformity of the light panel, direction of the turntable, and
+    dimensions to measure with calipers. The findings are written to a folder that can be sent with a request for help.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program.
+        Rig file (TOML; 'rhizotwin rig example' writes one), or twin for the emulated rig.
     scene : str, optional
-        A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
+        Scene with canister, marker strip and camera: a name listed by 'rhizotwin scenes' or a scene file (TOML);
+        default: the rig of Kliman's thesis (2022).
     record : Path, optional
-        Append every byte on the wire to this file (JSON lines).
+        Append all serial communication to this file (JSON lines).
     first_day : Path, optional
-        Walk on through the list of the first day, and write its report to this folder, which must be new.
+        Continue with the interactive checklist for a new rig, and write its report to this new folder.
     twin : TwinErrors
-        What the emulated rig gets wrong.
+        Errors of the emulated rig.
 
     Examples
     --------
@@ -65,7 +66,7 @@ def check(
     from rhizotwin.rig.bench import check as look
 
     if first_day is not None and first_day.exists():
-        raise UserError(f"{first_day} exists already; choose another folder for the first day's report")
+        raise UserError(f"{first_day} already exists; choose another folder for the report of --first-day")
 
     bench = rigs.open_bench(rig, scene, errors=twin)
     with ExitStack() as stack:
@@ -76,25 +77,25 @@ def check(
         if first_day is not None:
             wrong = _walk(bench, first_day, recorder, wrong, stack)
     if wrong:
-        raise UserError(f"{wrong} {'thing is' if wrong == 1 else 'things are'} wrong with {bench.rig.name}; see the lines above")
+        raise UserError(f"{wrong} check{'' if wrong == 1 else 's'} of {bench.rig.name} failed; see the messages above")
 
 
 def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: ExitStack) -> int:
-    """Walk a person through the first day; return how many things are wrong."""
+    """Run the interactive checklist; return the number of failed checks."""
     from rhizotwin.rig.first_day import FirstDay
 
     devices = bench.open_devices(recorder, stack)
     findings = FirstDay(devices, bench.scene, ask=_answer, say=print, folder=folder).walk(wrong_devices=wrong)
-    print(f"wrote {folder}/first_day.md and first_day.json; send the folder back with what you saw")
+    print(f"wrote {folder}/first_day.md and first_day.json; to get help, send this folder with your observations")
     return sum(one.verdict == "wrong" for one in findings)
 
 
 def _answer(question: str) -> str:
-    """Put a question to whoever types, or to a pipe."""
+    """Read the answer to a question from the terminal or a pipe."""
     try:
         return input(question)
     except EOFError:
-        raise UserError("the question was not answered; run it again and answer") from None
+        raise UserError("a question was not answered; run the command again and answer it") from None
 
 
 def jog(
@@ -102,24 +103,26 @@ def jog(
     /,
     *,
     scene: SceneName | None = None,
-    record: Annotated[Path | None, named("FILE")] = None,
+    record: Annotated[Path | None, with_metavar("FILE")] = None,
     twin: rigs.TwinErrors = rigs.TwinErrors(),
 ) -> None:
-    """Move every device by typed lines.
+    """Move the devices of a rig by typed commands.
 
-    Type help for the commands. The arm's ways are checked first, and unsafe ones refused. At the end the lights go off
-    and the arm is parked and let go. Lines can come from a pipe as well; then the first mistake ends it.
+    Type help for the list of commands. Each movement of the arm is checked for collisions first. On exit, the lamps are
+    switched off and the arm is parked and unpowered. Commands can also be read from a pipe; the first error then ends
+    the program.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program.
+        Rig file (TOML; 'rhizotwin rig example' writes one), or twin for the emulated rig.
     scene : str, optional
-        A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
+        Scene with canister, marker strip and camera: a name listed by 'rhizotwin scenes' or a scene file (TOML);
+        default: the rig of Kliman's thesis (2022).
     record : Path, optional
-        Append every byte on the wire to this file (JSON lines).
+        Append all serial communication to this file (JSON lines).
     twin : TwinErrors
-        What the emulated rig gets wrong.
+        Errors of the emulated rig.
 
     Examples
     --------
@@ -129,7 +132,7 @@ def jog(
     bench = rigs.open_bench(rig, scene, errors=twin)
     typed = sys.stdin.isatty()
     if typed:
-        print("type help for the commands, quit to end")
+        print("type help for the list of commands, quit to exit")
     _jog(bench, _typed_lines() if typed else sys.stdin, record=record, stop_at_mistake=not typed)
 
 
@@ -138,32 +141,33 @@ def align(
     /,
     *,
     scene: SceneName | None = None,
-    distance_mm: Annotated[float | None, option(lambda text: millimetres(text, DISTANCE_LIMITS_MM), "MM")] = None,
-    height_mm: Annotated[float | None, option(lambda text: millimetres(text, HEIGHT_LIMITS_MM), "MM")] = None,
-    record: Annotated[Path | None, named("FILE")] = None,
+    distance_mm: Annotated[float | None, option(lambda text: read_length_mm(text, DISTANCE_LIMITS_MM), "MM")] = None,
+    height_mm: Annotated[float | None, option(lambda text: read_length_mm(text, HEIGHT_LIMITS_MM), "MM")] = None,
+    record: Annotated[Path | None, with_metavar("FILE")] = None,
     twin: rigs.TwinErrors = rigs.TwinErrors(),
 ) -> None:
-    """Turn the camera to face the canister: level, upright, and through its axis.
+    """Align the camera with the canister: level, upright, and aimed at the axis.
 
-    The camera goes before the canister, takes a picture, finds its pose from the marker strip, corrects the joints, and
-    repeats while it gets better. What is left is printed: servos move by steps, so that up to half a step of the base
-    remains. An arm that comes no nearer is an error. At the end the lights go off and the arm is parked; 'align' in
-    'rhizotwin rig jog' leaves it where it is.
+    Move the camera in front of the canister, take a picture, estimate the camera pose from the marker strip, correct
+    the joints, and repeat while the alignment improves. The remaining error is printed; it is up to half a step of the
+    base servo. If the alignment does not improve, the command fails. On exit, the lamps are switched off and the arm is
+    parked; the command 'align' of 'rhizotwin rig jog' leaves the arm in position.
 
     Parameters
     ----------
     rig : str
         Rig file, or the word twin: emulated devices in this program.
     scene : str, optional
-        A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
+        Scene with canister, marker strip and camera: a name listed by 'rhizotwin scenes' or a scene file (TOML);
+        default: the rig of Kliman's thesis (2022).
     distance_mm : float, optional
-        Camera to the canister's axis; default: that of the scene's first ring.
+        Distance between camera and canister axis; default: as in the first ring of the scene.
     height_mm : float, optional
-        z of the camera, 0 at the rim; default: that of the scene's first ring.
+        Height of the camera above the rim (negative below it); default: as in the first ring of the scene.
     record : Path, optional
-        Append every byte on the wire to this file (JSON lines).
+        Append all serial communication to this file (JSON lines).
     twin : TwinErrors
-        What the emulated rig gets wrong.
+        Errors of the emulated rig.
 
     Examples
     --------
@@ -177,7 +181,7 @@ def align(
 
 
 def _jog(bench: rigs.Bench, lines: Iterable[str], *, record: Path | None, stop_at_mistake: bool) -> None:
-    """Open a rig's devices and carry out typed lines."""
+    """Open the devices of a rig and run the commands of the lines."""
     from rhizotwin.rig.jog import Jog
 
     with ExitStack() as stack:
@@ -186,9 +190,9 @@ def _jog(bench: rigs.Bench, lines: Iterable[str], *, record: Path | None, stop_a
 
 
 def example(*, output: OutputFile) -> None:
-    """Write a complete rig file with comments, to be changed.
+    """Write a complete, commented rig file as a starting point.
 
-    It has every key, its default and what it means.
+    The file contains every key with its default and meaning.
 
     Parameters
     ----------
@@ -202,13 +206,13 @@ def example(*, output: OutputFile) -> None:
     from rhizotwin.rig.example import EXAMPLE
 
     if output.exists():
-        raise UserError(f"{output} exists already; choose another name")
+        raise UserError(f"{output} already exists; choose another name")
     write_text(output, EXAMPLE, new=True)
-    print(f"wrote {output}; change it, then try: rhizotwin rig check {output}")
+    print(f"wrote {output}; edit it, then run: rhizotwin rig check {output}")
 
 
 def _typed_lines() -> Iterator[str]:
-    """Yield what a person types until the end of the input."""
+    """Yield typed lines until the end of the input."""
     while True:
         try:
             yield input("rig> ")

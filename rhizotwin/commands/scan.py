@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from rhizotwin import rigs, steps
-from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, between, named, option
+from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import to_plain
@@ -21,37 +21,38 @@ if TYPE_CHECKING:
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
 SHOTS_FILE = "truth/shots.jsonl"
-"""What the twin's pictures truly show, kept so that the truth of a scan that was stopped can be written."""
+"""True state of the emulated rig at each picture, stored so that the ground truth of a resumed scan is complete."""
 
 
 def read_angle_deg(text: str) -> float:
     """Read an angle."""
-    return between(text, ANGLE_LIMITS_DEG, "deg")
+    return read_number(text, ANGLE_LIMITS_DEG, "deg")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions:
-    """How the scan goes."""
+    """Options of the scan."""
 
-    plan: Annotated[str | None, named("PLAN")] = None
-    """Take the rings from here instead of the scene: a file with [[plan.rings]], or a scene's name."""
+    plan: Annotated[str | None, with_metavar("PLAN")] = None
+    """Capture plan to use instead of the scene's: a TOML file with [[plan.rings]], or the name of a scene."""
     resume: Flag = False
-    """Finish a stopped scan: what it took is kept and not taken again."""
+    """Continue an interrupted scan; pictures that were already taken are kept."""
     table_angle_deg: Annotated[float | None, option(read_angle_deg, "DEG", name="--table-angle")] = None
-    """The table's angle now, if the markers cannot be read at the start; 0: the strip's seam faces the camera."""
-    record: Annotated[Path | None, named("FILE")] = None
-    """Append every byte on the wire to this file (JSON lines)."""
+    """Current angle of the turntable, if the markers cannot be detected at the start; at 0 the seam of the marker \
+strip faces the camera."""
+    record: Annotated[Path | None, with_metavar("FILE")] = None
+    """Append all serial communication to this file (JSON lines)."""
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Web page")
 @dataclass(frozen=True, kw_only=True)
 class Watching(Page):
-    """The live page."""
+    """Live page of the scan."""
 
     watch: Flag = False
-    """Serve a live page: last picture with its markers, focus, exposure, evenness of the panel and motion with their \
-limits, the ring and a sketch of the roots so far, time left; pause, go on, stop."""
+    """Serve a live page that shows the last picture with its markers, focus, exposure, panel uniformity and motion \
+with their limits, a preview of the roots and the remaining time, and has buttons to pause and stop."""
 
 
 def scan(
@@ -65,31 +66,31 @@ def scan(
     watching: Watching = Watching(),
     progress: Progress = Progress(),
 ) -> None:
-    """Take the pictures of a plan on a rig, or on its emulated twin.
+    """Scan a plant: take the pictures of a capture plan on a rig, or on the emulated rig.
 
-    Look at every device, bring the camera to the rings of the plan, turn the table and take the pictures. Stopped
-    half-way (Ctrl-C, a fault, a power cut), the same command with --resume takes what is missing. Whatever ends it, the
-    lights go off and the arm is parked and let go.
+    Check every device, move the camera to each ring of the capture plan, rotate the turntable and take the pictures.
+    After an interruption (Ctrl-C, a fault, a power failure), run the same command with --resume to take the remaining
+    pictures. On exit, also after an error, the lamps are switched off and the arm is parked and unpowered.
 
     Parameters
     ----------
     rig : str
-        Rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program.
+        Rig file (TOML; 'rhizotwin rig example' writes one), or twin for the emulated rig.
     output : Path
-        Folder to make the dataset in: new or empty; with --resume one that a stopped scan left.
+        Dataset folder to write: new or empty, or with --resume the folder of the interrupted scan.
     scene : str, optional
-        A scene file, or a name from 'rhizotwin scenes': canister, strip, calibrated lens and plan; needed for a rig
-        file; the twin's default: printed_8ml.
+        Scene with canister, marker strip, calibrated camera and capture plan: a name listed by 'rhizotwin scenes' or a
+        scene file (TOML). Required with a rig file; default for the emulated rig: printed_8ml.
     options : ScanOptions
-        How the scan goes.
+        Options of the scan.
     twin : TwinPictures
-        What the emulated rig gets wrong, and how its pictures are made.
+        Errors of the emulated rig and quality of its pictures.
     subject : SubjectOptions
-        Whose roots they are.
+        Plant in the canister.
     watching : Watching
-        The live page.
+        Live page of the scan.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -101,12 +102,14 @@ def scan(
     """
     emulated = twin if rig == rigs.TWIN else None
     if emulated is None and scene is None:
-        raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
+        raise UserError(
+            "--scene is missing; give the scene file of this rig, with canister, marker strip, calibrated camera and capture plan"
+        )
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
-    told = subject.told(bench.scene)
-    steps.print_marker_warnings(told)
-    made = _take(bench, told, output, options=options, twin=emulated, watching=watching, progress=progress)
-    print(f"{len(made.frames)} pictures in {output / 'images'}")
+    scene_of_plant = subject.apply_to(bench.scene)
+    steps.print_marker_warnings(scene_of_plant)
+    made = _take(bench, scene_of_plant, output, options=options, twin=emulated, watching=watching, progress=progress)
+    print(f"wrote {len(made.frames)} pictures to {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
         print(f"next: rhizotwin reconstruct {output} -o my_result")
 
@@ -121,12 +124,11 @@ def _take(
     watching: Watching,
     progress: Progress,
 ) -> "Dataset":
-    """Take the pictures, and write their truth where the twin renders them."""
+    """Take the pictures, and write the ground truth if the emulated rig renders them."""
     from rhizotwin.rig.scanning.audience import Audience
     from rhizotwin.rig.scanning.scan import scan as take
 
-    # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before,
-    # too
+    # the true state at each picture is stored on disk, so that the ground truth of a resumed scan is complete
     rendered = twin is not None and twin.fidelity == "render"
     with ExitStack() as stack:
         onlooker = _onlooker(bench.scene, watching, stack)
@@ -155,7 +157,7 @@ def _take(
 
 
 def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
-    """Return who looks on: the live page, where it is asked for."""
+    """Start the live page if requested."""
     if not watching.watch:
         from rhizotwin.rig.scanning.onlooker import Onlooker
 
@@ -172,6 +174,6 @@ def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
 
 
 def _pictures(twin: rigs.TwinPictures, scene: Scene) -> dict[str, str]:
-    """Return what the twin's pictures are made of."""
+    """Return the settings of the emulated pictures, which must not change when a scan is resumed."""
     digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
     return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, SceneName, SolutionName, named, output
+from rhizotwin.arguments import Flag, SceneName, SolutionName, output, with_metavar
 from rhizotwin.scenes import explained, files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT, Solution
@@ -14,28 +14,28 @@ def scenes(
     /,
     *,
     copy: Annotated[Path | None, output("FILE")] = None,
-    specimen_stl: Annotated[Path | None, named("FILE")] = None,
+    specimen_stl: Annotated[Path | None, with_metavar("FILE")] = None,
     keys: Flag = False,
     solution: SolutionName | None = None,
 ) -> None:
-    """List the scenes and profiles that come with the program, write a copy of one, or its specimen to be printed.
+    """List the example scenes and error profiles, or write a scene or its specimen to a file.
 
-    The list has one line each. With a name and -o, write that scene's file instead, with every setting, to be changed
-    and given to the other commands as a scene of your own. With a name and --specimen-stl, write its root as a closed
-    surface.
+    A scene describes canister, water, roots, camera and capture plan. Without arguments, the scenes and profiles of the
+    library are listed. With a name and -o, the scene is written to a file with all its keys, as a starting point for
+    your own scene. With a name and --specimen-stl, its root is written as a closed mesh.
 
     Parameters
     ----------
     name : str, optional
-        A scene's name, or a scene file: write a copy of it.
+        Name of a scene of the library, or path of a scene file (TOML).
     copy : Path, optional
-        File to write the copy to (TOML), every key with its unit, range and why; must not exist yet.
+        Scene file to write (TOML), with unit, range and explanation of every key; must not exist yet.
     specimen_stl : Path, optional
-        File to write the scene's specimen to (STL, mm, canister frame), for a 3D printer; must not exist yet.
+        Mesh file to write for 3D printing (STL, mm, canister frame); must not exist yet.
     keys : bool
         Print the reference of all keys of scene files (Markdown).
     solution : Solution, optional
-        Print the compounds of a nutrient solution in grams per litre, and its ions.
+        Print the composition of a nutrient solution: compounds in grams per litre, ions in mmol per litre.
 
     Examples
     --------
@@ -48,14 +48,14 @@ def scenes(
     """
     if keys or solution is not None:
         if name is not None or copy is not None or specimen_stl is not None:
-            raise UserError("--keys and --solution print a page; leave the scene, -o and --specimen-stl out")
+            raise UserError("--keys and --solution cannot be combined with a scene, -o or --specimen-stl")
         print(explained.page() if solution is None else _solution_table(solution), end="")
         return
     if (name is None) != (copy is None and specimen_stl is None):
-        raise UserError("give a scene with -o FILE or --specimen-stl FILE to write it or its specimen, or none of them to list the library")
+        raise UserError("give a scene together with -o FILE or --specimen-stl FILE, or no arguments to list the library")
     for path in (copy, specimen_stl):
         if path is not None and path.exists():
-            raise UserError(f"{path} exists already; choose another name")
+            raise UserError(f"{path} already exists; choose another name")
     if name is not None and specimen_stl is not None:
         from rhizotwin.printable import write_specimen_stl
 
@@ -63,7 +63,7 @@ def scenes(
             print(line)
     if name is not None and copy is not None:
         files.save_scene(files.load_scene(name), copy, new=True)
-        print(f"wrote {copy}; change it, then try: rhizotwin simulate {copy} -o my_dataset")
+        print(f"wrote {copy}; edit it, then run: rhizotwin simulate {copy} -o my_dataset")
     if name is not None:
         return
     _print_library()

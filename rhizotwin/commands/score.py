@@ -8,34 +8,35 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from rhizotwin import calls, front_door
-from rhizotwin.arguments import DatasetFolder, Flag, Progress, ResultFolder, VolumeMl, named
+from rhizotwin.arguments import DatasetFolder, Flag, Progress, ResultFolder, VolumeMl, with_metavar
 from rhizotwin.scenes.errors import UserError
 
 _OF_PICTURES = ("read", "markers", "poses", "canister", "background", "wall", "silhouettes")
-"""Stages that pictures go through before they are compared."""
+"""Processing stages of the pictures before the comparison."""
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Output of another method")
 @dataclass(frozen=True, kw_only=True)
 class ForeignFile:
-    """What another method wrote, scored in place of a result."""
+    """File of another method, scored instead of a result."""
 
-    mesh: Annotated[Path | None, named("FILE")] = None
-    """Score this triangle mesh: PLY, STL or OBJ in mm with z up, GLB in metres with y up."""
-    voxels: Annotated[Path | None, named("FILE")] = None
-    """Score these occupancies: NRRD, or NPZ with occupancy, origin_mm and voxel_mm."""
-    points: Annotated[Path | None, named("FILE")] = None
-    """Score these surface points: PLY, or lines of x y z (XYZ)."""
-    rsml: Annotated[Path | None, named("FILE")] = None
-    """Score these centre lines."""
-    traits: Annotated[Path | None, named("FILE")] = None
-    """Score this table: CSV with the columns trait and value, and low and high for 90 % intervals."""
+    mesh: Annotated[Path | None, with_metavar("FILE")] = None
+    """Score a triangle mesh: PLY, STL or OBJ in mm with z up, or GLB in metres with y up."""
+    voxels: Annotated[Path | None, with_metavar("FILE")] = None
+    """Score voxel occupancies: NRRD, or NPZ with the arrays occupancy, origin_mm and voxel_mm."""
+    points: Annotated[Path | None, with_metavar("FILE")] = None
+    """Score surface points: PLY, or a text file with x y z on each line (XYZ)."""
+    rsml: Annotated[Path | None, with_metavar("FILE")] = None
+    """Score centre lines (RSML)."""
+    traits: Annotated[Path | None, with_metavar("FILE")] = None
+    """Score a table of traits: CSV with the columns trait and value, and optionally low and high (90 % interval)."""
     registered: Flag = False
-    """Lay the mesh onto the truth first; otherwise it is in the canister's frame."""
+    """Register the mesh to the ground truth by a rigid motion first; otherwise its coordinates are those of the \
+canister frame."""
 
     @property
     def given(self) -> dict[front_door.FileKind, Path]:
-        """Return the files that are given, by kind."""
+        """Return the given files by kind."""
         every: dict[front_door.FileKind, Path | None] = {
             "mesh": self.mesh,
             "voxels": self.voxels,
@@ -46,9 +47,9 @@ class ForeignFile:
         return {kind: file for kind, file in every.items() if file is not None}
 
     def one(self, *others: object) -> tuple[front_door.FileKind, Path]:
-        """Return kind and file; UserError where there are several, or something else is given beside."""
+        """Return kind and file; raise UserError if several files or other references are given."""
         if len(self.given) > 1 or any(other is not None for other in others):
-            raise UserError("give one file of another method and the simulated dataset, and nothing else to score")
+            raise UserError("give exactly one file of another method and the simulated dataset, without other options of the reference")
         return next(iter(self.given.items()))
 
 
@@ -58,41 +59,41 @@ def score(
     /,
     *,
     foreign: ForeignFile = ForeignFile(),
-    truth: Annotated[Path | None, named("FILE")] = None,
+    truth: Annotated[Path | None, with_metavar("FILE")] = None,
     volume_ml: VolumeMl | None = None,
-    pictures: Annotated[Path | None, named("DATASET")] = None,
+    pictures: Annotated[Path | None, with_metavar("DATASET")] = None,
     as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
     progress: Progress = Progress(),
 ) -> None:
-    """Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or unseen pictures.
+    """Compare a result with ground truth, a known part, a measured volume or other pictures.
 
-    With a simulated DATASET: volume, extents, voxels, surface distances, every trait, poses and silhouettes. With
-    --truth: volume, extents and surface distances to a solid that is laid onto the result first. With --volume-ml: the
-    volume alone. With --pictures: area, outlines and centre lines that the result would show in pictures that it was
-    not made from, in pixels. Errors are signed fractions: found / true - 1; of angles, differences in degrees.
+    The reference is one of the following:
+      DATASET      a simulated dataset: volume, extents, voxels, surface distances, traits, camera poses, silhouettes
+      --truth      the mesh of a known part, registered to the result first: volume, extents, surface distances
+      --volume-ml  a measured volume: volume only
+      --pictures   pictures that were not used in the reconstruction: area, outlines and centre lines, in pixels
 
-    With --mesh, --voxels, --points, --rsml or --traits, a file of another method is scored, and the only folder is the
-    simulated dataset.
+    Relative errors are estimate / true - 1; errors of angles are differences in degrees. To score the output of another
+    method, give one of --mesh, --voxels, --points, --rsml or --traits, and the simulated dataset as the only folder.
 
     Parameters
     ----------
     result : Path
-        Folder made by 'rhizotwin reconstruct'; with a file of another method the simulated dataset.
+        Result folder; for the file of another method, the simulated dataset.
     dataset : Path, optional
-        The simulated dataset that the result was made from.
+        Simulated dataset from which the result was reconstructed.
     foreign : ForeignFile
-        What another method wrote.
+        File of another method.
     truth : Path, optional
-        The part that was scanned, as a closed mesh in mm (PLY, STL, OBJ).
+        Closed mesh of the scanned part, in mm (PLY, STL, OBJ).
     volume_ml : float, optional
-        The specimen's volume, measured by displacement or weight.
+        Measured volume of the specimen in ml, for example by water displacement.
     pictures : Path, optional
-        A dataset of the same plant on the same rig: another scan, or the whole one of which a part was reconstructed.
-        What was used is left out.
+        Dataset of the same plant and rig, with pictures that were not used in the reconstruction.
     as_json : bool
-        Print every number as JSON instead of a table.
+        Print all numbers as JSON instead of a table.
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------

@@ -12,12 +12,12 @@ from rhizotwin.arguments import Device, OutputDataset, Progress, Samples, SceneC
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """How pictures are made."""
+    """Rendering options."""
 
     fidelity: Literal["backlit", "path"] = "backlit"
-    """backlit: fast, without noise of its own; path: full path tracing with all reflections, slower."""
+    """Rendering method: backlit (fast, without sampling noise) or path (path tracing with all reflections, slower)."""
     samples: Samples | None = None
-    """Light paths a pixel: more is slower and smoother; default: as the fidelity needs."""
+    """Light paths per pixel: more give less sampling noise and take longer; default: depends on the method."""
 
 
 def simulate(
@@ -32,29 +32,29 @@ def simulate(
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
-    """Render a scene to a dataset, with its truth.
+    """Render the pictures of a scene, with the ground truth.
 
-    Render every view of a scene's capture plan to a dataset folder: pictures as the camera would take them, and the
-    truth beside them. Stopped half-way, the same command goes on where it stopped.
+    Every view of the capture plan of the scene is rendered to a dataset folder: the pictures that the camera would take
+    in the folder images, the ground truth in the folder truth. If interrupted, run the same command again to continue.
 
     Parameters
     ----------
     scene : str
-        A name from 'rhizotwin scenes', or a scene file (TOML).
+        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
     output : Path
-        Folder to make the dataset in: new, empty, or left by the same command when it was stopped.
+        Dataset folder to write: new, empty, or left by an interrupted run of the same command.
     changes : SceneChanges
-        What is changed in the scene.
+        Changes to the scene.
     subject : SubjectOptions
-        Whose roots they are.
+        Plant in the canister.
     rendering : Rendering
-        How the pictures are made.
+        Rendering options.
     seed : int
         Random seed for all simulated errors and noise: 0, 1, 2, ...
     device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+        Compute device: cpu, cuda (an NVIDIA GPU) or auto (the GPU if available).
     progress : Progress
-        How much is told meanwhile.
+        Progress output.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def simulate(
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
     """
-    changed = subject.told(front_door.load_scene(scene, **vars(changes)))
+    changed = subject.apply_to(front_door.load_scene(scene, **vars(changes)))
     steps.print_marker_warnings(changed)
     steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(render=1.0) as bar:
@@ -72,5 +72,5 @@ def simulate(
 
     for note in load_truth(output).drawn["notes"]:
         print(f"note: {note}")
-    print(f"{len(dataset.frames)} pictures in {output / 'images'}, the truth in {output / 'truth'}")
+    print(f"wrote {len(dataset.frames)} pictures to {output / 'images'} and the ground truth to {output / 'truth'}")
     print(f"next: rhizotwin reconstruct {output} -o my_result")

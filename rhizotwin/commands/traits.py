@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rhizotwin.arguments import list_of, named, option, output, read_mass_g
+from rhizotwin.arguments import list_of, option, output, read_mass_g, with_metavar
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
@@ -13,25 +13,26 @@ if TYPE_CHECKING:
 
 
 def traits(
-    results: Annotated[list[Path], named("RESULT")],
+    results: Annotated[list[Path], with_metavar("RESULT")],
     /,
     *,
     mass_g: Annotated[tuple[float, ...] | None, option(list_of(read_mass_g, once=False), "G,G,...")] = None,
     table: Annotated[Path | None, output("FILE")] = None,
 ) -> None:
-    """Print the traits of results, or write them to a table for spreadsheets.
+    """Print the traits of results, or write them to a table.
 
-    Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units, each with its 90 %
-    interval, or "not reliable" or "not assessed". With -o they go to a file: .csv has one row a result (one a plant,
-    where several share a canister) and one column a trait, its unit in the head, then intervals and verdicts; .json has
-    every number, histograms too. Traits of centre lines are empty where no roots were found, as for spheres.
+    Each trait (lengths, diameters, depth, width, angles, ...) is printed with its unit and its 90 % interval, or marked
+    as "not reliable" or "not assessed". With -o they are written to a file: a .csv table with one row per result (per
+    plant, if several plants share a canister) and one column per trait, followed by intervals, verdicts and reasons, or
+    a .json file that also contains the histograms. Traits of centre lines are empty if no roots were found, as for
+    spheres.
 
     Parameters
     ----------
     results : list of Path
-        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch'.
+        Result folders, or folders that contain results, such as the output of 'rhizotwin batch'.
     mass_g : tuple of float, optional
-        Mass of the roots, one a result in their order; default: as given to 'rhizotwin reconstruct'.
+        Fresh mass of the roots in grams, one value per result in the same order; default: as given to 'reconstruct'.
     table : Path, optional
         Table to write, .csv or .json; must not exist yet.
 
@@ -48,11 +49,11 @@ def traits(
 
     results = result_files.results_in(results)
     if mass_g is not None and len(mass_g) != len(results):
-        raise UserError(f"--mass-g has {len(mass_g)} masses for {len(results)} results; give one for each, in their order")
+        raise UserError(f"--mass-g has {len(mass_g)} values for {len(results)} results; give one value per result, in the same order")
     if table is not None and table.suffix.lower() not in (".csv", ".json"):
         raise UserError(f"{table} must end in .csv or .json")
     if table is not None and table.exists():
-        raise UserError(f"{table} exists already; choose another name")
+        raise UserError(f"{table} already exists; choose another name")
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)
     masses = [summary.get("mass_g") if mass is None else mass for mass, summary in zip(given, summaries, strict=True)]
@@ -74,7 +75,7 @@ def traits(
 
 
 def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
-    """Print a result's traits, and those of its plants where there are several."""
+    """Print the traits of a result, and of each plant if there are several."""
     from rhizotwin.recon.results import assessments, result_traits
     from rhizotwin.scenes import subject, trait_table
     from rhizotwin.stored import result_files
@@ -94,11 +95,11 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     for pair in result_files.read_neighbours(folder) if len(plants) > 1 else ():
         print("\n".join(pair.lines(assessed["total_length_mm"].verdict)))
     if one.total_length_mm is None:
-        print("  no roots were found as centre lines: what needs them is a dash")
+        print("  no centre lines were found; traits that require them are shown as a dash")
 
 
 def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[str, Any]:
-    """Return how the plants of a result lie to each other, for JSON; nothing where there is one."""
+    """Return the distances and overlaps between the plants of a result for JSON; empty for a single plant."""
     from rhizotwin.recon.results import assessments
     from rhizotwin.stored import result_files
 
@@ -108,5 +109,5 @@ def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[st
 
 
 def _name(folder: Path) -> str:
-    """Return a result's name for a table: its folder's, also of ``.``."""
+    """Return the name of a result folder, resolved so that ``.`` has one."""
     return folder.resolve().name

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from rhizotwin import rigs, steps
-from rhizotwin.arguments import Port, SceneName, between, option, options, output
+from rhizotwin.arguments import Port, SceneName, option, options, output, read_number
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 
@@ -16,26 +16,25 @@ SPEED_LIMITS = (0.01, 1000.0)
 
 
 def read_speed(text: str) -> float:
-    """Read how many times faster than real time."""
-    return between(text, SPEED_LIMITS, "times real time")
+    """Read a speed relative to real time."""
+    return read_number(text, SPEED_LIMITS, "times real time")
 
 
-@Parameter(name="*")
+@Parameter(name="*", group="Emulated rig")
 @dataclass(frozen=True, kw_only=True)
 class TwinPorts(rigs.TwinPictures):
-    """What the emulated rig gets wrong, and how it is reached."""
+    """Errors and ports of the emulated rig."""
 
     fidelity: rigs.Fidelity = "sketch"
-    """Of the pictures: render: as 'simulate' makes them; sketch: strip and panel only, at once."""
+    """Pictures: render (as in 'rhizotwin simulate') or sketch (marker strip and light panel only, fast)."""
     speed: Annotated[float, option(read_speed, "X")] = 1.0
-    """How many times faster than real its time passes."""
+    """Speed of the emulated time relative to real time."""
     protocol: Literal["lx", "lsc"] = "lx"
-    """What the arm speaks: servo bus or controller board."""
+    """Protocol of the arm: lx (serial bus servos) or lsc (servo controller board)."""
     fault: Annotated[tuple[str, ...], options(str, "FAULT")] = ()
-    """Something that goes wrong, such as 'reset', or 'reply_late table amount=3 at_s=20'; may be given several \
-times."""
+    """Fault to simulate, such as 'reset' or 'reply_late table amount=3 at_s=20'; may be repeated."""
     camera_port: Port | None = None
-    """Of the camera's HTTP server; default: a free one."""
+    """Port of the HTTP server of the camera; default: a free port."""
 
 
 def twin(
@@ -44,19 +43,20 @@ def twin(
     rig_file: Annotated[Path | None, output("RIG")] = None,
     ports: TwinPorts = TwinPorts(),
 ) -> None:
-    """Run the emulated rig alone, on ports that any serial program can open.
+    """Run the emulated rig on ports that any serial program can open.
 
-    Start the emulated turntable, lights and arm on pseudo-terminals, and print the ports. They speak the bytes of the
-    real devices, in real time; the camera is served over HTTP. Faults can be typed while it runs. Ctrl-C ends it.
+    Start the emulated turntable, lamps and arm on pseudo-terminals, and print their ports. They use the protocols of
+    the real devices in real time; the camera is served over HTTP. Faults can be typed while the emulation runs. Press
+    Ctrl-C to stop.
 
     Parameters
     ----------
     scene : str
-        A scene file, or a name from 'rhizotwin scenes'.
+        Name of a scene (listed by 'rhizotwin scenes') or path of a scene file (TOML).
     rig_file : Path, optional
-        Write a rig file (TOML) with these ports; must not exist yet.
+        Rig file to write (TOML) with these ports; must not exist yet.
     ports : TwinPorts
-        What it gets wrong, and how it is reached.
+        Errors and ports of the emulated rig.
 
     Examples
     --------
@@ -65,14 +65,14 @@ def twin(
     rhizotwin rig check my_twin_rig.toml
     """
     if sys.platform == "win32":
-        raise UserError("rhizotwin twin needs pseudo-terminals, which Windows lacks; use scan --rig twin, which needs none, or WSL")
+        raise UserError("'rhizotwin twin' needs pseudo-terminals, which Windows does not have; use 'rhizotwin scan --rig twin', or WSL")
     from rhizotwin.rig.twin.faults import parse_fault
     from rhizotwin.rig.twin.server import run_twin
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     emulated = replace(files.load_scene(scene), disturbances=files.load_profile(ports.profile))
     if rig_file is not None and rig_file.exists():
-        raise UserError(f"{rig_file} exists already; choose another name for the rig file")
+        raise UserError(f"{rig_file} already exists; choose another name for the rig file")
     if ports.fidelity == "render":
         steps.start_engine(ports.device)
     made = Twin(

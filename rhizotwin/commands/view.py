@@ -5,30 +5,30 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin import steps
-from rhizotwin.arguments import Page, named
+from rhizotwin.arguments import Page, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 
 
 def view(
-    paths: Annotated[list[Path], named("RESULT")],
+    paths: Annotated[list[Path], with_metavar("RESULT")],
     /,
     *,
     page: Page = Page(),
 ) -> None:
-    """Look at results in a browser, and correct them.
+    """Inspect and correct results in a browser.
 
-    Roots, surface, voxels, canister and cameras in 3D; the pictures with the reconstruction drawn over them through the
-    water; corrections with undo, saved as edits.json beside the result, which stays as it is. Several results are shown
-    one after another, such as the days of one plant. Only who has the printed address with its token gets an answer.
-    Ctrl-C ends it.
+    The viewer shows roots, surface, voxels, canister and cameras in 3D, and the pictures with the reconstruction
+    projected onto them. Corrections can be undone and are saved to edits.json in the result folder; the result itself
+    is not changed. Several results, such as the days of one plant, can be selected in turn. The page is accessible only
+    with the token in the printed address. Press Ctrl-C to stop.
 
     Parameters
     ----------
     paths : list of Path
-        Folders made by 'rhizotwin reconstruct'; a dataset among them is where the pictures are, if they have moved.
+        Result folders, written by 'rhizotwin reconstruct'; optionally the dataset, if its folder was moved.
     page : Page
-        Where the page is served.
+        Address of the page.
 
     Examples
     --------
@@ -41,20 +41,20 @@ def view(
     strange = [path for path in paths if path not in results and path not in datasets]
     if strange:
         check_readable(strange[0], deep=False)
-        raise UserError(f"{strange[0]} is neither a result nor a dataset; give the folder that `rhizotwin reconstruct` wrote")
+        raise UserError(f"{strange[0]} is neither a result nor a dataset; give a folder written by 'rhizotwin reconstruct'")
     if not results or len(datasets) > 1:
-        raise UserError(f"{len(results)} results and {len(datasets)} datasets given; give one result or more, and at most one dataset")
+        raise UserError(f"{len(results)} results and {len(datasets)} datasets are given; give at least one result and at most one dataset")
     from rhizotwin.viewer import guard
 
     served = guard.serve(host=page.host, port=page.port)
-    steps.open_page(served.address, served.port, page)  # a browser takes as long to begin as the results to be read
+    steps.open_page(served.address, served.port, page)  # the browser starts while the results are read
     from rhizotwin.viewer import app
 
     viewer = app.show(served, results, datasets[0] if datasets else None)
-    print("Ctrl-C ends it", flush=True)
+    print("press Ctrl-C to stop", flush=True)
     try:
         while True:
             time.sleep(1.0)
     finally:
         if lost := viewer.unsaved():
-            print(f"not saved: {lost} correction{'s' if lost > 1 else ''}", flush=True)
+            print(f"{lost} correction{'s were' if lost > 1 else ' was'} not saved", flush=True)

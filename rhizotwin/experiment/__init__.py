@@ -1,1 +1,1 @@
-"""What a laboratory asks of many results: masses from volumes, growth over days, treatments compared."""
+"""Analysis of many results: mass models, growth over time, and comparison of treatments."""

@@ -1,9 +1,9 @@
-"""One plant at two ages in one frame: the strip on its pot brings them near, its roots bring them together.
+"""Rigid registration of the roots of one plant at two ages.
 
-The canister's frame is the strip's, so that a plant that stays in its pot is where it was, but for the error of the
-poses and what the pot was turned or moved in the strip. The rest is a rigid motion: the younger plant's centre lines
-are laid on the older's, which hold them (iterated closest points, Besl and McKay 1992, trimmed as Chetverikov et al.
-2002).
+The canister frame is defined by the marker strip on the net pot. A plant that stays in its pot is therefore already
+aligned up to pose errors and movements of the pot in the strip. The remaining rigid motion is estimated by iterated
+closest points (Besl and McKay 1992, trimmed as in Chetverikov et al. 2002) from the younger plant's centre lines to
+those of the older plant, which include them.
 """
 
 from collections.abc import Sequence
@@ -20,32 +20,31 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 STEP_MM = 0.5
-"""Between the points that a centre line is seen as: a root's diameter."""
+"""Distance between the sample points of a centre line, about one root diameter."""
 KEPT = 0.7
-"""Share of the younger plant's points that are laid on the older's: the others were traced at one age only, or
-moved."""
+"""Fraction of the younger plant's points used in the fit. The others were traced at one age only, or moved."""
 MOST_ROUNDS = 60
 STILL_MM = 1e-4
-"""A round that moves no point farther is the last."""
+"""The iteration ends when no point moves farther than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aligned:
-    """How an older plant is brought to the younger's frame."""
+    """Registration of an older plant to the frame of the younger one."""
 
     younger_from_older: Array
     """(4, 4)"""
     residual_mm: float
-    """Median distance of the younger's points from the older's lines."""
+    """Median distance of the younger plant's points from the older plant's centre lines."""
 
     def of(self, root_mm: Array) -> Array:
-        """Return points (N, 3) of the older plant in the younger's frame."""
+        """Transform points (N, 3) of the older plant to the frame of the younger one."""
         moved: Array = root_mm @ self.younger_from_older[:3, :3].T + self.younger_from_older[:3, 3]
         return moved
 
 
 def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
-    """Return points (N, 3) about ``step_mm`` apart along a root, and the unit direction (N, 3) at each."""
+    """Sample points (N, 3) about ``step_mm`` apart along a root, with the unit direction (N, 3) at each."""
     way = polyline.way_mm(root.points_mm)
     count = max(2, int(np.ceil(way[-1] / step_mm)) + 1)
     at = np.linspace(0.0, way[-1], count)
@@ -55,11 +54,12 @@ def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
 
 
 def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
-    """Lay the younger plant on the older one, from where the strip has them and from root base on root base.
+    """Register the younger plant to the older one.
 
-    The better one counts.
+    The iteration starts from the marker strip's alignment and from coinciding root bases; the better result is
+    returned.
 
-    Both lists begin with the taproot and hold at least one root.
+    Both lists begin with the taproot and contain at least one root.
     """
     young = np.concatenate([points_of(root)[0] for root in younger])
     old = np.concatenate([points_of(root)[0] for root in older])
@@ -72,9 +72,9 @@ def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
 
 
 def _closest(young: Array, old: Array, tree: cKDTree, begin: Array) -> tuple[Array, float]:
-    """Return the motion (4, 4) that lays points on others, and the median distance of those that are kept.
+    """Estimate the motion (4, 4) from points to other points, and the median distance of the points used.
 
-    It begins with a first guess.
+    The iteration starts from the given motion.
     """
     motion = begin.copy()
     for _ in range(MOST_ROUNDS):

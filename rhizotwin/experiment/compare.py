@@ -1,10 +1,10 @@
-"""Growth in numbers: relative growth rates, means with intervals, and whether treatments differ.
+"""Growth statistics: relative growth rates, means with intervals, and comparison of treatments.
 
-The logarithm of a trait of plant i on day t is followed by a linear mixed model (Laird and Ware 1982, Biometrics
-38:963): a curve common to all (a level for every day), what the treatment adds on the mean day and a day, and for each
-plant a level and a slope of its own. A treatment is a difference between plants, however often each is looked at, so
-that its t statistic has the plants less the treatments as its degrees of freedom (Schluchter and Elashoff 1990, Journal
-of Statistical Computation and Simulation 37:69).
+The logarithm of a trait of plant i on day t follows a linear mixed model (Laird and Ware 1982, Biometrics 38:963): one
+fixed level per day, a fixed effect of the treatment on the mean day and on the daily rate, and a random level and slope
+per plant. Treatments are compared between plants, however many times each plant is measured; the t statistic therefore
+has (plants - treatments) degrees of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and
+Simulation 37:69).
 """
 
 import warnings
@@ -22,16 +22,16 @@ from rhizotwin.scenes.errors import UserError
 Array = NDArray[np.float64]
 
 SURE = 0.05
-"""Probability of a difference that is none, by which treatments are told apart."""
+"""Significance level for differences between treatments."""
 ROUNDING = 1e-12
-"""Logarithms of equal traits are no more apart."""
+"""Numerical tolerance: logarithms of equal traits differ by no more than this."""
 LEAST_PLANTS = 2
-"""Of each treatment."""
+"""Minimum number of plants per treatment."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
-    """A trait of a plant on a day."""
+class Observation:
+    """Value of a trait of one plant on one day."""
 
     plant: str
     treatment: str
@@ -41,20 +41,20 @@ class Seen:
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A treatment's mean on a day."""
+    """Mean of a treatment on one day."""
 
     treatment: str
     day: float
     mean: float
     low: float
-    """Ends of the 90 % interval of the mean; the mean itself for one plant."""
+    """Lower end of the 90 % interval of the mean, with ``high`` as the upper end; equal to the mean for one plant."""
     high: float
     plants: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """A coefficient of the model, with its standard error and the degrees of freedom of its t statistic."""
+    """Coefficient of the model, with its standard error and the degrees of freedom of its t statistic."""
 
     value: float
     error: float
@@ -68,9 +68,9 @@ class Effect:
 
     @property
     def p(self) -> float:
-        """Probability of a value at least as large where the true one is 0.
+        """Two-sided p value of the coefficient.
 
-        Values without any error are 0 or they are not.
+        Without residual variation it is 0 or 1.
         """
         if self.error <= ROUNDING:
             return 1.0 if abs(self.value) <= ROUNDING else 0.0
@@ -79,28 +79,28 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """What a treatment does, against the first one."""
+    """Difference between a treatment and the reference treatment."""
 
     treatment: str
     against: str
     size: float
-    """Factor by which a plant is larger on the mean day."""
+    """Ratio of the trait between the treatments on the mean day."""
     size_interval: tuple[float, float]
     """90 % interval."""
     size_p: float
     rate_per_day: float
-    """By how much its relative growth rate is larger."""
+    """Difference of the relative growth rates."""
     rate_p: float
     plants: int
 
     @property
-    def told_apart(self) -> bool:
-        """Whether sizes differ: the one question that the verdict answers; the rate's p stands beside it as another."""
+    def is_significant(self) -> bool:
+        """Whether the sizes differ significantly; the p value of the rate is reported separately."""
         return self.size_p < SURE
 
 
-def means(seen: Sequence[Seen]) -> list[Point]:
-    """Return the mean of each treatment on each day, with the interval that the scatter of the plants gives."""
+def means(seen: Sequence[Observation]) -> list[Point]:
+    """Compute the mean of each treatment on each day, with a 90 % interval from the variation among plants."""
     points = []
     for treatment, day in sorted({(one.treatment, one.day) for one in seen}):
         values = np.array([one.value for one in seen if (one.treatment, one.day) == (treatment, day)])
@@ -110,10 +110,10 @@ def means(seen: Sequence[Seen]) -> list[Point]:
     return points
 
 
-def relative_rates(seen: Sequence[Seen]) -> list[tuple[str, float, float, float]]:
-    """Return plant, from day, to day and relative growth rate a day.
+def relative_rates(seen: Sequence[Observation]) -> list[tuple[str, float, float, float]]:
+    """Return plant, start day, end day and relative growth rate per day.
 
-    The change of the logarithm over the time (Hunt 1982).
+    The rate is the change of the logarithm divided by the time (Hunt 1982).
     """
     rates = []
     for plant in dict.fromkeys(one.plant for one in seen):
@@ -122,27 +122,27 @@ def relative_rates(seen: Sequence[Seen]) -> list[tuple[str, float, float, float]
     return rates
 
 
-def _plants(seen: Sequence[Seen]) -> dict[str, set[str]]:
-    """Return the plants of each treatment, treatments by name."""
+def _plants(seen: Sequence[Observation]) -> dict[str, set[str]]:
+    """Return the plants of each treatment, treatments ordered by name."""
     return {name: {one.plant for one in seen if one.treatment == name} for name in sorted({one.treatment for one in seen})}
 
 
-def too_few(seen: Sequence[Seen]) -> str:
-    """Say which treatment has too few plants to be compared; empty where none has, or there is one treatment."""
+def too_few(seen: Sequence[Observation]) -> str:
+    """Return the reason why treatments cannot be compared; empty if they can, or if there is only one."""
     plants = _plants(seen)
     few = [name for name, own in plants.items() if len(own) < LEAST_PLANTS]
     if len(plants) < 2 or not few:
         return ""
-    return f"treatment {few[0]!r} has {len(plants[few[0]])} plant; each treatment needs {LEAST_PLANTS} or more"
+    return f"treatment {few[0]!r} has {len(plants[few[0]])} plant; each treatment requires at least {LEAST_PLANTS}"
 
 
-def differences(seen: Sequence[Seen]) -> list[Difference]:
-    """Compare every treatment with the first by name.
+def differences(seen: Sequence[Observation]) -> list[Difference]:
+    """Compare each treatment with the first one by name.
 
     Raises
     ------
     UserError
-        When statsmodels is not installed, or a treatment has fewer than two plants.
+        If statsmodels is not installed, or a treatment has fewer than two plants.
     """
     if why := too_few(seen):
         raise UserError(why)
@@ -154,7 +154,7 @@ def differences(seen: Sequence[Seen]) -> list[Difference]:
     return found
 
 
-def _difference(seen: Sequence[Seen], *, against: str, treatment: str, plants: int) -> Difference:
+def _difference(seen: Sequence[Observation], *, against: str, treatment: str, plants: int) -> Difference:
     treated = np.array([one.treatment == treatment for one in seen], np.float64)
     size, rate = effects(seen, treated[:, None])
     low, high = size[0].interval
@@ -170,25 +170,25 @@ def _difference(seen: Sequence[Seen], *, against: str, treatment: str, plants: i
     )
 
 
-def effects(seen: Sequence[Seen], columns: Array) -> tuple[list[Effect], list[Effect]]:
-    """Return by what each column moves the logarithm of a trait on the mean day, and by what a day.
+def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], list[Effect]]:
+    """Estimate the effect of each covariate on the logarithm of a trait on the mean day, and on its daily rate.
 
     Parameters
     ----------
-    seen : sequence of Seen
-        At least ``C + 2`` plants.
+    seen : sequence of Observation
+        Observations of at least ``C + 2`` plants.
     columns : (N, C) array of float
-        What differs between plants, such as 1 for the treated ones, or a dose.
+        Covariates of the plants, such as 1 for treated plants, or a dose.
 
     Returns
     -------
     tuple of list of Effect
-        Of each column; the second list is empty where there is one day.
+        Effects on the size and on the rate, one per covariate; the second list is empty for a single day.
 
     Raises
     ------
     UserError
-        When statsmodels is not installed.
+        If statsmodels is not installed.
     """
     day = np.array([one.day for one in seen])
     days = np.unique(day)
@@ -205,19 +205,19 @@ def effects(seen: Sequence[Seen], columns: Array) -> tuple[list[Effect], list[Ef
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
     """Return the fixed effects and their standard errors.
 
-    Plants that were seen once each have no level of their own to be told. Powell's search needs no gradient, which the
-    likelihood lacks where a variance is 0: of twelve sets of plants, gradients stopped short in four.
+    With one observation per plant, the random level cannot be estimated. Powell's method is used because the likelihood
+    has no gradient where a variance is 0; gradient methods stopped early for four of twelve sets of plants.
     """
     try:
         import statsmodels.api as models
     except ModuleNotFoundError:
-        raise UserError("to compare treatments, statsmodels is needed: pip install 'rhizotwin[experiment]'") from None
+        raise UserError("comparing treatments requires statsmodels: pip install 'rhizotwin[experiment]'") from None
     if len(set(plants)) == len(plants):
         fitted = models.OLS(y, design).fit()
         return np.asarray(fitted.params), np.asarray(fitted.bse)
     random = None if slopes is None else np.stack([np.ones(len(y)), slopes / np.std(slopes)], axis=1)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a variance at its bound, zero, is what plants that do not differ have
+        warnings.simplefilter("ignore")  # plants that do not differ give a variance at its lower bound, zero
         try:
             fitted = models.MixedLM(y, design, groups=np.asarray(plants), exog_re=random).fit(reml=True, method="powell")
             value, error = np.asarray(fitted.fe_params), np.asarray(fitted.bse_fe)
@@ -225,6 +225,6 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
             value = error = np.full(design.shape[1], np.nan)
     if np.isfinite(value).all() and np.isfinite(error).all():
         return value, error
-    # plants that do not differ at all: the mixed model without a variance of plants
+    # plants without any variation: the mixed model without a random effect of the plant
     plain = models.OLS(y, design).fit()
     return np.asarray(plain.params), np.asarray(plain.bse)

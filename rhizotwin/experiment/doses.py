@@ -1,8 +1,8 @@
-"""Dose response: how traits follow the concentrations of ions in the nutrient solution.
+"""Dose response of traits to the ion concentrations of the nutrient solution.
 
-The model is that of `compare`, with concentrations in place of a treatment: the logarithm of a trait is a level for
-every day plus a slope times the concentration. Ions that vary together share one slope, since no experiment in which
-they do can separate them. Whether a response is straight is tested by the squares of the concentrations.
+The model is that of `compare`, with concentrations instead of a treatment: the logarithm of a trait is one level per
+day plus a slope times the concentration. Ions that vary together share one slope, because their effects cannot be
+separated. Linearity is tested with the squared concentrations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.experiment.compare import SURE, Seen, effects
+from rhizotwin.experiment.compare import SURE, Observation, effects
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT
@@ -20,44 +20,44 @@ from rhizotwin.scenes.solution import UNIT
 Array = NDArray[np.float64]
 
 MOST_SHARED = 0.9
-"""Squared correlation of two ions over the plants above which they count as one: a variance inflation factor of 10
+"""Squared correlation between two ions above which they form one group; equivalent to a variance inflation factor of 10
 (Marquardt 1970, Technometrics 12:591)."""
 _SAME = 1e-6
-"""Relative; tables hold seven digits."""
+"""Relative tolerance; tables have seven digits."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """How a trait follows the concentration of an ion."""
+    """Response of a trait to the concentration of an ion."""
 
     ion: str
     with_ions: tuple[str, ...]
-    """Other ions that vary together with it."""
+    """Other ions that vary together with the ion."""
     range_mmol: tuple[float, float]
-    """Lowest and highest concentration, mmol/l."""
+    """Minimum and maximum concentration in mmol/l."""
     slope: float
     """Change of the trait's logarithm per mmol/l on the mean day."""
     slope_interval: tuple[float, float]
     """90 % interval."""
     slope_p: float
     rate: float
-    """Change of the relative growth rate (1/day) per mmol/l; 0 where there is one day."""
+    """Change of the relative growth rate (1/day) per mmol/l; 0 for a single day."""
     rate_p: float
     curvature_p: float | None
-    """Probability of as much curvature in a straight response; None for two concentrations, or too few plants."""
+    """p value of the curvature; None for two concentrations, or too few plants."""
     levels: int
     plants: int
 
     @property
     def change(self) -> float:
-        """Factor of the trait from the lowest to the highest concentration."""
+        """Ratio of the trait between the highest and the lowest concentration."""
         return exp(self.slope * (self.range_mmol[1] - self.range_mmol[0]))
 
     def sentence(self, trait: str) -> str:
-        """Return the response in words."""
+        """Describe the response in a sentence."""
         least, most = self.range_mmol
         low, high = (100.0 * (exp(end * (most - least)) - 1.0) for end in self.slope_interval)
-        beside = f", with {', '.join(self.with_ions)}," if self.with_ions else ""
+        beside = f", together with {', '.join(self.with_ions)}," if self.with_ions else ""
         return (
             f"{trait}: {100.0 * (self.change - 1.0):+.0f} % from {least:.3g} to {most:.3g} {UNIT} {self.ion}{beside} on the mean day "
             f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {self.slope_p:.2g}, {self.plants} plants); {self._shape}."
@@ -66,18 +66,22 @@ class Response:
     @property
     def _shape(self) -> str:
         if self.curvature_p is None:
-            return "whether the response is straight could not be tested"
-        bent = "the response is curved, so that the slope is a mean" if self.curvature_p < SURE else "no curvature was found"
+            return "linearity could not be tested"
+        bent = (
+            "the response is not linear, so that the slope is an average"
+            if self.curvature_p < SURE
+            else "no deviation from linearity was found"
+        )
         return f"{bent} (p = {self.curvature_p:.2g})"
 
 
 def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[str, float]]:
-    """Return the concentrations of each plant whose solution is known.
+    """Return the concentrations of each plant with a known solution.
 
     Raises
     ------
     UserError
-        For a plant whose solution is another on another day.
+        If the solution of a plant differs between days.
     """
     found: dict[str, Mapping[str, float]] = {}
     for plant, days in plants.items():
@@ -86,7 +90,8 @@ def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[st
             for ion in {*one.ions, *known[0].ions}:
                 if not _same(one.ions.get(ion, 0.0), known[0].ions.get(ion, 0.0)):
                     raise UserError(
-                        f"plant {plant} is in two nutrient solutions, {known[0].name} and {one.name} differ in {ion}; a plant has one"
+                        f"plant {plant} has two nutrient solutions: {known[0].name} and "
+                        f"{one.name} differ in {ion}; a plant must have one solution"
                     )
         if known:
             found[plant] = known[0].ions
@@ -94,9 +99,9 @@ def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[st
 
 
 def group_ions(doses: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
-    """Return the ions that differ between plants, those that vary together in one group.
+    """Group the ions that differ between plants; ions that vary together form one group.
 
-    The first of a group is the one that varies most, relative to its mean.
+    The first ion of a group has the largest variation relative to its mean.
     """
     ions = list(dict.fromkeys(ion for own in doses.values() for ion in own))
     table = {ion: np.array([own.get(ion, 0.0) for own in doses.values()]) for ion in ions}
@@ -112,25 +117,25 @@ def group_ions(doses: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]
     return [tuple(group) for group in groups]
 
 
-def fit_responses(seen: Sequence[Seen], doses: Mapping[str, Mapping[str, float]]) -> list[Response]:
-    """Fit the response of a trait to every group of ions, all together.
+def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]]) -> list[Response]:
+    """Fit the responses of a trait to all groups of ions jointly.
 
     Parameters
     ----------
-    seen : sequence of Seen
-        The trait; plants without doses are left out.
+    seen : sequence of Observation
+        Values of the trait; plants without concentrations are ignored.
     doses : mapping
         Concentrations in mmol/l by ion, by plant.
 
     Returns
     -------
     list of Response
-        One a group; empty where no concentration differs, or where plants are too few for the groups.
+        One response per group; empty if no concentration differs, or if there are too few plants.
 
     Raises
     ------
     UserError
-        When statsmodels is not installed.
+        If statsmodels is not installed.
     """
     known = [one for one in seen if one.plant in doses]
     own = {one.plant: doses[one.plant] for one in known}
@@ -160,35 +165,35 @@ def fit_responses(seen: Sequence[Seen], doses: Mapping[str, Mapping[str, float]]
     ]
 
 
-def partial_residuals(seen: Sequence[Seen], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
-    """Return concentration and relative size of each plant for every response, to be drawn.
+def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
+    """Compute partial residuals of the responses for a plot.
 
     Parameters
     ----------
-    seen : sequence of Seen
-        The trait.
+    seen : sequence of Observation
+        Values of the trait.
     doses : mapping
         Concentrations in mmol/l by ion, by plant.
     responses : sequence of Response
-        Of the same.
+        Fitted responses of the trait.
 
     Returns
     -------
     (R, P, 2) array of float
-        Concentration in mmol/l, and the factor by which the plant is larger than the mean of its days after what the
-        other responses explain.
+        Concentration in mmol/l and relative size of each plant: its ratio to the mean of its days, corrected for the
+        other responses.
     """
     known = [one for one in seen if one.plant in doses]
-    of_day = {day: np.mean([np.log(one.value) for one in known if one.day == day]) for day in {one.day for one in known}}
+    day_mean = {day: np.mean([np.log(one.value) for one in known if one.day == day]) for day in {one.day for one in known}}
     plants = list(dict.fromkeys(one.plant for one in known))
-    size = np.array([np.mean([np.log(one.value) - of_day[one.day] for one in known if one.plant == plant]) for plant in plants])
+    size = np.array([np.mean([np.log(one.value) - day_mean[one.day] for one in known if one.plant == plant]) for plant in plants])
     dose = np.array([[doses[plant].get(one.ion, 0.0) for plant in plants] for one in responses])
     explained = np.array([one.slope for one in responses])[:, None] * (dose - dose.mean(axis=1, keepdims=True))
     return np.stack([dose, np.exp(size - explained.sum(axis=0) + explained)], axis=2)
 
 
-def _curvatures(seen: Sequence[Seen], dose: Array, plants: int) -> list[float | None]:
-    """Return the probability of each column's squares; None where plants are too few."""
+def _curvatures(seen: Sequence[Observation], dose: Array, plants: int) -> list[float | None]:
+    """Return the p value of the squared concentration of each group; None with too few plants."""
     count = dose.shape[1]
     both = np.concatenate([dose, (dose - dose.mean(axis=0)) ** 2], axis=1)
     if plants < 2 * count + 2 or not _independent(both):
@@ -197,7 +202,7 @@ def _curvatures(seen: Sequence[Seen], dose: Array, plants: int) -> list[float | 
 
 
 def _independent(columns: Array) -> bool:
-    """Return whether no column is a sum of the others and a constant."""
+    """Return whether the columns and a constant are linearly independent."""
     scaled = (columns - columns.mean(axis=0)) / columns.std(axis=0)
     return int(np.linalg.matrix_rank(scaled, tol=_SAME * len(scaled) ** 0.5)) == columns.shape[1]
 

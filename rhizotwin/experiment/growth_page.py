@@ -1,6 +1,6 @@
-"""Curves of growth as a picture and a page, in the form of the thesis's figure 4.1.
+"""Growth curves as a figure and a page, in the style of the thesis's figure 4.1.
 
-A mean a day with its interval, a line a treatment.
+Curves show the mean of each day with its interval, with one line per treatment.
 """
 
 import base64
@@ -20,7 +20,7 @@ _STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem au
 
 
 def draw(growth: Growth) -> bytes:
-    """Return the curves as PNG."""
+    """Draw the growth curves as PNG."""
     drawn = figure(4.2 * len(growth.curves), 3.6)
     for axes, (trait, points) in zip(drawn.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
         for treatment in dict.fromkeys(point.treatment for point in points):
@@ -36,7 +36,7 @@ def draw(growth: Growth) -> bytes:
 
 
 def draw_responses(growth: Growth) -> bytes:
-    """Return the dose responses as PNG: a row for each group of ions, a dot for each plant."""
+    """Draw the dose responses as PNG: one row per group of ions, one dot per plant."""
     many = max(len(one) for one in growth.responses.values())
     drawn = figure(4.2 * len(growth.responses), 3.6 * many)
     grid = drawn.subplots(many, len(growth.responses), squeeze=False)
@@ -50,35 +50,37 @@ def draw_responses(growth: Growth) -> bytes:
             ends = np.exp(np.outer(one.slope_interval, away))
             axes.fill_between(x, ends.min(axis=0), ends.max(axis=0), alpha=0.2, label="90 % interval of the slope")
             axes.set_xlabel(f"{', '.join((one.ion, *one.with_ions))}: {one.ion} ({UNIT})")
-            axes.set_ylabel(f"{trait}, relative to the day's mean")
+            axes.set_ylabel(f"{trait} relative to the mean of the day")
     drawn.axes[0].legend()
     return png(drawn, dpi=110)
 
 
 def page(growth: Growth | None, masses: bytes | None = None) -> str:
-    """Return the page: the curves, what differs in words, what was followed, what was left out.
+    """Return the HTML page: growth curves, comparisons, root tracks and excluded values.
 
     Parameters
     ----------
     growth : Growth or None
-        None: only masses are known.
+        None if only masses are known.
     masses : bytes, optional
-        The figure of `mass_curves.draw`.
+        Figure from `mass_curves.draw`.
     """
     parts = []
     if growth is not None:
         parts.append(f"<h1>Growth of {len(growth.plants)} plants</h1>")
         if growth.curves:
-            parts.append(_shown("curves of growth", draw(growth), "Mean of the plants on each day with its 90 % interval."))
+            parts.append(_shown("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval."))
         else:
             parts.append("<p>No trait is reliable enough for a curve.</p>")
         if growth.responses:
-            caption = "Each plant against the concentration of the ion, relative to the mean of its days, after what other ions explain."
+            caption = (
+                "Size of each plant relative to the mean of its days against the concentration of the ion, corrected for the other ions."
+            )
             parts.append("<h2>Dose response</h2>" + _shown("dose responses", draw_responses(growth), caption))
         parts.append("<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth)) + "</ul>")
     if masses is not None:
-        caption = "Wet mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
-        parts.append("<h1>Masses</h1>" + _shown("curves of masses", masses, caption))
+        caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
+        parts.append("<h1>Masses</h1>" + _shown("mass curves", masses, caption))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
         f"{''.join(parts)}</body></html>\n"
@@ -90,19 +92,19 @@ def _shown(name: str, picture: bytes, caption: str) -> str:
 
 
 def sentences(growth: Growth) -> list[str]:
-    """Return what was found, a sentence each."""
-    told = []
+    """Return the findings as sentences."""
+    found = []
     for trait, compared in growth.compared.items():
         for one in compared:
             low, high = (100.0 * (end - 1.0) for end in one.size_interval)
-            apart = "differs" if one.told_apart else "is not told apart"
-            told.append(
+            apart = "differs" if one.is_significant else "does not differ significantly"
+            found.append(
                 f"{trait}: {one.treatment!r} {apart} from {one.against!r}: {100.0 * (one.size - 1.0):+.0f} % on the mean day "
-                f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}), relative growth rate {one.rate_per_day:+.3f} a day "
-                f"(p = {one.rate_p:.2g}); differs is a size whose p is below {SURE:g}."
+                f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}); difference of the relative growth rate "
+                f"{one.rate_per_day:+.3f} per day (p = {one.rate_p:.2g}); significance level {SURE:g}."
             )
-    told += [one.sentence(trait) for trait, responses in growth.responses.items() for one in responses]
-    for plant, followed in growth.followed.items():
-        often = sum(len(track.sights) > 1 for track in followed.tracks)
-        told.append(f"plant {plant}: {len(followed.tracks)} roots on {len(followed.days)} days, {often} of them seen more than once.")
-    return told + list(growth.notes)
+    found += [one.sentence(trait) for trait, responses in growth.responses.items() for one in responses]
+    for plant, tracked in growth.tracked.items():
+        often = sum(len(track.states) > 1 for track in tracked.tracks)
+        found.append(f"plant {plant}: {len(tracked.tracks)} roots on {len(tracked.days)} days, {often} of them found on more than one day.")
+    return found + list(growth.notes)

@@ -1,7 +1,7 @@
-"""Curves of wet mass, dry mass and water content by day, as in the thesis's figure 4.1.
+"""Curves of fresh mass, dry mass and water content against time, as in the thesis's figure 4.1.
 
-Masses come from a table of what was weighed (`rhizotwin.experiment.masses`), from a table that ``biomass predict``
-wrote, or from both: where a mass of a plant on a day is in both, the weighed one counts.
+Masses are read from tables of weighed masses (`rhizotwin.experiment.masses`) and from tables written by ``biomass
+predict``. If a mass of a plant and day occurs in both, the weighed one is used.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rhizotwin.experiment import tables
-from rhizotwin.experiment.compare import Point, Seen, means
+from rhizotwin.experiment.compare import Observation, Point, means
 from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, has_masses, read_masses
 from rhizotwin.scenes import subject
 from rhizotwin.scenes.errors import UserError
@@ -21,21 +21,21 @@ from rhizotwin.scenes.trait_table import csv_text, written
 _PREDICTED = {"plant", "day", "mass", "mass (g)"}
 QUANTITIES = {"fresh": "wet mass (g)", "dry": "dry mass (g)", "water": "water content (%)"}
 PARTS = (*ORGANS, "plant")
-"""``plant`` is root and shoot together."""
+"""``plant`` is the sum of root and shoot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Masses:
-    """The masses of a plant on a day."""
+    """Masses of a plant on one day."""
 
     plant: str
     day: float
     treatment: str
     grams: Mapping[str, float]
-    """By kind, as ``root_fresh``."""
+    """Masses by kind, such as ``root_fresh``."""
 
     def value(self, part: str, quantity: str) -> float | None:
-        """Return a quantity of a part; None where what it needs is not known."""
+        """Return a quantity of a part; None if a required mass is unknown."""
         if quantity == "water":
             fresh, dry = self.value(part, "fresh"), self.value(part, "dry")
             return None if fresh is None or dry is None else 100.0 * (1.0 - dry / fresh)
@@ -50,7 +50,7 @@ Curves = Mapping[tuple[str, str], Sequence[Point]]
 
 
 def is_of_masses(path: Path) -> bool:
-    """Return whether a table holds masses that were weighed or predicted."""
+    """Return whether a table contains weighed or predicted masses."""
     if path.suffix.lower() != ".csv":
         return False
     head = _head(path)
@@ -58,12 +58,12 @@ def is_of_masses(path: Path) -> bool:
 
 
 def read(paths: Sequence[Path]) -> list[Masses]:
-    """Read tables of masses, one entry a plant and day.
+    """Read tables of masses, one entry per plant and day.
 
     Raises
     ------
     UserError
-        Where a table is damaged, or masses have no plant or day.
+        If a table is damaged, or a mass has no plant or day.
     """
     found: dict[tuple[str, float], Masses] = {}
     predicted = [path for path in paths if _head(path) >= _PREDICTED]
@@ -71,19 +71,19 @@ def read(paths: Sequence[Path]) -> list[Masses]:
         for one in _predicted(path) if path in predicted else _weighed(path):
             before = found.get((one.plant, one.day))
             if before is not None and before.treatment != one.treatment:
-                raise UserError(f"{path}: plant {one.plant} is in two treatments, {before.treatment!r} and {one.treatment!r}")
+                raise UserError(f"{path}: plant {one.plant} has two treatments, {before.treatment!r} and {one.treatment!r}")
             grams = one.grams if before is None else {**before.grams, **one.grams}
             found[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams)
     return list(found.values())
 
 
 def measure(masses: Sequence[Masses]) -> Curves:
-    """Return the mean of every part and quantity on every day, with its 90 % interval."""
+    """Compute the mean of each part and quantity on each day, with its 90 % interval."""
     curves = {}
     for part in PARTS:
         for quantity in QUANTITIES:
             seen = [
-                Seen(plant=one.plant, treatment=one.treatment, day=one.day, value=value)
+                Observation(plant=one.plant, treatment=one.treatment, day=one.day, value=value)
                 for one in masses
                 if (value := one.value(part, quantity)) is not None
             ]
@@ -93,7 +93,7 @@ def measure(masses: Sequence[Masses]) -> Curves:
 
 
 def to_csv(curves: Curves) -> str:
-    """Return one row a part, quantity, treatment and day."""
+    """Return a table with one row per part, quantity, treatment and day."""
     rows: list[list[str]] = [["part", "quantity", "treatment", "day", "mean", "low", "high", "plants"]]
     for (part, quantity), points in curves.items():
         for point in points:
@@ -103,7 +103,7 @@ def to_csv(curves: Curves) -> str:
 
 
 def draw(curves: Curves) -> bytes:
-    """Return the three panels of figure 4.1 as PNG: wet masses, dry masses, water content."""
+    """Draw the three panels of figure 4.1 as PNG: fresh mass, dry mass, water content."""
     colours, marks = dict(zip(PARTS, ("#8c510a", "#1b7837", "#333333"), strict=True)), "osD^v"
     shown = [quantity for quantity in QUANTITIES if any(key[1] == quantity for key in curves)]
     drawn = figure(4.2 * len(shown), 3.6)
@@ -139,7 +139,7 @@ def _predicted(path: Path) -> list[Masses]:
     for row in tables.read_table(path):
         kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
-            raise UserError(f"{row.where}: is no predicted mass; give the table as `rhizotwin biomass predict` wrote it")
+            raise UserError(f"{row.where}: not a row of predicted masses; give the table written by 'rhizotwin biomass predict'")
         found.append(_of(row.where, subject.of_cells(row.cells, row.where), {kind: grams}))
     merged: dict[tuple[str, float], Masses] = {}
     for one in found:
@@ -151,5 +151,5 @@ def _predicted(path: Path) -> list[Masses]:
 
 def _of(where: str, whose: subject.Subject, grams: Mapping[str, float]) -> Masses:
     if not whose.plant or whose.day is None:
-        raise UserError(f"{where}: has a mass, but not both plant and day, which curves need")
+        raise UserError(f"{where}: plant or day is missing; both are required for mass curves")
     return Masses(plant=whose.plant, day=whose.day, treatment=whose.treatment, grams=grams)

@@ -1,9 +1,9 @@
-"""Roots through time: which root of today is which of yesterday, when it came, and how it grows.
+"""Tracking of roots over time: identity across days, day of emergence, and growth.
 
-A root is known by where it runs: the older root holds the younger's line. Each pair of an old identity and a root of
-today has a score, the length of the known line that lies on today's root; the pairs are chosen so that the sum of
-scores is the largest (DynamicRoots, Symonova et al. 2015, matches overlapping voxels in the same spirit). What nobody
-knew is new.
+A root is recognised by its course, because the older root includes the younger root's centre line. The score of a known
+root and a root of the current day is the length of the known centre line that lies on the current root. Pairs are
+assigned so that the sum of scores is maximal (DynamicRoots, Symonova et al. 2015, matches overlapping voxels in a
+similar way). Roots without a match are new.
 """
 
 from collections.abc import Sequence
@@ -22,85 +22,85 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 LEAST_SHARE = 0.5
-"""Of a known line that must lie on a root for it to be the same."""
+"""Minimum fraction of a known centre line that must lie on a root for a match."""
 RESIDUALS = 4.0
-"""A point lies on a root nearer than so many median residuals of the alignment ..."""
+"""A point lies on a root within this multiple of the median residual of the alignment ..."""
 LEAST_ON_MM = 0.5
-"""... and at least this: a fine root's diameter and the trace's error, about a voxel each."""
+"""... and at least within this distance: diameter of a fine root plus tracing error, about one voxel each."""
 LEAST_COSINE = 0.7
-"""And runs within 45 degrees of it: roots that cross are two."""
+"""Maximum angle of 45 degrees between directions, so that crossing roots are distinguished."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Day:
-    """A plant's roots on one day."""
+    """Roots of a plant on one day."""
 
     day: float
     roots: tuple[Root, ...]
-    """Parents before children."""
+    """Roots, parents before children."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
-    """A root as it was on one day, in the frame of the first day."""
+class RootState:
+    """State of a root on one day, in the frame of the first day."""
 
     day: float
     root: Root
     length_mm: float
     diameter_mm: float
-    """Mean over the length that it had when it was first seen: its growth is growth in diameter."""
+    """Mean diameter over the length at the first observation, so that its change is radial growth."""
 
 
 @dataclass
 class Track:
-    """A root through time."""
+    """A root tracked over time."""
 
     name: str
-    """The same on all days."""
+    """Name of the root, the same on all days."""
     parent: str
-    """Name of the root that it hangs on; empty for a taproot."""
+    """Name of the parent root; empty for a taproot."""
     order: int
-    sights: list[Sight] = field(default_factory=list)
+    states: list[RootState] = field(default_factory=list)
     absent_day: float = 0.0
-    """The last day on which it was not there yet; 0 where it was there on the first."""
+    """Last day before the root appeared; 0 if it was present on the first day."""
 
     @property
     def rates_mm_per_day(self) -> list[tuple[float, float, float]]:
-        """Return from when, to when, and by how much a day it grew longer, between sights."""
-        return [(a.day, b.day, (b.length_mm - a.length_mm) / (b.day - a.day)) for a, b in pairwise(self.sights)]
+        """Return start day, end day and elongation per day between observations."""
+        return [(a.day, b.day, (b.length_mm - a.length_mm) / (b.day - a.day)) for a, b in pairwise(self.states)]
 
     @property
     def emergence_day(self) -> float:
-        """Return the day on which its length began, by its first rate.
+        """Day of emergence, extrapolated to length zero with the first elongation rate.
 
-        Between the last day without it and the first with it.
+        It is limited to the interval between the last day without the root and the first day with it.
         """
-        first = self.sights[0]
-        rate = self.rates_mm_per_day[0][2] if len(self.sights) > 1 else 0.0
+        first = self.states[0]
+        rate = self.rates_mm_per_day[0][2] if len(self.states) > 1 else 0.0
         began = first.day - first.length_mm / rate if rate > 0.0 else (self.absent_day + first.day) / 2.0
         return float(np.clip(began, self.absent_day, first.day))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Followed:
-    """A plant followed through its days."""
+class TrackedPlant:
+    """A plant whose roots were tracked over several days."""
 
     days: tuple[Day, ...]
-    """In the first day's frame."""
+    """Days, in the frame of the first one."""
     names: tuple[tuple[str, ...], ...]
-    """Of each day's roots."""
+    """Names of the roots of each day."""
     tracks: tuple[Track, ...]
     residual_mm: tuple[float, ...]
-    """Of each alignment with the day before."""
+    """Residual of each alignment with the preceding day."""
 
 
-def follow(days: Sequence[Day]) -> Followed:
-    """Give every root an identity through time.
+def track_roots(days: Sequence[Day]) -> TrackedPlant:
+    """Assign an identity over time to each root.
 
     Parameters
     ----------
     days : sequence of Day
-        Of one plant, the youngest first, each with at least one root.
+        Days of one plant in ascending order, each with at least one root.
     """
     tracks: dict[str, Track] = {}
     latest: dict[str, Root] = {}
@@ -121,18 +121,18 @@ def follow(days: Sequence[Day]) -> Followed:
                 own[k] = _new_name(tracks, parent)
                 tracks[own[k]] = Track(name=own[k], parent=parent, order=root.order, absent_day=moved[-1].day if moved else 0.0)
             track = tracks[own[k]]
-            first_mm = track.sights[0].length_mm if track.sights else np.inf
+            first_mm = track.states[0].length_mm if track.states else np.inf
             length_mm, diameter_mm = polyline.length_mm(root.points_mm), _diameter(root, first_mm)
-            track.sights.append(Sight(day=now.day, root=root, length_mm=length_mm, diameter_mm=diameter_mm))
+            track.states.append(RootState(day=now.day, root=root, length_mm=length_mm, diameter_mm=diameter_mm))
             latest[own[k]] = root
         moved.append(here)
         names.append(tuple(own))
-    return Followed(days=tuple(moved), names=tuple(names), tracks=tuple(tracks.values()), residual_mm=tuple(residuals))
+    return TrackedPlant(days=tuple(moved), names=tuple(names), tracks=tuple(tracks.values()), residual_mm=tuple(residuals))
 
 
 @dataclass(frozen=True)
 class _Points:
-    """All roots as points."""
+    """All roots as sample points."""
 
     points: Array
     """(N, 3)"""
@@ -153,7 +153,7 @@ def _moved(day: Day, aligned: Aligned) -> Day:
 
 
 def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[int, int]:
-    """Return which known root each of today's is, by index, for those that one is."""
+    """Return the index of the matching known root for each matched root of the current day."""
     if not known:
         return {}
     mine, theirs = _Points.of(known), _Points.of(today)
@@ -161,26 +161,26 @@ def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[in
     a, b, away = near["i"], near["j"], near["v"]
     along = np.abs(np.sum(mine.along[a] * theirs.along[b], axis=1)) >= LEAST_COSINE
     a, b, worth = a[along], b[along], 1.0 - 0.5 * away[along] / on_mm
-    best = np.zeros(len(mine.points) * len(today))  # of each known point on each of today's roots
+    best = np.zeros(len(mine.points) * len(today))  # best score of each known point on each current root
     np.maximum.at(best, a * len(today) + theirs.owner[b], worth)
     score = np.zeros((len(known), len(today)))
     np.add.at(score, mine.owner, best.reshape(-1, len(today)))
     length = np.array([polyline.length_mm(root.points_mm) for root in known]) + STEP_MM
-    # a short line may lie on a root by chance: length counts
+    # short centre lines may lie on a root by chance, so that scores are weighted by length
     score *= (length / np.bincount(mine.owner, minlength=len(known)))[:, None]
     rows, columns = linear_sum_assignment(-score)
-    least = 0.5 * LEAST_SHARE * length  # a point at the farthest allowed is worth a half
+    least = 0.5 * LEAST_SHARE * length  # a point at the maximum distance scores one half
     return {int(j): int(i) for i, j in zip(rows, columns, strict=True) if score[i, j] >= least[i]}
 
 
 def _new_name(tracks: dict[str, Track], parent: str) -> str:
-    """Return a name that tells the parent and which of its laterals a root is, in the order of appearance."""
+    """Return a name composed of the parent's name and the number of the lateral in order of appearance."""
     count = sum(track.parent == parent for track in tracks.values())
     return f"{parent}.{count + 1}" if parent else str(count + 1)
 
 
 def _diameter(root: Root, first_mm: float) -> float:
-    """Return the mean diameter over the first part of a root."""
+    """Return the mean diameter over the basal part of a root."""
     step = polyline.steps_mm(root.points_mm)
     way = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, min(first_mm, float(way[-1])), 20)

@@ -1,6 +1,6 @@
-"""Many results as numbers with their plants.
+"""Traits of many results with their plants.
 
-Result folders, or tables of traits as `rhizotwin traits -o FILE.csv` writes them.
+They are read from result folders, or from tables of traits written by `rhizotwin traits -o FILE.csv`.
 """
 
 import re
@@ -20,55 +20,56 @@ from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored import result_files, stored_traits
 
 IN_90 = 1.6448536269514722
-"""Standard deviations on each side that hold 90 % of a normal distribution."""
+"""Half width of the 90 % interval of a normal distribution in standard deviations."""
 _MM3 = {"mm3": 1.0, "ml": 1000.0, "cm3": 1000.0, "l": 1e6}
 _HEAD = re.compile(r"(\w+)(?: \((\S+)\))?")
+_SUFFIX = re.compile(r"(\w+?)(_low|_high|_verdict)?")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """The traits of one plant on one day."""
+    """Traits of one plant on one day."""
 
     name: str
-    """Of the result's folder, or file and line of a table."""
+    """Name of the result folder, or file and line of a table."""
     subject: Subject
     traits: Mapping[str, float]
-    """Those that are known, by their names in tables, in the units of `scenes.trait_table`."""
+    """Known traits by their names in tables, in the units of `scenes.trait_table`."""
     assessed: Mapping[str, Assessment] = field(default_factory=dict)
-    """By the same names; a trait that is missing is not assessed."""
+    """Assessments by the same names; missing traits are not assessed."""
     ions: Mapping[str, float] = field(default_factory=dict)
-    """Concentrations in the nutrient solution in mmol/l; empty where they are not known."""
+    """Ion concentrations of the nutrient solution in mmol/l; empty if unknown."""
     folder: Path | None = None
-    """The result's; None for a line of a table."""
+    """Result folder; None for a row of a table."""
 
     def assessment(self, trait: str) -> Assessment:
         """Return the reliability of a trait."""
         return self.assessed.get(trait, NOT_ASSESSED)
 
     def usable(self, trait: str) -> float | None:
-        """Return a trait that tests and fits may use: above zero, and not assessed as not reliable."""
+        """Return the value of a trait for tests and fits; None unless it is positive and not marked as not reliable."""
         value = self.traits.get(trait, 0.0)
         return value if value > 0.0 and self.assessment(trait).verdict != "not reliable" else None
 
     def log_sigma(self, trait: str) -> float:
-        """Return the standard deviation of the logarithm of a trait, from its 90 % interval; 0 where it has none."""
+        """Return the standard deviation of the logarithm of a trait, from its 90 % interval; 0 without an interval."""
         low, high = self.assessment(trait).interval or (0.0, 0.0)
         return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0
 
     @property
     def who(self) -> str:
-        """Return the plant and its day, for messages."""
+        """Plant and day, for messages."""
         day = self.subject.known.get("day") or self.subject.date
         return f"{self.subject.plant or self.name}{f' on day {day}' if day else ''}"
 
 
 def read_all(sources: Sequence[Path]) -> list[Measured]:
-    """Read result folders, folders of results, and tables of traits (.csv).
+    """Read result folders, folders that contain results, and tables of traits (.csv).
 
     Raises
     ------
     UserError
-        Where one is missing or damaged, or nothing is found.
+        If a source is missing or damaged, or contains no results.
     """
     found = []
     for source in sources:
@@ -78,51 +79,56 @@ def read_all(sources: Sequence[Path]) -> list[Measured]:
             found += _of_folder(source)
         else:
             if not source.is_dir():
-                raise UserError(f"{source}: is no result, no folder of results, and no table (.csv) of traits")
+                raise UserError(f"{source} is not a result, a folder of results, or a table (.csv) of traits")
             found += [one for folder in result_files.results_in([source]) for one in _of_folder(folder)]
     return found
 
 
 def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
-    """Return the results of each plant by day, the youngest first.
+    """Group results by plant, ordered by day.
 
     Raises
     ------
     UserError
-        For a result without a plant's name, or a plant that has no day, or twice the same.
+        If a result has no plant or no day, or a plant occurs twice on a day.
     """
     plants: dict[str, list[Measured]] = {}
     for one in found:
         if not one.subject.plant:
-            raise UserError(f"{one.name}: names no plant; give it when the dataset is made, with --plant, or as plant in its [subject]")
+            raise UserError(
+                f"{one.name}: the name of the plant is missing; set it with --plant "
+                "when the dataset is created, or as plant in its [subject]"
+            )
         if one.subject.day is None:
-            raise UserError(f"{one.name}: plant {one.subject.plant} has no day; give it with --day, or as day in the scene's [subject]")
+            raise UserError(f"{one.name}: plant {one.subject.plant} has no day; set it with --day, or as day in the scene's [subject]")
         plants.setdefault(one.subject.plant, []).append(one)
     for plant, days in plants.items():
         days.sort(key=lambda one: one.subject.day or 0.0)
         for before, after in pairwise(days):
             if before.subject.day == after.subject.day:
-                raise UserError(f"plant {plant} is there twice on day {after.subject.day:g}: {before.name} and {after.name}; leave one out")
+                raise UserError(
+                    f"plant {plant} occurs twice on day {after.subject.day:g}: {before.name} and {after.name}; remove one of them"
+                )
     return plants
 
 
 def one_species(found: Sequence[Measured]) -> str:
-    """Return the species of all results; empty where none names one.
+    """Return the species of all results; empty if unknown.
 
     Raises
     ------
     UserError
-        For two.
+        If there are two species.
     """
     named = {one.subject.species: one for one in found if one.subject.species}
     if len(named) > 1:
         (first, one), (second, other) = list(named.items())[:2]
-        raise UserError(f"{one.who} is of the species {first}, {other.who} of {second}; they cannot share a model")
+        raise UserError(f"{one.who} belongs to the species {first}, {other.who} to {second}; a model requires a single species")
     return next(iter(named), "")
 
 
 def _of_folder(folder: Path) -> list[Measured]:
-    """Read a result: one, or one a plant where several are in the canister."""
+    """Read a result folder; one entry per plant."""
     summary = result_files.read_summary(folder)
     above = trait_table.shoot_numbers(stored_traits.of_shoot(summary))
     dissolved = solution.of_summary(summary, str(folder / "result.json")).ions_mmol_per_l
@@ -140,32 +146,35 @@ def _of_folder(folder: Path) -> list[Measured]:
     ]
 
 
-def left_out(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
-    """Return a sentence for each trait of which values are left out of tests and fits, as they are not reliable."""
+def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
+    """Return a sentence for each trait with values that are excluded because they are not reliable."""
     sentences = []
     for trait in traits:
         known = [one for one in found if one.traits.get(trait, 0.0) > 0.0]
-        reasons = [one.assessment(trait).reason or "so the table says" for one in known if one.usable(trait) is None]
+        reasons = [one.assessment(trait).reason or "according to the table" for one in known if one.usable(trait) is None]
         sentences.append(assessment.left_out(trait, reasons, total=len(known)))
     return [sentence for sentence in sentences if sentence]
 
 
 def _of_row(row: tables.Row) -> Measured:
-    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT, *trait_table.COLOUR)}
-    columns = known | {f"{name}_{end}" for name in known for end in ("low", "high")}
+    """Read a row of a table of traits; columns may also have the names of earlier versions, as ``volume (mm3)``."""
+    names = trait_table.column_names()
     numbers: dict[str, float] = {}
     for column in row.cells:
         match = _HEAD.fullmatch(column)
-        if match is None or match[1] not in columns:
+        stem, end = ("", "") if match is None else _split(match[1])
+        if match is None or end == "_verdict" or stem not in names:
             continue
         value = tables.number(row, column)
         if value is None:
             continue
-        is_volume = match[1] in ("volume", "volume_low", "volume_high")
-        if is_volume and match[2] not in _MM3:
-            raise UserError(f"{row.where}: {column} must have its unit behind it, (mm3) or (ml)")
-        numbers[match[1]] = value * (_MM3[match[2]] if is_volume else 1.0)
-    traits = {name: value for name, value in numbers.items() if name in known}
+        in_mm3 = 1.0
+        if stem == "volume":
+            if match[2] not in _MM3:
+                raise UserError(f"{row.where}: the column {column} must have a unit, (mm3) or (ml)")
+            in_mm3 = _MM3[match[2]]
+        numbers[names[stem] + end] = value * in_mm3
+    traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
     return Measured(
         name=row.cells.get("result") or row.where,
         subject=subject.of_cells(row.cells, row.where),
@@ -175,23 +184,30 @@ def _of_row(row: tables.Row) -> Measured:
     )
 
 
+def _split(column: str) -> tuple[str, str]:
+    """Return the name of a trait in a column name, and the suffix: ``_low``, ``_high``, ``_verdict`` or nothing."""
+    match = _SUFFIX.fullmatch(column)
+    return (column, "") if match is None else (match[1], match[2] or "")
+
+
 def _ions(row: tables.Row) -> dict[str, float]:
-    """Return the concentrations in a row, mmol/l by ion; empty where it has none."""
+    """Return the concentrations in a row in mmol/l by ion; empty if there are none."""
     headings = {ion: f"{ion} ({solution.UNIT})" for ion in solution.IONS}
     found = {ion: value for ion, heading in headings.items() if (value := tables.number(row, heading)) is not None}
     if low := [ion for ion, value in found.items() if value < 0.0]:
-        raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must be 0 or more")
+        raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must not be negative")
     return found
 
 
 def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
     """Read interval and verdict of a trait; a column ``trusted`` (yes or no) is the verdict on the volume."""
-    word = row.cells.get(f"{name}_verdict", "")
+    columns = [f"{column}_verdict" for column, own in trait_table.column_names().items() if own == name]
+    word = next((row.cells[column] for column in columns if row.cells.get(column)), "")
     if name == "volume" and not word:
         word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")
     verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)}
     if word and word not in verdicts:
-        raise UserError(f"{row.where}: {name}_verdict is {word!r}, but must be one of {', '.join(verdicts)}")
+        raise UserError(f"{row.where}: the verdict on {name} is {word!r}; it must be one of {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
     interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
     return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

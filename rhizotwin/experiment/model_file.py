@@ -1,4 +1,4 @@
-"""The model of `rhizotwin biomass fit` as a JSON file, and what is predicted with it as a table."""
+"""Model of `rhizotwin biomass fit` as a JSON file, and its predictions as a table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,29 +18,29 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
-    """A mass that nobody weighed."""
+    """Predicted mass of a plant."""
 
     measured: Measured
     relation: Relation
     grams: float
     low_g: float
-    """Ends of the 90 % interval."""
+    """Lower end of the 90 % interval, with ``high_g`` as the upper end."""
     high_g: float
 
     @property
     def assessment(self) -> Assessment:
-        """The reliability of the trait that the mass follows from."""
+        """Assessment of the trait on which the prediction is based."""
         return self.measured.assessment(self.relation.trait)
 
     @property
     def beyond(self) -> bool:
-        """Whether the trait lies outside what the model was fitted to."""
+        """Whether the trait is outside the range of the fitted plants."""
         return not self.relation.least <= self.measured.traits[self.relation.trait] <= self.relation.most
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stored:
-    """What the file holds."""
+    """Contents of the file."""
 
     schema_version: int
     model: Model
@@ -48,7 +48,7 @@ class _Stored:
 
 
 def save_model(model: Model, path: Path) -> None:
-    """Write a model atomically; `load_model` gives an equal one back."""
+    """Write a model atomically; `load_model` returns an equal one."""
     atomic.write_json(path, to_plain(_Stored(schema_version=SCHEMA_VERSION, model=model, versions=versions(("numpy", "scipy")))))
 
 
@@ -58,13 +58,13 @@ def load_model(path: Path) -> Model:
     Raises
     ------
     UserError
-        Where the file is missing, damaged or of another version.
+        If the file is missing, damaged or of another version.
     """
     return from_plain(_Stored, read_versioned_json(path, SCHEMA_VERSION), Place(str(path))).model
 
 
 def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
-    """Return the masses of all results, of every kind that the model knows and the result has the trait for."""
+    """Predict the masses of all results, of each kind of the model whose trait is available."""
     found = []
     for one in measured:
         for relation in known_for(model, one):
@@ -74,7 +74,7 @@ def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
 
 
 def to_csv(found: Sequence[Predicted]) -> str:
-    """Return one row a mass: whose it is, the mass with its 90 % interval, and what to know of it."""
+    """Return a table with one row per mass: plant, mass with its 90 % interval, and reliability."""
     dissolved = solution.headings([one.measured.ions for one in found])
     rows: list[list[str]] = [
         ["result", *subject.NAMES, *dissolved.values(), "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]

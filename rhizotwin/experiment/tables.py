@@ -1,6 +1,6 @@
-"""Tables that people keep: CSV files with a head and comments behind ``#``.
+"""CSV tables with a header and comment lines that start with ``#``.
 
-The thesis's own tables come with the program.
+The tables of Kliman's thesis (2022) are included.
 """
 
 import csv
@@ -14,58 +14,59 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import read_file
 
 SHIPPED = ("kliman_2022_masses.csv", "kliman_2022_volumes.csv")
-"""Tables A.1 and 4.1 of the thesis; each names its source in its first lines."""
+"""Tables A.1 and 4.1 of the thesis, with their source in the first lines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A line of a table."""
+    """Row of a table."""
 
     where: str
     """File and line, for messages."""
     cells: dict[str, str]
-    """By the head's names; empty where the line has nothing."""
+    """Cells by column name; empty for missing cells."""
 
 
 def read_table(path: Path) -> list[Row]:
-    """Read a CSV file with a head; empty lines and lines that begin with ``#`` are left out.
+    """Read a CSV file with a header; empty lines and lines that start with ``#`` are ignored.
 
     Raises
     ------
     UserError
-        When it cannot be read, is no text, has no rows, names a column twice, or a line has more cells than the head.
+        If the file cannot be read, is not text, has no rows or duplicate columns, or a row has more cells than the
+        header.
     """
     try:
         text = read_file(path).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise UserError(f"{path}: is no text in UTF-8; save the table as CSV") from None
+        raise UserError(f"{path} is not a text file in UTF-8; save the table as CSV") from None
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
     if len(lines) < 2:
-        raise UserError(f"{path}: has no rows below its head")
+        raise UserError(f"{path} has no rows below its header")
     try:
         rows = [next(csv.reader(io.StringIO(line), strict=True)) for _, line in lines]
     except csv.Error as error:
-        raise UserError(f"{path}: is no CSV table ({error})") from None
+        raise UserError(f"{path} is not a CSV table ({error})") from None
     head = [name.strip() for name in rows[0]]
     twice = sorted({name for name in head if name and head.count(name) > 1})
     if twice:
-        raise UserError(f"{path}: has the column {twice[0]} twice")
+        raise UserError(f"{path} has two columns named {twice[0]}")
     made = []
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
         where = f"{path}, line {number}"
         if len(cells) > len(head):
-            raise UserError(f"{where}: has {len(cells)} cells, the head has {len(head)}; decimals are written with a point")
+            raise UserError(f"{where}: {len(cells)} cells, but the header has {len(head)}; use a point as decimal separator")
         made.append(Row(where=where, cells=dict(zip(head, [cell.strip() for cell in cells], strict=False))))
     return made
 
 
 def number(row: Row, column: str) -> float | None:
-    """Return a cell's number; None where it is empty or the column is missing.
+    """Return the number in a cell; None if the cell is empty or the column is missing.
 
     Raises
     ------
     UserError
-        For anything that is no finite number, such as one with its unit.
+        If the cell does not contain a finite number, for example because it includes a unit.
     """
     text = row.cells.get(column, "")
     if not text:
@@ -73,19 +74,19 @@ def number(row: Row, column: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
-        raise UserError(f"{row.where}: {column} is {text!r}, which is no number; units stand in the head, for the whole column") from None
+        raise UserError(f"{row.where}: {column} is {text!r}, which is not a number; units belong in the column name") from None
     if not abs(value) < float("inf"):
-        raise UserError(f"{row.where}: {column} is {text!r}, which is no finite number")
+        raise UserError(f"{row.where}: {column} is {text!r}, which is not a finite number")
     return value
 
 
 def shipped(name: str) -> Path:
-    """Return the file of one of the thesis's tables (`SHIPPED`)."""
+    """Return the path of one of the thesis's tables (`SHIPPED`)."""
     return Path(str(files(__package__).joinpath("data", name)))
 
 
 def write_shipped(folder: Path) -> list[Path]:
-    """Write the thesis's tables into a folder; files that are there are not replaced."""
+    """Write the thesis's tables to a folder; existing files are not replaced."""
     written = []
     for name in SHIPPED:
         atomic.write_text(folder / name, shipped(name).read_text(encoding="utf-8"), new=True)

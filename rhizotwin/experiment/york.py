@@ -1,8 +1,8 @@
-"""A straight line through points that have errors in both coordinates, and a scatter of their own about the line.
+"""Fit of a straight line to points with errors in both coordinates and intrinsic scatter.
 
-York et al. 2004, American Journal of Physics 72:367, equations 13: the line of greatest likelihood for normal errors. A
-scatter that the errors do not explain (plants differ) adds to the errors of y; it is as large as makes chi squared
-equal to the degrees of freedom (Paule and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
+York et al. 2004, American Journal of Physics 72:367, equations 13: maximum-likelihood line for normal errors. Intrinsic
+scatter (variation among plants) is added to the variance of y, so that chi squared equals the degrees of freedom (Paule
+and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
 """
 
 from dataclasses import dataclass, replace
@@ -21,36 +21,36 @@ CONVERGED = 1e-13
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """``y = intercept + slope * x`` with what is not known of it."""
+    """``y = intercept + slope * x`` with its uncertainty."""
 
     intercept: float
     slope: float
     covariance: tuple[tuple[float, float], tuple[float, float]]
-    """Of intercept and slope."""
+    """Covariance of intercept and slope."""
     scatter: float
-    """Standard deviation of y about the line that the errors do not explain."""
+    """Intrinsic standard deviation of y about the line."""
     chi2: float
     dof: int
-    """Points less parameters."""
+    """Degrees of freedom: points minus parameters."""
 
     def at(self, x: Array, *, x_sigma: Array | float = 0.0, y_sigma: Array | float = 0.0) -> tuple[Array, Array]:
-        """Return y and the standard deviation of a new point of given errors about it.
+        """Predict y at x, with the standard deviation of a new point.
 
         Parameters
         ----------
         x : (N,) float64 array
-            As measured, with the standard deviation ``x_sigma``.
+            Measured values with the standard deviation ``x_sigma``.
         y_sigma : float64 array or float
-            Error of the y that the prediction is compared with.
+            Standard deviation of the y to which the prediction is compared.
         """
         (a, ab), (_, b) = self.covariance
         variance = a + 2.0 * ab * x + b * x**2 + self.slope**2 * np.square(x_sigma) + self.scatter**2 + np.square(y_sigma)
         return self.intercept + self.slope * x, np.sqrt(variance)
 
     def reach(self, share: float) -> float:
-        """Return how many standard deviations hold a share of the points.
+        """Return the half width of an interval with a given coverage, in standard deviations.
 
-        Student's t with the line's degrees of freedom.
+        It is a quantile of Student's t distribution with the degrees of freedom of the line.
         """
         return float(student.ppf(0.5 + share / 2.0, self.dof))
 
@@ -63,22 +63,22 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
     x, y : (N,) float64 array
         Points.
     x_sigma, y_sigma : (N,) float64 array
-        Their standard deviations, independent of each other; 0 is no error.
+        Independent standard deviations; may be 0.
     slope : float or None
-        Held at this value; None: fitted.
+        Fixed slope; None: fitted.
     scatter : bool
-        Whether points may lie apart by more than their errors; False: as York et al. do.
+        Whether to estimate intrinsic scatter; False: none, as in York et al.
 
     Raises
     ------
     ValueError
-        With no more points than parameters, or without any error where none may be found.
+        If there are too few points for an uncertainty.
     """
     parameters = 1 if slope is not None else 2
     if len(x) <= parameters:
-        raise ValueError(f"{len(x)} points cannot give {parameters} parameters with an uncertainty")
+        raise ValueError(f"{len(x)} points are too few to fit {parameters} parameters with an uncertainty")
     spread = float(np.var(y)) + float(np.var(x))
-    least = 1e-12 * max(spread, 1e-12)  # points without error and without scatter still have a line
+    least = 1e-12 * max(spread, 1e-12)  # keeps the weights finite for points without errors and scatter
 
     def line(extra: float) -> Line:
         return _weighted(x, y, x_sigma**2, y_sigma**2 + extra + (least if scatter else 0.0), slope)
@@ -94,7 +94,7 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
 
 
 def _weighted(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | None) -> Line:
-    """Return York's line for given variances; a slope that is held has no uncertainty."""
+    """Compute York's line for given variances; a fixed slope has no uncertainty."""
     b = slope if slope is not None else float(np.polyfit(x, y, 1)[0])
     for _ in range(MOST_ROUNDS):
         weight = 1.0 / (y_var + b**2 * x_var)

@@ -1,1 +1,1 @@
-"""Datasets and results as a folder that a data repository takes as it is."""
+"""Publication of datasets and results as a folder for a data repository."""

@@ -1,4 +1,4 @@
-"""RO-Crate metadata (Soiland-Reyes et al. 2022, Data Science 5:97) by the library rocrate."""
+"""RO-Crate metadata (Soiland-Reyes et al. 2022, Data Science 5:97), written with the library rocrate."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,31 +14,31 @@ SOFTWARE = "https://github.com/rhizotwin/rhizotwin"
 
 
 def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[Found], *, files: dict[str, str], version: str) -> None:
-    """Write ``ro-crate-metadata.json`` into a folder.
+    """Write ``ro-crate-metadata.json`` to a folder.
 
     Parameters
     ----------
     folder : Path
-        What is published.
+        Folder of the publication.
     study : Study
-        What people say of the data.
+        Description of the data.
     scans, results : sequence of Scan, sequence of Found
-        In the folder.
+        Scans and results in the folder.
     files : dict of str
-        Description of each file at the top, by its name.
+        Description of each file at the top level, by name.
     version : str
-        Of this program.
+        Version of this program.
 
     Raises
     ------
     UserError
-        When rocrate is not installed.
+        If rocrate is not installed.
     """
     try:
         from rocrate.rocrate import ROCrate
     except ModuleNotFoundError:
-        raise UserError("to publish, rocrate is needed: pip install 'rhizotwin[publish]'") from None
-    crate = ROCrate(version="1.1")  # what most repositories read
+        raise UserError("--publish requires rocrate: pip install 'rhizotwin[publish]'") from None
+    crate = ROCrate(version="1.1")  # the version that most repositories read
     crate.name, crate.description, crate.keywords = study.title, study.description, list(study.keywords)
     crate.datePublished = study.published
     licence = {"@id": study.licence_url, "@type": "CreativeWork", "name": LICENCES[study.licence], "description": f"SPDX: {study.licence}"}
@@ -72,7 +72,7 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
 
 
 def _homes(study: Study) -> list[dict[str, Any]]:
-    """Return the institutions as entities, that of the study first."""
+    """Return the institutions as entities, starting with that of the study."""
     addresses = {study.institution: ""} | {one.affiliation: one.affiliation_url for one in study.authors}
     named = ((name, address) for name, address in addresses.items() if name)
     return [
@@ -93,7 +93,7 @@ def _people(study: Study) -> list[dict[str, Any]]:
 def _scan(scan: Scan) -> dict[str, Any]:
     plants = "; ".join(filter(None, (str(one) for one in subjects(scan)))) or scan.dataset.scene.name
     made = "simulated" if scan.simulated else "camera"
-    return {"name": f"Scan {scan.name}", "description": f"{len(scan.dataset.frames)} {made} pictures round a turn: {plants}"}
+    return {"name": f"Scan {scan.name}", "description": f"{len(scan.dataset.frames)} {made} pictures around the canister: {plants}"}
 
 
 def _result(found: Found) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Tables of MIAPPE 1.1 (Papoutsoglou et al. 2020, New Phytologist 227:260) from what datasets and results say.
+"""Tables of MIAPPE 1.1 (Papoutsoglou et al. 2020, New Phytologist 227:260) from datasets and results.
 
-Column names are those of MIAPPE's checklist. What nobody stated is empty.
+Column names are those of the MIAPPE checklist; unknown values are empty.
 """
 
 from collections.abc import Sequence
@@ -11,18 +11,18 @@ from rhizotwin.scenes.solution import UNIT
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, written
 
-_METHOD = "rhizotwin: refraction-aware reconstruction from pictures round a turn"
+_METHOD = "rhizotwin: refraction-aware reconstruction from pictures taken around the canister"
 
 
 def tables(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> dict[str, str]:
-    """Return the tables as CSV, by the name of their file.
+    """Return the tables as CSV, by file name.
 
     Parameters
     ----------
     study : Study
-        What people say of the data.
+        Description of the data.
     scans, results : sequence of Scan, sequence of Found
-        What is published.
+        Scans and results of the publication.
     """
     rows: dict[str, list[list[str]]] = {
         "study": _study(study),
@@ -72,7 +72,7 @@ def _factors(scans: Sequence[Scan]) -> list[list[str]]:
     treatments = dict.fromkeys(one.treatment for scan in scans for one in subjects(scan) if one.treatment)
     solutions = dict.fromkeys(str(scan.dataset.scene.solution) for scan in scans if scan.dataset.scene.solution.known)
     described = (
-        ("treatment", "as the experimenter names it", treatments),
+        ("treatment", "name given by the experimenter", treatments),
         ("growing medium composition", f"nutrient solution; ions in {UNIT} in traits.csv", solutions),
     )
     return [[kind, description, "; ".join(values)] for kind, description, values in described if values]
@@ -105,6 +105,6 @@ def _variables(results: Sequence[Found]) -> list[list[str]]:
 
 
 def _files(scans: Sequence[Scan], results: Sequence[Found]) -> list[list[str]]:
-    rows = [[f"{scan.place}/", f"{len(scan.dataset.frames)} pictures with the scene and what the rig reported", ""] for scan in scans]
+    rows = [[f"{scan.place}/", f"{len(scan.dataset.frames)} pictures with scene and rig data", ""] for scan in scans]
     rows += [[f"{one.place}/", "shape, roots, traits and report", str(one.summary["versions"].get("rhizotwin", ""))] for one in results]
     return rows + ([["traits.csv", "traits of all results, with intervals and verdicts", ""]] if results else [])

@@ -1,4 +1,4 @@
-"""Write datasets and results as a folder with licence, authors, metadata, checksums and an overview."""
+"""Writing of datasets and results to a folder with licence, authors, metadata, checksums and an overview."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,39 +23,39 @@ from rhizotwin.stored import result_files, stored_traits
 CHECKSUMS = "checksums-sha256.txt"
 Image = NDArray[np.uint8 | np.uint16]
 _ACROSS, _EDGE_PX = 4, 320
-"""Pictures in a row of the contact sheet, and their longer edge."""
+"""Pictures per row of the contact sheet, and length of their longer edge."""
 
 
 def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[Path]:
-    """Write a folder that a data repository takes as it is.
+    """Write a folder for upload to a data repository.
 
     Parameters
     ----------
     sources : sequence of Path
-        Datasets, results, or folders that hold some.
+        Datasets, results, or folders that contain them.
     output : Path
-        Folder to make.
+        Folder to write.
     study : Study
-        What people say of the data.
+        Description of the data.
     monitor : Monitor
-        Hears how far it is.
+        Progress monitor.
 
     Returns
     -------
     list of Path
-        The folder.
+        Path of the folder.
 
     Raises
     ------
     UserError
-        For data that are damaged or hold links, a folder that is there, or when rocrate is not installed.
+        If data are damaged or contain links, the folder exists, or rocrate is not installed.
     """
     study = replace(study, published=study.published or datetime.now(UTC).date().isoformat())
     scans, results = published.find(sources)
     version = versions(())["rhizotwin"]
     with new_folder(output) as building:
         published.copy(scans, results, building, monitor=monitor)
-        files = {"README.md": "What this is and how to read it", "contact_sheet.png": "One picture of each scan and shape"}
+        files = {"README.md": "Description of the contents", "contact_sheet.png": "One picture of each scan and shape"}
         atomic.write_text(building / "README.md", _readme(study, scans, results))
         atomic.write_bytes(building / "contact_sheet.png", _contact_sheet(scans, results))
         if results:
@@ -67,21 +67,21 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
             files[f"miappe/{name}"] = f"MIAPPE 1.1: {Path(name).stem.replace('_', ' ')}"
             atomic.write_text(building / "miappe" / name, text)
         files[CHECKSUMS] = "SHA-256 of every other file; check with: sha256sum -c"
-        atomic.write_text(building / CHECKSUMS, "")  # it is described before it is filled
+        atomic.write_text(building / CHECKSUMS, "")  # the entry must exist before the file is written
         crate.write(building, study, scans, results, files=files, version=version)
         atomic.write_text(building / CHECKSUMS, _checksums(building))
     return [output]
 
 
 def _checksums(folder: Path) -> str:
-    """Return a line for each file, as sha256sum writes and checks it."""
+    """Return one line per file in the format of sha256sum."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     names = {path.relative_to(folder).as_posix(): path for path in files}
     return "".join(f"{sha256_of(path)}  {name}\n" for name, path in names.items() if name != CHECKSUMS)
 
 
 def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:
-    """Return the middle picture of each scan and the shape of each result."""
+    """Draw the middle picture of each scan and the shape of each result."""
     shown = [(scan.name, _small(read_image(scan.dataset, scan.dataset.frames[len(scan.dataset.frames) // 2]))) for scan in scans]
     for found in results:
         shape = result_files.read_shape_picture(found.folder)
@@ -104,7 +104,7 @@ def _small(picture: Image) -> Image:
 
 
 def _readme(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> str:
-    """Return what a person reads first."""
+    """Return the text of README.md."""
     people = ", ".join(author.name + (f" ({author.affiliation})" if author.affiliation else "") for author in study.authors)
     names = ", ".join(author.name for author in study.authors)
     paper = f" Belongs to https://doi.org/{study.publication_doi}." if study.publication_doi else ""
@@ -112,19 +112,19 @@ def _readme(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> st
         *(f"# {study.title}", "", study.description, ""),
         *(f"**Authors:** {people}", "", f"**Licence:** [{LICENCES[study.licence]}]({study.licence_url})", ""),
         *(f"**Cite as:** {names} ({study.published[:4]}): {study.title}. Data set.{paper}", ""),
-        *("| file or folder | what |", "|---|---|"),
-        f"| `{published.SCANS}/` | scans ({len(scans)}): pictures, with the scene and what the rig reported (`dataset.json`) |",
+        *("| file or folder | contents |", "|---|---|"),
+        f"| `{published.SCANS}/` | scans ({len(scans)}): pictures, with scene and rig data (`dataset.json`) |",
         f"| `{published.RESULTS}/` | reconstructions ({len(results)}): surface (PLY), centre lines (RSML), traits, report |",
         *(["| `traits.csv` | traits of all results with 90 % intervals and verdicts |"] if results else []),
         "| `contact_sheet.png` | one picture of each scan and shape |",
         "| `miappe/` | tables of MIAPPE 1.1 |",
-        "| `ro-crate-metadata.json` | the same for machines (RO-Crate) |",
-        f"| `{CHECKSUMS}` | checksums; `sha256sum -c {CHECKSUMS}` checks them |",
-        *("", "| scan | pictures | plant | made by |", "|---|---|---|---|"),
+        "| `ro-crate-metadata.json` | machine-readable metadata (RO-Crate) |",
+        f"| `{CHECKSUMS}` | checksums; verify with `sha256sum -c {CHECKSUMS}` |",
+        *("", "| scan | pictures | plant | source |", "|---|---|---|---|"),
     ]
     for scan in scans:
         whose = "; ".join(filter(None, (str(one) for one in miappe.subjects(scan)))).replace("|", "/")
         made = "simulation" if scan.simulated else "camera"
         lines.append(f"| `{scan.place}` | {len(scan.dataset.frames)} | {whose} | {made} |")
-    lines += ["", "Open a result in this folder: `pip install rhizotwin`, then `rhizotwin view results/NAME`.", ""]
+    lines += ["", "To open a result: `pip install rhizotwin`, then `rhizotwin view results/NAME`.", ""]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""What is published: datasets and results found, named, and copied."""
+"""Datasets and results to be published: search, names, and copies."""
 
 import html
 import shutil
@@ -28,12 +28,12 @@ class Scan:
 
     @property
     def place(self) -> str:
-        """Folder in what is published."""
+        """Folder in the publication."""
         return f"{SCANS}/{self.name}"
 
     @property
     def simulated(self) -> bool:
-        """Whether a renderer made the pictures."""
+        """Whether the pictures were rendered."""
         return (self.dataset.folder / "truth").is_dir()
 
 
@@ -46,11 +46,11 @@ class Found:
     summary: dict[str, Any]
     traits: Traits
     scan: Scan | None
-    """Its dataset, where that is published, too."""
+    """Dataset of the result, if published, too."""
 
     @property
     def place(self) -> str:
-        """Folder in what is published."""
+        """Folder in the publication."""
         return f"{RESULTS}/{self.name}"
 
     @property
@@ -60,21 +60,21 @@ class Found:
 
 
 def find(sources: Sequence[Path]) -> tuple[list[Scan], list[Found]]:
-    """Find datasets and results that folders are or hold.
+    """Find the datasets and results in folders.
 
     Raises
     ------
     UserError
-        Where nothing is found, or something in it is damaged or a link.
+        If nothing is found, or a file is damaged or a link.
     """
     scans, results = list[Path](), list[Path]()
     for source in sources:
         if not source.is_dir():
-            raise UserError(f"{source}: there is no such folder; give datasets, results, or folders of them")
+            raise UserError(f"the folder {source} does not exist; give datasets, results, or folders that contain them")
         folders.refuse_links(source)
         inside = sorted(path for path in source.rglob("*.json") if path.name in folders.HEADS and not _is_hidden(path, source))
         if not inside:
-            raise UserError(f"{source}: holds no dataset and no result (dataset.json, result.json)")
+            raise UserError(f"{source} contains no dataset and no result (dataset.json, result.json)")
         scans += [path.parent for path in inside if path.name == "dataset.json"]
         results += [path.parent for path in inside if path.name == "result.json"]
     scans, results = (list(dict.fromkeys(path.resolve() for path in found)) for found in (scans, results))
@@ -89,23 +89,18 @@ def find(sources: Sequence[Path]) -> tuple[list[Scan], list[Found]]:
 
 
 def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monitor: Monitor) -> None:
-    """Copy datasets and results; pictures are read once, so that what is damaged is not published.
+    """Copy datasets and results; every picture is decoded once, so that no damaged picture is published.
 
-    A result's path to its dataset, which names folders of a person, becomes the place of the copy.
+    The path of a result's dataset, which may contain personal folder names, is replaced by the path of the copy.
 
     Parameters
     ----------
     scans, results : sequence of Scan, sequence of Found
-        What `find` found.
+        Scans and results from `find`.
     folder : Path
-        Where copies go.
+        Folder of the copies.
     monitor : Monitor
-        Hears how far it is.
-
-    Raises
-    ------
-    UserError
-        For a picture that is damaged or not the one of the manifest.
+        Progress monitor.
     """
     with monitor.steps("copy", sum(len(scan.dataset.frames) for scan in scans) + len(results), "file") as step:
         for scan in scans:
@@ -125,7 +120,7 @@ def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monit
 
 
 def _copy_folder(source: Path, goal: Path) -> None:
-    """Copy what is neither hidden nor a log of stages."""
+    """Copy a folder without hidden files and logs."""
     folders.refuse_links(source)
     goal.parent.mkdir(parents=True, exist_ok=True)
     shutil.copytree(source, goal, ignore=shutil.ignore_patterns(".*", "stages"))

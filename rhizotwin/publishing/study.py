@@ -1,4 +1,4 @@
-"""What people say of the data that they publish: title, authors, licence, where the plants grew."""
+"""Description of published data: title, authors, licence and location."""
 
 import re
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ orcid = "0000-0002-1825-0097"
 affiliation = "University of Example"
 affiliation_url = "https://university.example"
 """
-"""The least that a study's file must hold."""
+"""Minimum contents of a study file."""
 _ORCID = re.compile(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", re.ASCII)
 _URL = re.compile(r"https?://[^\s\"<>]+", re.ASCII)
 _DOI = re.compile(r"10\.\d{4,9}/\S+", re.ASCII)
@@ -39,7 +39,7 @@ _DOI = re.compile(r"10\.\d{4,9}/\S+", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True)
 class Author:
-    """A person to be named with the data."""
+    """Author of the data."""
 
     name: str
     """Given and family name."""
@@ -48,33 +48,33 @@ class Author:
     affiliation: str = ""
     """Institution."""
     affiliation_url: str = ""
-    """Its address, best that of https://ror.org."""
+    """Web address of the institution, preferably from https://ror.org."""
     email: str = ""
-    """Address for questions; it is published."""
+    """Contact address; it is published."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What a study's file (TOML) holds."""
+    """Contents of a study file (TOML)."""
 
     title: str
-    """Of the data (MIAPPE: study title)."""
+    """Title of the data (MIAPPE: study title)."""
     description: str
-    """What was done and why, in a few sentences (MIAPPE: study description)."""
+    """Purpose and procedure in a few sentences (MIAPPE: study description)."""
     licence: Literal["CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "ODC-By-1.0", "ODbL-1.0", "PDDL-1.0"]
-    """SPDX identifier of the licence under which the data are given."""
+    """SPDX identifier of the licence of the data."""
     authors: tuple[Author, ...]
-    """In the order of the citation."""
+    """Authors in the order of citation."""
     keywords: tuple[str, ...] = ("plant roots", "phenotyping", "hydroponics")
-    """Words under which the data shall be found."""
+    """Keywords for search."""
     published: str = ""
-    """Date as 2026-11-25; empty: today."""
+    """Date of publication, such as 2026-11-25; empty: today."""
     publication_doi: str = ""
-    """DOI of the paper that the data belong to, such as 10.1234/abc."""
+    """DOI of the related paper, such as 10.1234/abc."""
     start: str = ""
-    """Date on which the experiment began (MIAPPE: start date of study)."""
+    """Start of the experiment (MIAPPE: start date of study)."""
     institution: str = ""
-    """Where the plants grew (MIAPPE: contact institution)."""
+    """Institution at which the plants were grown (MIAPPE: contact institution)."""
     country: str = ""
     """ISO 3166 code or name (MIAPPE: geographic location, country)."""
     facility: str = "growth chamber"
@@ -84,24 +84,24 @@ class Study:
 
     @property
     def licence_url(self) -> str:
-        """Address of the licence's text."""
+        """Web address of the licence text."""
         return f"https://spdx.org/licenses/{self.licence}"
 
 
 def read_study(path: Path) -> Study:
-    """Read and check a study's file.
+    """Read and check a study file.
 
     Raises
     ------
     UserError
-        For a file that cannot be read, an unknown or missing key, no author, an ORCID iD whose check digit is wrong, a
-        date or DOI that is none, or text that has line breaks.
+        If the file cannot be read, a key is unknown or missing, there is no author, the check digit of an ORCID iD is
+        wrong, a date or DOI is invalid, or a text contains line breaks.
     """
     table, text = read_toml(path)
     place = Place(str(path), text)
     study = from_plain(Study, table, place)
     if not study.authors:
-        raise place.at("authors").error("must name one person or more")
+        raise place.at("authors").error("must contain at least one author")
     if not study.title.strip():
         raise place.at("title").error("must not be empty", study.title)
     for number, author in enumerate(study.authors):
@@ -109,13 +109,13 @@ def read_study(path: Path) -> Study:
         if not author.name.strip() or not author.name.isprintable():
             raise here.at("name").error("must be a name on one line", ascii(author.name))
         if author.affiliation_url and not _URL.fullmatch(author.affiliation_url):
-            raise here.at("affiliation_url").error("must be an address such as https://ror.org/01zkghx44", author.affiliation_url)
+            raise here.at("affiliation_url").error("must be a web address such as https://ror.org/01zkghx44", author.affiliation_url)
         if author.orcid and not _is_orcid(author.orcid):
-            raise here.at("orcid").error("must be an ORCID iD with its check digit, such as 0000-0002-1825-0097", author.orcid)
+            raise here.at("orcid").error("must be an ORCID iD with a valid check digit, such as 0000-0002-1825-0097", author.orcid)
     for key in ("published", "start"):
         _check_date(getattr(study, key), place.at(key))
     if study.publication_doi and not _DOI.fullmatch(study.publication_doi):
-        raise place.at("publication_doi").error("must be a DOI without address, such as 10.1234/abc", study.publication_doi)
+        raise place.at("publication_doi").error("must be a DOI without https://doi.org/, such as 10.1234/abc", study.publication_doi)
     return study
 
 
@@ -123,11 +123,11 @@ def _check_date(text: str, place: Place) -> None:
     try:
         date.fromisoformat(text or "2000-01-01")
     except ValueError:
-        raise place.error("must be a date as 2026-11-25", text) from None
+        raise place.error("must be a date such as 2026-11-25", text) from None
 
 
 def _is_orcid(text: str) -> bool:
-    """Return whether an ORCID iD has its check digit (ISO 7064, MOD 11-2)."""
+    """Return whether the check digit of an ORCID iD is valid (ISO 7064, MOD 11-2)."""
     if not _ORCID.fullmatch(text):
         return False
     total = 0
@@ -138,6 +138,9 @@ def _is_orcid(text: str) -> bool:
 
 
 def missing_study(folder: Path) -> UserError:
-    """Return the error for data without a study's file, with an example of one."""
+    """Return the error for a missing study file, with an example."""
     lines = " | ".join(line for line in EXAMPLE.splitlines() if line)
-    return UserError(f"to publish {folder}, say whose data they are: --study FILE.toml, which holds: {lines} (docs/publishing.md)")
+    return UserError(
+        f"publishing {folder} requires a description of the data: give --study "
+        f"FILE.toml with, for example: {lines} (see docs/publishing.md)"
+    )

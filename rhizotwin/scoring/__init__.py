@@ -1,1 +1,1 @@
-"""A result against the truth of a simulated dataset; the reconstruction itself never opens it."""
+"""Comparison of results with the ground truth of simulated datasets, which the reconstruction never reads."""

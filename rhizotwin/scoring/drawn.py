@@ -1,4 +1,4 @@
-"""What a result would show in a picture: its surface and its roots, drawn through wall and water."""
+"""Projection of a result into a picture: its surface and roots, with refraction by wall and water."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _FINE = 8
-"""Samples a pixel each way."""
+"""Subsamples per pixel in each direction."""
 _SHIFT = 4
-"""OpenCV places corners at sixteenths of a sample."""
+"""OpenCV rounds vertices to sixteenths of a subsample."""
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-"""OpenCV fills a polygon with its outline: 0.48 samples too far out (discs of 40 corners). Eroded by this it is 0.42
-too small, so that the mean of both is right to 0.03."""
+"""Correction of OpenCV's polygon fill, which includes the outline: areas extend 0.48 samples too far (discs with 40
+vertices). After erosion with this element they are 0.42 too small; the mean of both is accurate to 0.03."""
 
 
 def coverage(view: View, optics: Optics, mesh: Mesh, roots: Sequence[Root]) -> Image:
-    """Draw the share of each pixel (H, W) that a shape covers.
+    """Compute the fraction of each pixel (H, W) that a shape covers.
 
     Parameters
     ----------
     view : View
         Lens and pose.
     optics : Optics
-        What it looks through.
+        Refracting media.
     mesh : Mesh
-        The surface, canister frame.
+        Surface in the canister frame.
     roots : sequence of Root
-        Drawn as bands of their diameters, too: what is thinner than the voxels has no surface.
+        Roots, drawn as bands of their diameters, because roots thinner than a voxel have no surface.
     """
     width, height = view.camera.image_wh
     fine = np.zeros((height * _FINE, width * _FINE), np.uint8)
     corners = pixels(view, optics, mesh.vertices_mm)[mesh.faces] if len(mesh.faces) else np.zeros((0, 3, 2))
     for polygons in (corners, *(_bands(view, optics, root) for root in roots)):
         inside = np.isfinite(polygons).all(axis=(1, 2))
-        placed = ((polygons[inside] + 0.5) * _FINE - 0.5) * 2**_SHIFT  # pixel centres at whole numbers, in both grids
+        placed = ((polygons[inside] + 0.5) * _FINE - 0.5) * 2**_SHIFT  # pixel centres have integer coordinates in both grids
         for polygon in np.round(placed).astype(np.int32):
             cv2.fillConvexPoly(fine, polygon, 1, cv2.LINE_8, _SHIFT)
     both = fine + cv2.erode(fine, _CROSS)
@@ -53,7 +53,7 @@ def coverage(view: View, optics: Optics, mesh: Mesh, roots: Sequence[Root]) -> I
 
 
 def pixels(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return where points (N, 3) show (N, 2); NaN where they have no picture."""
+    """Project points (N, 3) to pixels (N, 2); NaN if a point is not visible."""
     within = np.hypot(points_mm[:, 0], points_mm[:, 1]) < optics.inner_radius_mm
     found = np.full((len(points_mm), 2), np.nan)
     if within.any():
@@ -62,9 +62,9 @@ def pixels(view: View, optics: Optics, points_mm: Array) -> Array:
 
 
 def _bands(view: View, optics: Optics, root: Root) -> Array:
-    """Return a quadrangle (N - 1, 4, 2) for each piece of a root.
+    """Return a quadrangle (N - 1, 4, 2) for each segment of a root.
 
-    Its axis is moved by the radius across the line of sight and itself.
+    Its sides are the axis moved by the radius perpendicular to the line of sight.
     """
     points = root.points_mm
     across = np.cross(np.gradient(points, axis=0), points - view.centre_mm)

@@ -1,4 +1,4 @@
-"""Read what other methods write: meshes, voxels, points, and tables of traits."""
+"""Readers for the output of other methods: meshes, voxels, points, and tables of traits."""
 
 import csv
 import io
@@ -27,35 +27,35 @@ MESHES = (".ply", ".stl", ".obj", ".glb")
 VOXELS = (".nrrd", ".npz")
 POINTS = (".ply", ".xyz")
 MOST_MIB = 1024
-"""Of a file of voxels or points."""
+"""Maximum size of a file of voxels or points."""
 MOST_OCCUPIED = 50_000_000
-"""Voxels of a block that are not empty: a solid of 50 ml in voxels of 0.1 mm."""
+"""Maximum number of occupied voxels: a solid of 50 ml in voxels of 0.1 mm."""
 _UNREADABLE = (nrrd.NRRDError, KeyError, IndexError, ValueError, TypeError, OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-"""What NumPy, pynrrd and zlib raise over damaged files."""
+"""Exceptions of NumPy, pynrrd and zlib for damaged files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stated:
-    """A trait as a method states it."""
+    """Trait as reported by a method."""
 
     value: float
     interval: tuple[float, float] | None = None
-    """90 % interval; None: not stated."""
+    """90 % interval; None if not reported."""
 
 
 def read_shape(path: Path) -> Mesh:
-    """Read a triangle mesh: PLY, STL, OBJ in mm with z up, GLB in metres with y up as its standard asks.
+    """Read a triangle mesh: PLY, STL or OBJ in mm with z up, or GLB in metres with y up as its standard requires.
 
     Raises
     ------
     UserError
-        Where the file is missing, damaged, without faces or of another kind.
+        If the file is missing, damaged, without faces or of another type.
     """
     if path.suffix.lower() not in MESHES:
-        raise UserError(f"{path}: a mesh is one of {', '.join(MESHES)}")
+        raise UserError(f"{path}: unknown mesh format; use one of {', '.join(MESHES)}")
     read = result_files.read_mesh(path)
     merged = trimesh.Trimesh(read.vertices_mm, read.faces, process=False)
-    merged.merge_vertices()  # each triangle of an STL has corners of its own
+    merged.merge_vertices()  # the triangles of an STL do not share vertices
     mesh = Mesh.of(merged)
     if path.suffix.lower() != ".glb":
         return mesh
@@ -64,33 +64,35 @@ def read_shape(path: Path) -> Mesh:
 
 
 def read_voxels(path: Path) -> Leaves:
-    """Read a block of occupancies in the canister's frame.
+    """Read a block of occupancies in the canister frame.
 
     NRRD: ``space directions`` a multiple of the unit matrix and ``space origin`` the centre of the first voxel, both in
-    mm. NPZ: ``occupancy`` (X, Y, Z), ``origin_mm`` (3,) the lowest corner of the first voxel, ``voxel_mm``. Whole
-    numbers are parts of their type's largest, booleans and floats are shares.
+    mm. NPZ: ``occupancy`` (X, Y, Z), ``origin_mm`` (3,) the lowest corner of the first voxel, ``voxel_mm``. Integers
+    are divided by the maximum of their type; booleans and floats are fractions.
 
     Raises
     ------
     UserError
-        Where the file is missing, damaged or of another kind.
+        If the file is missing, damaged or of another type.
     """
     if path.suffix.lower() not in VOXELS:
-        raise UserError(f"{path}: voxels are one of {', '.join(VOXELS)}")
+        raise UserError(f"{path}: unknown voxel format; use one of {', '.join(VOXELS)}")
     _check(path)
     try:
         block, origin_mm, voxel_mm = _read_nrrd(path) if path.suffix.lower() == ".nrrd" else _read_npz(path)
     except _UNREADABLE as error:
-        raise UserError(f"{path} is not readable as voxels ({printable(str(error))[:200]})") from None
+        raise UserError(f"{path} is not a valid file of voxels ({printable(str(error))[:200]})") from None
     if block.ndim != 3 or not block.size or block.dtype.kind not in "buif":
-        raise UserError(f"{path}: the block has the shape {block.shape} of {block.dtype}; give numbers along three axes")
+        raise UserError(
+            f"{path}: the block has the shape {block.shape} and type {block.dtype}; a numeric array with three axes is required"
+        )
     if not (np.isfinite(origin_mm).all() and math.isfinite(voxel_mm) and voxel_mm > 0.0):
-        raise UserError(f"{path}: origin and edge of the voxels must be finite, and the edge above 0")
+        raise UserError(f"{path}: origin and voxel size must be finite, and the voxel size positive")
     share = _as_share(block)
     if not np.isfinite(share).all() or share.min() < 0.0 or share.max() > 1.0:
-        raise UserError(f"{path}: occupancies must lie between 0 and 1")
+        raise UserError(f"{path}: occupancies must be between 0 and 1")
     if (occupied := int(np.count_nonzero(share))) > MOST_OCCUPIED:
-        raise UserError(f"{path}: {occupied} voxels are not empty, more than {MOST_OCCUPIED}; use larger voxels")
+        raise UserError(f"{path}: {occupied} occupied voxels exceed the limit of {MOST_OCCUPIED}; use larger voxels")
     low = np.argwhere(share).astype(np.int32)
     return Leaves(
         low=low,
@@ -102,15 +104,15 @@ def read_voxels(path: Path) -> Leaves:
 
 
 def read_points(path: Path) -> Floats:
-    """Read points (N, 3) in mm: the vertices of a PLY, or lines of x y z.
+    """Read points (N, 3) in mm: the vertices of a PLY file, or lines of x y z.
 
     Raises
     ------
     UserError
-        Where the file is missing, damaged, empty or of another kind.
+        If the file is missing, damaged, empty or of another type.
     """
     if path.suffix.lower() not in POINTS:
-        raise UserError(f"{path}: points are one of {', '.join(POINTS)}")
+        raise UserError(f"{path}: unknown point format; use one of {', '.join(POINTS)}")
     _check(path)
     if path.suffix.lower() == ".ply":
         loaded = result_files.load_geometry(path, "points")
@@ -119,35 +121,35 @@ def read_points(path: Path) -> Floats:
         try:
             points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
         except (ValueError, IndexError) as error:
-            raise UserError(f"{path} is not readable as points ({printable(str(error))[:200]})") from None
+            raise UserError(f"{path} is not a valid file of points ({printable(str(error))[:200]})") from None
     if not len(points) or not np.isfinite(points).all():
-        raise UserError(f"{path} has {len(points)} points and must have some, all of them finite")
+        raise UserError(f"{path} has {len(points)} points; at least one is required, and all must be finite")
     return points
 
 
 def read_traits(path: Path) -> dict[str, Stated]:
-    """Read a table of traits: columns ``trait`` and ``value``, and ``low`` and ``high`` for a 90 % interval.
+    """Read a table of traits with the columns ``trait`` and ``value``, and ``low`` and ``high`` for a 90 % interval.
 
-    Names and units are those of ``rhizotwin traits``; other rows are left out.
+    Names and units are those of ``rhizotwin traits``, with or without the unit in the name; other rows are ignored.
 
     Raises
     ------
     UserError
-        Where the file is missing, has not these columns, or a number cannot be read.
+        If the file is missing, lacks these columns, or a number is invalid.
     """
-    names = {definition.name for definition in DEFINITIONS}
+    names = {column: name for one in DEFINITIONS for column, name in ((one.name, one.name), (one.column, one.name))}
     text = read_file(path).decode("utf-8", errors="replace")
     rows = csv.DictReader(io.StringIO(text))
     if not {"trait", "value"} <= set(rows.fieldnames or ()):
-        raise UserError(f"{path}: the first line must name the columns trait and value (and low and high, where intervals are stated)")
+        raise UserError(f"{path}: the first line must contain the columns trait and value (and low and high for intervals)")
     found: dict[str, Stated] = {}
     for line, row in enumerate(rows, start=2):
         if row["trait"] in names and row["value"]:
             value, low, high = (_number(row, name, f"{path}, line {line}") for name in ("value", "low", "high"))
             if value is not None:
-                found[row["trait"]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
+                found[names[row["trait"]]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
     if not found:
-        raise UserError(f"{path}: no row is a trait of `rhizotwin traits`; such as {', '.join(sorted(names)[:4])}")
+        raise UserError(f"{path}: no row is a trait of 'rhizotwin traits', such as {', '.join(one.column for one in DEFINITIONS[:4])}")
     return found
 
 
@@ -158,9 +160,9 @@ def _number(row: Mapping[str, str | None], name: str, where: str) -> float | Non
     try:
         value = float(text)
     except ValueError:
-        raise UserError(f"{where}: {name} is {text[:40]!r}, not a number") from None
+        raise UserError(f"{where}: {name} is {text[:40]!r}, which is not a number") from None
     if not math.isfinite(value):
-        raise UserError(f"{where}: {name} is {text!r}; leave it empty where it is not known")
+        raise UserError(f"{where}: {name} is {text!r}; leave the cell empty if the value is unknown")
     return value
 
 
@@ -175,19 +177,19 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
         header = nrrd.read_header(file)
         encoding = header["encoding"]
         if {"data file", "datafile"} & set(header) or encoding not in ("raw", "gzip", "gz"):
-            raise ValueError("the voxels must be in the file itself, raw or gzip")
+            raise ValueError("the voxels must be stored in the file itself, as raw or gzip")
         most = result_files.MOST_SHAPE_MIB * 2**20
         if math.prod(int(size) for size in header["sizes"]) > most:
-            raise ValueError(f"{header['sizes']} are too many voxels")
+            raise ValueError(f"the size {header['sizes']} is too large")
         if encoding != "raw":
             unpacked = zlib.decompressobj(zlib.MAX_WBITS | 32)
             unpacked.decompress(file.read(), most)
             if unpacked.unconsumed_tail:
-                raise ValueError(f"it holds more than {result_files.MOST_SHAPE_MIB} MiB when unpacked")
+                raise ValueError(f"it exceeds {result_files.MOST_SHAPE_MIB} MiB when unpacked")
     directions = np.asarray(header["space directions"], np.float64)
     voxel_mm = float(directions[0, 0])
     if not np.allclose(directions, voxel_mm * np.eye(3), atol=1e-9 * abs(voxel_mm)):
-        raise ValueError("the voxels must be cubes along x, y, z")
+        raise ValueError("the voxels must be cubes aligned with x, y and z")
     block = nrrd.read(str(path), index_order="F")[0]
     return block, np.asarray(header["space origin"], np.float64) - 0.5 * voxel_mm, voxel_mm
 
@@ -195,7 +197,7 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
 def _read_npz(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         if not isinstance(stored, np.lib.npyio.NpzFile) or stored.zip is None:
-            raise ValueError("it is one array, not an archive of them")
+            raise ValueError("it contains a single array instead of an archive of named arrays")
         result_files.check_unpacked(path, stored.zip.infolist())
         return stored["occupancy"], np.asarray(stored["origin_mm"], np.float64).reshape(3), float(stored["voxel_mm"])
 

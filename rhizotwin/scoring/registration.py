@@ -1,8 +1,8 @@
-"""Lay one surface onto another by a turn and a shift, with nothing known of where it was.
+"""Rigid registration of one surface to another without an initial estimate.
 
-So the printed part is laid onto what was found of it: iterated closest points (Besl and McKay 1992) from many starts,
-with distances to the other surface's tangent planes (Chen and Medioni 1992), both ways at once, and less weight to what
-lies far off (Cauchy): missing roots and ghosts do not pull.
+It registers a printed part to its reconstruction by iterated closest points (Besl and McKay 1992) from many starting
+poses, with point-to-plane distances (Chen and Medioni 1992) in both directions. Distant points have less weight
+(Cauchy), so that missing roots and artefacts have little influence.
 """
 
 from dataclasses import dataclass
@@ -21,52 +21,52 @@ from rhizotwin.scenes import frames
 Floats = NDArray[np.float64]
 
 COARSE, MIDDLE, FINE = 500, 3_000, 20_000
-"""Points on each surface: to choose among the starts, among the best of them, and to settle the best. With 20 000 the
-error of a place that 0.1 mm of scatter leaves is 1 um."""
+"""Number of points on each surface for: selection among all starts, selection among the best starts, and final
+registration. With 20 000 points, scatter of 0.1 mm causes a position error of 1 um."""
 TURNS = 12
-"""Starts about each upright axis, 30 degrees apart: closest points find their way from half of that."""
+"""Starts about each vertical axis, 30 degrees apart; the iteration converges from half of this."""
 KEPT = 4
-"""Starts that are followed with more points."""
+"""Number of starts refined with more points."""
 ROUNDS = 25
-"""Closest points settle in ten to twenty."""
+"""Maximum number of iterations; ten to twenty usually suffice."""
 SETTLED_MM = 1e-5
-"""A step that moves no point farther than this is the last."""
+"""The iteration ends when no point moves farther than this."""
 CAUCHY = 2.385
 """95 % efficiency on normal errors (Holland and Welsch 1977)."""
 LEAST_SPREAD = 1e-4
-"""Part of the solid's size below which distances are not told apart: it keeps the weights from dividing by nothing."""
+"""Lower limit of the distance scale relative to the size of the solid; it avoids division by zero."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Registration:
-    """Where a solid lies."""
+    """Result of a registration."""
 
     to_from_solid: Floats
-    """(4, 4) rigid: from the solid's own coordinates to those of what it was laid onto."""
+    """(4, 4) rigid motion from the coordinates of the solid to those of the other surface."""
     moved: Mesh
-    """The solid there."""
+    """Registered solid."""
 
 
 @dataclass(frozen=True)
 class _Cloud:
-    """Points evenly over a surface, with its normals there."""
+    """Uniformly distributed points on a surface, with their normals."""
 
     points: Floats
     normals: Floats
 
 
 def register(solid: Mesh, to: Mesh) -> Registration:
-    """Lay a solid onto another surface.
+    """Register a solid to another surface.
 
     Parameters
     ----------
     solid : Mesh
-        Closed, in mm, anywhere and turned anyhow, but not mirrored.
+        Closed mesh in mm, in any pose, not mirrored.
     to : Mesh
-        What it is laid onto.
+        Surface to register to.
     """
     size_mm = float(np.linalg.norm(np.ptp(solid.vertices_mm, axis=0)))
-    poses = [np.eye(4)]  # it may lie right: a simulated specimen's own file
+    poses = [np.eye(4)]  # the pose may already be correct, as for the file of a simulated specimen
     for count, kept in ((COARSE, KEPT), (MIDDLE, 1), (FINE, 1)):
         cloud, cloud_to = (_cloud(mesh, count) for mesh in (solid, to))
         if count == COARSE:
@@ -80,7 +80,7 @@ def register(solid: Mesh, to: Mesh) -> Registration:
 
 
 def _cloud(mesh: Mesh, count: int) -> _Cloud:
-    """Spread points over a mesh, the same at every call."""
+    """Sample points on a mesh, identical in each call."""
     points, face = surface_sample.sample(mesh.vertices_mm, mesh.faces, count=count, rng=np.random.default_rng(0))
     a, b, c = mesh.corners_mm[:, face]
     across = np.cross(b - a, c - a)
@@ -88,9 +88,10 @@ def _cloud(mesh: Mesh, count: int) -> _Cloud:
 
 
 def _starts(cloud: _Cloud, to: _Cloud) -> list[Floats]:
-    """Return poses (4, 4) to start from.
+    """Return starting poses (4, 4).
 
-    Principal axes laid on each other in every proper way, and turns about the upright, either end up.
+    Principal axes are aligned in every proper combination, and rotations about the vertical are added, for both ends
+    up.
     """
     middle, middle_to = cloud.points.mean(axis=0), to.points.mean(axis=0)
     axes, axes_to = (np.linalg.svd(one.points - one.points.mean(axis=0), full_matrices=False)[2].T for one in (cloud, to))
@@ -111,9 +112,9 @@ def _starts(cloud: _Cloud, to: _Cloud) -> list[Floats]:
 
 
 def _settled(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tuple[Floats, float]:
-    """Return the pose that closest points lead to, and the mean distance from point to point there.
+    """Iterate closest points; return the pose and the mean point-to-point distance.
 
-    The mean ranks poses: in a plant whose roots lie wrong the median would still be the taproot's.
+    Poses are ranked by the mean: for a plant with misplaced laterals, the median would depend on the taproot only.
     """
     tree, tree_to, least_mm, mean_mm = cKDTree(cloud.points), cKDTree(to.points), LEAST_SPREAD * size_mm, np.inf
     for _ in range(ROUNDS):
@@ -128,7 +129,7 @@ def _settled(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tupl
         middle = at.mean(axis=0)
         rows = np.concatenate([np.cross(at - middle, normals), normals], axis=1)
         normal = rows.T @ (weight[:, None] * rows)
-        # a body of revolution turns freely: what the surfaces do not tell is left as it is
+        # a body of revolution can rotate freely; directions that the surfaces do not determine are left unchanged
         step = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (rows.T @ (weight * off))
         change = np.eye(4)
         change[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()

@@ -1,6 +1,6 @@
-"""Score a reconstruction against the truth of a simulated dataset.
+"""Comparison of a reconstruction with the ground truth of a simulated dataset.
 
-The reconstruction itself never opens its ``truth`` folder.
+The reconstruction itself never reads the ``truth`` folder.
 """
 
 import html
@@ -46,9 +46,9 @@ SHOWN_LINES = 19
 
 @dataclass(frozen=True, kw_only=True)
 class Score(VolumeScore):
-    """How well a result agrees with the truth, as a whole and stage by stage.
+    """Agreement of a result with the ground truth, in total and by stage.
 
-    Errors are signed fractions: found / true - 1.
+    Relative errors are found / true - 1.
     """
 
     voxel_mm: float
@@ -57,32 +57,32 @@ class Score(VolumeScore):
     extents_true_mm: Triple
     extents_error: Triple
     extents_error_max: float
-    """Largest of the three without its sign."""
+    """Largest absolute error of the three."""
     voxels: VoxelScore
     surface: SurfaceScore
     poses: PoseScore | None
-    """None where no view was used."""
+    """None if no view was used."""
     rig: tuple[RigError, ...]
-    """What the pictures told of the rig, where the truth knows it."""
+    """Errors of the calibrated rig parameters with known true values."""
     masks: MaskScore | None
-    """None where the result holds no silhouettes."""
+    """None if the result contains no silhouettes."""
     hull: HullScore
     roots: RootScore | None
-    """None where the truth or the result has no roots."""
+    """None if truth or result have no roots."""
     plants: tuple[PlantScore, ...]
-    """Of several plants in the canister; empty: there is one."""
+    """Scores of each of several plants in the canister; empty for a single plant."""
     shoot: ShootScore | None
-    """None where the truth or the result has no shoot."""
+    """None if truth or result have no shoot."""
     traits: dict[str, TraitScore]
     """By the names of `scenes.trait_table`."""
     blind_mm3: float
-    """Volume of the water that too few views could see."""
+    """Volume of the water that is visible in too few views."""
     timings_s: dict[str, float]
     peak_memory_mib: float | None
     warnings: tuple[str, ...]
 
     def to_dict(self) -> Json:
-        """Return plain values for JSON: recall, precision and iou at the top; what is not finite becomes None."""
+        """Convert to JSON values with recall, precision and iou at the top level; infinite values become None."""
         found = asdict(self)
         voxels = found.pop("voxels")
         found = {**found, **voxels}
@@ -99,11 +99,11 @@ class Score(VolumeScore):
         return f"<pre>{html.escape(self.table())}</pre>"
 
     def table(self) -> str:
-        """Return the score as lines of text for the terminal."""
+        """Format the score as a text table."""
         shoot = [] if self.shoot is None else self.shoot.rows()
         plants = [row for plant in self.plants for row in plant.rows()]
         rows = [*self._shape_rows(), *plants, *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
-        title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, against the truth"
+        title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, compared with the ground truth"
         return "\n".join([table_of(title, rows), *(f"warning: {warning}" for warning in self.warnings)])
 
     def _shape_rows(self) -> list[tuple[str, str]]:
@@ -125,26 +125,26 @@ class Score(VolumeScore):
         ]
 
     def _stage_rows(self) -> list[tuple[str, str]]:
-        rows: list[tuple[str, str]] = [("stage by stage", "")]
+        rows: list[tuple[str, str]] = [("by stage", "")]
         if self.poses is not None:
             p = self.poses
             rows += [
-                ("  cameras", f"{p.used} used, {p.left_out} left out"),
+                ("  cameras", f"{p.used} used, {p.left_out} not used"),
                 ("  camera positions", f"median {p.median_mm:.4f} mm, worst {p.max_mm:.4f} mm"),
                 ("  camera directions", f"median {p.median_deg:.4f} deg, worst {p.max_deg:.4f} deg"),
-                ("  common to all", f"{p.common_mm:.4f} mm at the specimen, {p.common_deg:.4f} deg; left in a view {p.own_mm:.4f} mm"),
+                ("  common error", f"{p.common_mm:.4f} mm at the specimen, {p.common_deg:.4f} deg; remaining per view {p.own_mm:.4f} mm"),
             ]
         rows += [(f"  {error.quantity}", error.text) for error in self.rig]
         if self.masks is not None:
             m = self.masks
             rows += [
                 ("  silhouettes", f"area {percent(m.area_error)}, IoU {m.iou:.4f}, mean error {100.0 * m.mean_abs:.2f} % of the area"),
-                ("  unseen", f"{100.0 * m.unseen:.2f} % of the true area is where the pictures say nothing"),
+                ("  unseen", f"{100.0 * m.unseen:.2f} % of the true area is in masked regions"),
             ]
         h = self.hull
         rows += [
-            ("  hull", f"{h.volume_mm3:.1f} mm3: {percent(h.volume_error)}; holds {100.0 * h.recall:.2f} % of the truth"),
-            ("  trimmed", f"holds {100.0 * h.kept_recall:.2f} % of the truth"),
+            ("  hull", f"{h.volume_mm3:.1f} mm3: {percent(h.volume_error)}; contains {100.0 * h.recall:.2f} % of the truth"),
+            ("  trimmed", f"contains {100.0 * h.kept_recall:.2f} % of the truth"),
             ("  counting voxels", f"{h.leaf_count_volume_mm3:.1f} mm3: {percent(h.leaf_count_volume_mm3 / self.volume_true_mm3 - 1.0)}"),
             ("  blind", f"{self.blind_mm3:.1f} mm3 of the water"),
             ("  time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in self.timings_s.items())),
@@ -155,7 +155,7 @@ class Score(VolumeScore):
 
 
 def plain(value: Any) -> Any:
-    """Return a value made of JSON's types only."""
+    """Convert a value to JSON types."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -166,27 +166,27 @@ def plain(value: Any) -> Any:
 
 
 def truth_mesh_path(dataset_folder: Path) -> Path:
-    """Return the true solid's file of a simulated dataset; UserError where the dataset has no truth."""
+    """Return the path of the true solid of a simulated dataset; raise UserError if the dataset has no ground truth."""
     truth_folder = Path(dataset_folder) / "truth"
     if not truth_folder.is_dir():
-        raise UserError(f"{dataset_folder} has no truth folder, so there is nothing to score against: only simulated datasets have one.")
+        raise UserError(f"{dataset_folder} has no ground truth; only simulated datasets can be scored this way")
     return truth_folder / "specimen.ply"
 
 
 def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
-    """Score a result against the truth of the dataset it was made from.
+    """Compare a result with the ground truth of its dataset.
 
     Parameters
     ----------
     result : Result or path
-        As it was reconstructed, or its folder.
+        Result, or its folder.
     dataset : Dataset or path
-        That it was made from, or its folder.
+        Dataset of the result, or its folder.
 
     Raises
     ------
     UserError
-        If the dataset has no truth, the result is of another dataset, or a file is missing or damaged.
+        If the dataset has no ground truth, the result belongs to another dataset, or a file is missing or damaged.
     """
     where = "the result" if isinstance(result, Result) else str(result)
     found = result if isinstance(result, Result) else load_result(result)
@@ -201,7 +201,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     try:
         voxels, hull = compare_voxels(solid.voxels, solid.hull, true_solid)
     except ValueError as error:
-        raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
+        raise UserError(f"{mesh_path}: {error}; simulate the dataset again") from None
     skeleton = mesh_path.parent / "skeleton.rsml"
     true_roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
     both = found.roots and true_roots
@@ -230,5 +230,5 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
 
 
 def _true_traits(roots: Sequence[Root], solid: Mesh, volume_mm3: float) -> Traits:
-    """Measure the truth as a result is measured, so that a dataset of an older version has the same definitions."""
+    """Measure the traits of the ground truth by the current definitions, also for datasets of older versions."""
     return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=float(solid.areas_mm2.sum()))

@@ -1,4 +1,4 @@
-"""Score what another method wrote against the truth of a simulated dataset."""
+"""Comparison of the output of other methods with the ground truth of a simulated dataset."""
 
 from __future__ import annotations
 
@@ -47,31 +47,32 @@ OF_CENTRE_LINES = (
     "angle_to_gravity",
     "angle_to_parent",
 )
-"""Traits that centre lines with diameters tell by themselves."""
+"""Traits that can be computed from centre lines with diameters."""
 ALPHA = 0.1
-"""Of the 90 % intervals."""
+"""Significance level of the 90 % intervals."""
 _MOST_SIDE = 200
-"""Voxels along the longest side where surfaces that bound no solid are compared."""
+"""Voxels along the longest side for the comparison of surfaces that do not bound a solid."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatedScore:
-    """A trait that a file states, against the truth."""
+    """Trait reported in a file, compared with the ground truth."""
 
     value: float
     true: float
     error: float
-    """found / true - 1; of angles the difference in degrees."""
+    """Relative error found / true - 1; for angles the difference in degrees."""
     interval: tuple[float, float] | None = None
     holds: bool | None = None
-    """Whether the interval holds the truth; None where none is stated."""
+    """Whether the interval contains the true value; None without an interval."""
     interval_score: float | None = None
-    """Mean width and misses of 90 % intervals (Gneiting and Raftery 2007), relative to the truth: smaller is better."""
+    """Interval score of the 90 % interval (Gneiting and Raftery 2007) relative to the true value: width plus penalties
+    for misses, smaller is better."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileScore:
-    """What a file of another method says, against the truth. Errors are signed fractions: found / true - 1."""
+    """Output file of another method compared with the ground truth. Relative errors are found / true - 1."""
 
     file: str
     scene: str
@@ -80,7 +81,8 @@ class FileScore:
     volume_error: float | None = None
     extents_error: tuple[float, float, float] | None = None
     iou: float | None = None
-    """Volume in both over volume in either; exact for meshes that bound a solid, of voxels by their shares."""
+    """Volume of the intersection over volume of the union; exact for meshes that bound a solid, by occupancy for
+    voxels."""
     surface: SurfaceScore | None = None
     roots: RootScore | None = None
     topology: TopologyScore | None = None
@@ -88,11 +90,11 @@ class FileScore:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON; what is not finite becomes None."""
+        """Convert to JSON values; values that are not finite become None."""
         return {key: plain(value) for key, value in asdict(self).items()}
 
     def table(self) -> str:
-        """Return the score as lines of text for the terminal."""
+        """Format the score as a text table."""
         rows: list[tuple[str, str]] = []
         if self.volume_mm3 is not None and self.volume_error is not None:
             rows.append(
@@ -114,13 +116,25 @@ class FileScore:
         if self.topology is not None:
             t = self.topology
             rows.append(
-                ("roots", f"{t.roots}, true {t.roots_true}: {t.matched:.3f} matched; parent right {t.parents:.3f}, order {t.orders:.3f}")
+                (
+                    "roots",
+                    (
+                        f"{t.roots}, true {t.roots_true}: {t.matched:.3f} matched; correct "
+                        f"parent {t.parents:.3f}, correct order {t.orders:.3f}"
+                    ),
+                )
             )
         for name, one in self.traits.items():
-            held = "" if one.holds is None else f", interval {'holds' if one.holds else 'misses'}, score {one.interval_score:.3f}"
+            held = (
+                ""
+                if one.holds is None
+                else f", interval {'contains' if one.holds else 'misses'} the true value, score {one.interval_score:.3f}"
+            )
             error = f"{one.error:+.2f} deg" if name.startswith("angle") else percent(one.error)
             rows.append((name, f"{one.value:.5g}, true {one.true:.5g}: {error}{held}"))
-        return "\n".join([table_of(f"{self.file}, against the truth of {self.scene}", rows), *(f"note: {note}" for note in self.notes)])
+        return "\n".join(
+            [table_of(f"{self.file}, compared with the ground truth of {self.scene}", rows), *(f"note: {note}" for note in self.notes)]
+        )
 
 
 def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: bool = False) -> FileScore:
@@ -131,14 +145,14 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
     file : path
         PLY, STL or OBJ in mm with z up, or GLB in metres with y up.
     dataset : Dataset or path
-        The simulated dataset.
+        Simulated dataset.
     registered : bool
-        Lay the mesh onto the true solid first, by a turn and a shift; otherwise it is in the canister's frame.
+        Register the mesh to the true solid first; otherwise its coordinates are those of the canister frame.
 
     Raises
     ------
     UserError
-        If the file cannot be read or the dataset has no truth.
+        If the file cannot be read or the dataset has no ground truth.
     """
     known = _Known.of(dataset)
     mesh = foreign_files.read_shape(Path(file))
@@ -148,7 +162,7 @@ def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: b
 
 
 def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score occupancies of voxels (NRRD or NPZ, `foreign_files.read_voxels`), as `score_mesh` does a mesh."""
+    """Score voxel occupancies (NRRD or NPZ, `foreign_files.read_voxels`) like a mesh in `score_mesh`."""
     known = _Known.of(dataset)
     leaves = foreign_files.read_voxels(Path(file))
     volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
@@ -163,13 +177,13 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         iou=compare_voxels(leaves, leaves, known.solid)[0].iou_weighted,
     )
     if not len(shape.vertices):
-        return replace(scored, notes=("no voxel is half occupied, so that there is no surface",))
+        return replace(scored, notes=("no voxel is at least half occupied, so that there is no surface",))
     mesh = Mesh.of(shape)
     return replace(scored, extents_error=known.extents_error(mesh.vertices_mm), surface=compare_surfaces(mesh, known.solid))
 
 
 def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score points on the surface (PLY or lines of x y z): distances to the true surface, and from it."""
+    """Score points on the surface (PLY or lines of x y z) by their distances to the true surface, and vice versa."""
     known = _Known.of(dataset)
     points = foreign_files.read_points(Path(file))
     vertices, faces = known.solid.vertices_mm, known.solid.faces
@@ -187,7 +201,7 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score centre lines (RSML): length, recall, precision, tips, parents, orders, and the traits that they tell.
+    """Score centre lines (RSML): length, recall, precision, tips, parents, orders, and derived traits.
 
     Raises
     ------
@@ -197,9 +211,9 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     known = _Known.of(dataset)
     roots = rsml.read_rsml(Path(file))
     if not known.roots:
-        raise UserError(f"{known.folder}: its specimen has no centre lines, so that an RSML file cannot be scored against it")
+        raise UserError(f"{known.folder}: the specimen has no centre lines, so that an RSML file cannot be scored")
     if not roots:
-        raise UserError(f"{file} holds no roots")
+        raise UserError(f"{file} contains no roots")
     compared = compare_traits(_traits_of(roots), _traits_of(known.roots))
     traits = {
         name: StatedScore(value=float(one.found), true=float(one.true), error=one.error)
@@ -217,7 +231,7 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score a table of traits (CSV, `foreign_files.read_traits`), and the 90 % intervals that it states."""
+    """Score a table of traits (CSV, `foreign_files.read_traits`) and its 90 % intervals."""
     known, stated = _Known.of(dataset), foreign_files.read_traits(Path(file))
     true = known.traits()
     traits = {name: _stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
@@ -240,7 +254,7 @@ def interval_score(interval: tuple[float, float], true: float) -> float:
 
 @dataclass(frozen=True)
 class _Known:
-    """The truth of a dataset."""
+    """Ground truth of a dataset."""
 
     folder: Path
     scene: str
@@ -262,7 +276,7 @@ class _Known:
         )
 
     def extents_error(self, points_mm: Floats) -> tuple[float, float, float]:
-        """Return the errors of the bounding box's sides."""
+        """Return the relative errors of the sides of the bounding box."""
         size = np.ptp(points_mm, axis=0) / np.ptp(self.solid.vertices_mm, axis=0) - 1.0
         return float(size[0]), float(size[1]), float(size[2])
 
@@ -301,7 +315,7 @@ def _of_mesh(mesh: Mesh, known: _Known) -> FileScore:
 
 
 def _by_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """Return volume and IoU of a mesh that is closed but bounds no solid, by counting voxels; None where it is open."""
+    """Compute volume and IoU of a self-intersecting closed mesh by counting voxels; None if it is open."""
     points = np.concatenate([mesh.vertices_mm[np.unique(mesh.faces)], known.solid.vertices_mm])
     low, size = points.min(axis=0), np.ptp(points, axis=0)
     voxel_mm = float(size.max()) / _MOST_SIDE
@@ -310,15 +324,15 @@ def _by_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, t
     try:
         inside = voxelise.count_in_boxes(mesh.vertices_mm, mesh.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
     except ValueError:
-        return None, None, ("the mesh is not closed, so that it has no volume",)
+        return None, None, ("the mesh is not closed, so that its volume is undefined",)
     truth = voxelise.count_in_boxes(known.solid.vertices_mm, known.solid.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
     either = int((inside | truth).sum())
-    note = f"the mesh cuts itself or is inside out: volume and IoU are counted in voxels of {voxel_mm:.3f} mm"
+    note = f"the mesh intersects itself or is inside out; volume and IoU were computed in voxels of {voxel_mm:.3f} mm"
     return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
 
 
 def _traits_of(roots: Sequence[Root]) -> Traits:
-    """Measure what centre lines tell; volume and surface, which they do not, are 1."""
+    """Measure the traits of centre lines; volume and surface, which are not available, are set to 1."""
     return measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=1.0, surface_mm2=1.0)
 
 

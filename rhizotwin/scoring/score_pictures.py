@@ -1,4 +1,4 @@
-"""Score a result by pictures that it has not seen: what it would show in them, against what they show."""
+"""Comparison of a result with pictures that were not used in its reconstruction."""
 
 from __future__ import annotations
 
@@ -28,75 +28,74 @@ from rhizotwin.scoring.score_solid import table_of
 from rhizotwin.stored.load import load_result
 
 NEAR_PX = 2.0
-"""Root that is drawn this near counts as explained: the blur's width to either side, beyond which a picture of a root
-is empty."""
+"""Maximum distance at which a root counts as explained: the width of the blur on either side of a root."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureScore:
-    """A result against pictures that were not used. Pixels are those of the pictures."""
+    """Comparison of a result with unused pictures. Pixels are those of the pictures."""
 
     scene: str
     pictures: int
-    """Which were compared."""
+    """Number of compared pictures."""
     known: int
-    """Pictures of the same folder that the result was made from, which say nothing."""
+    """Number of pictures in the dataset that the reconstruction used; they are not compared."""
     iou: float
-    """Area that both cover over the area that either covers, by outlines, all pictures together."""
+    """Intersection over union of the covered areas, over all pictures."""
     edge_median_px: float
-    """Distance of the outlines, each from the other."""
+    """Median distance between the outlines, in both directions."""
     edge_p95_px: float
     line_median_px: float
-    """Distance of the centre lines, each from the other."""
+    """Median distance between the centre lines, in both directions."""
     line_p95_px: float
     explained: float
-    """Share of the pictures' centre lines within `NEAR_PX` of what is drawn."""
+    """Fraction of the pictures' centre lines within `NEAR_PX` of the projected result."""
     seen: float
-    """Share of the drawn centre lines within `NEAR_PX` of what the pictures show."""
+    """Fraction of the projected centre lines within `NEAR_PX` of a root in the pictures."""
     per_view: dict[str, float]
-    """The area by picture."""
+    """Area scores by picture."""
 
     def to_dict(self) -> Json:
-        """Return plain values for JSON."""
+        """Convert to JSON values."""
         return asdict(self)
 
     def table(self) -> str:
-        """Return the score as lines of text for the terminal."""
-        said = f", {self.known} more were used" if self.known else ""
+        """Format the score as a text table."""
+        ignored = f", {self.known} used pictures are ignored" if self.known else ""
         rows = [
-            ("pictures", f"{self.pictures} that were not used{said}"),
-            ("area", f"{100.0 * self.iou:.1f} % of what either covers, both do"),
+            ("pictures", f"{self.pictures} unused{ignored}"),
+            ("area", f"intersection over union {100.0 * self.iou:.1f} %"),
             ("outlines apart", f"median {self.edge_median_px:.2f} px, 95 % {self.edge_p95_px:.2f} px"),
-            ("centre lines apart", f"median {self.line_median_px:.2f} px, 95 % {self.line_p95_px:.2f} px"),
-            ("root seen, explained", f"{100.0 * self.explained:.1f} %"),
-            ("root drawn, seen", f"{100.0 * self.seen:.1f} %"),
+            ("centre line distance", f"median {self.line_median_px:.2f} px, 95 % {self.line_p95_px:.2f} px"),
+            ("recall of root length", f"{100.0 * self.explained:.1f} %"),
+            ("precision of root length", f"{100.0 * self.seen:.1f} %"),
         ]
-        return table_of(f"{self.scene}, against pictures that it has not seen", rows)
+        return table_of(f"{self.scene}, compared with unused pictures", rows)
 
 
 def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *, monitor: Monitor) -> PictureScore:
-    """Score a result by the pictures of a dataset that it was not made from.
+    """Compare a result with the pictures of a dataset that were not used in its reconstruction.
 
-    Cameras and coverage of all of them are measured as a reconstruction does; nothing is fitted to the result.
+    Cameras and coverage of the pictures are estimated as in a reconstruction; nothing is fitted to the result.
 
     Parameters
     ----------
     result : Result or path
-        As it was reconstructed, or its folder.
+        Result, or its folder.
     dataset : Dataset or path
-        Of the same plant on the same rig: the whole scan of which a part was reconstructed, or another one.
+        Dataset of the same plant on the same rig: the complete scan of which the result used a part, or another scan.
     monitor : Monitor
-        Hears how far the work is.
+        Progress monitor.
 
     Raises
     ------
     UserError
-        Where all pictures were used, or they cannot be read.
+        If all pictures were used, or cannot be read.
     """
     found = result if isinstance(result, Result) else load_result(result)
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     if dataset.sha256 and dataset.sha256 == found.dataset_sha256:
-        raise UserError(f"{dataset.folder} is the dataset that the result was made from; give one with pictures that were not used")
+        raise UserError(f"{dataset.folder} is the dataset of the result; give a dataset with pictures that were not used")
     pictures = verify_curve(read_pictures(dataset, monitor=monitor), monitor=monitor)
     used = {camera.sha256: camera for camera in found.cameras if camera.sha256 and camera.used}
     cameras = find_cameras(pictures, monitor=monitor)
@@ -105,7 +104,7 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor)
     chosen = [k for k in cameras.order if k not in same]
     if not chosen:
-        raise UserError(f"{dataset.folder}: all pictures with a camera were used for the result; give some that were not")
+        raise UserError(f"{dataset.folder}: all pictures with a camera were used in the reconstruction; give a dataset with other pictures")
     mesh = found.solid.surface
 
     def one(k: int) -> Compared:
@@ -117,10 +116,10 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
 
 
 def _in_frame_of(found: Result, cameras: Cameras, same: dict[int, Camera], *, bare: bool) -> Cameras:
-    """Return cameras in the result's canister frame, through the water that it found.
+    """Return the cameras in the canister frame of the result, with its refractive index of the water.
 
-    Markers hold the frame; without them it begins at the first picture, so that pictures which both have tell the
-    angle between.
+    Markers define the frame. Without markers the frame starts at the first picture, and pictures common to both scans
+    give the angle between them.
     """
     n_water = found.rig.get("n_water")
     optics = cameras.optics if n_water is None else replace(cameras.optics, n_water=float(n_water))
@@ -133,8 +132,7 @@ def _in_frame_of(found: Result, cameras: Cameras, same: dict[int, Camera], *, ba
     ]
     if not turns:
         raise UserError(
-            "without markers the pictures must hold some of those that the result was made from, which tell where its turn begins; "
-            "give the whole scan"
+            "without markers, the dataset must include some of the pictures that the result was reconstructed from; give the complete scan"
         )
     turned = frames.rotation_z(float(np.angle(np.mean(np.exp(1j * np.array(turns))))))
     every = tuple(
@@ -146,22 +144,22 @@ def _in_frame_of(found: Result, cameras: Cameras, same: dict[int, Camera], *, ba
 
 @dataclass(frozen=True)
 class Compared:
-    """One picture against what is drawn for it."""
+    """Comparison of one picture with the projected result."""
 
     both_px2: float
     either_px2: float
     edges_px: NDArray[np.float32]
-    """(N,) how far outlines are apart, at both outlines."""
+    """(N,) distances between the outlines, at both outlines."""
     lines_px: NDArray[np.float32]
-    """(N,) how far centre lines are apart, where one is near the other's root."""
+    """(N,) distances between the centre lines, where one is near the other's root."""
     explained: tuple[float, float]
-    """Length of the picture's centre lines near to what is drawn, and in all, px."""
+    """Length of the picture's centre lines near the projected result, and total length, px."""
     seen: tuple[float, float]
-    """Length of the drawn centre lines near to what the picture shows, and in all."""
+    """Length of the projected centre lines near a root in the picture, and total length."""
 
 
 def compare(shape: Image, picture: Silhouette) -> Compared:
-    """Compare what is drawn (H, W) with what a picture shows, where it tells something."""
+    """Compare the projected coverage (H, W) with a picture within its valid region."""
     shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.usable))
     told = shown < UNSEEN_PX
     root, own = (shown > 0.0) & told, (made > 0.0) & told
@@ -179,14 +177,14 @@ def compare(shape: Image, picture: Silhouette) -> Compared:
 
 
 def _rim(inside: Mask) -> Mask:
-    """Return the samples beside an outline, inside of it."""
+    """Return the samples next to an outline, on its inside."""
     return inside & ~ndimage.binary_erosion(inside, border_value=1)
 
 
 def _along(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.float32]]:
-    """Return the length of the centre lines of one that runs near to the other's area, and in all.
+    """Return the length of the centre lines of one image near the area of the other, and the total length.
 
-    With them, the distances of that part from the other's centre lines; all in px.
+    The distances of that part from the other centre lines are also returned; all in px.
     """
     line, line_of_other = skeletonize(one), skeletonize(other)
     if not line.any() or not line_of_other.any():
@@ -197,23 +195,23 @@ def _along(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.floa
 
 
 def gather(scene: str, files: Sequence[str], found: Sequence[Compared], *, known: int) -> PictureScore:
-    """Put the comparisons of pictures together.
+    """Combine the comparisons of all pictures.
 
     Parameters
     ----------
     scene : str
-        Its name.
+        Name of the scene.
     files : sequence of str
-        Of the pictures, in order.
+        File names of the pictures.
     found : sequence of Compared
-        A comparison each.
+        Comparison of each picture.
     known : int
-        Pictures that the result was made from, left out.
+        Number of pictures that the reconstruction used.
 
     Returns
     -------
     PictureScore
-        Of all together, and of each.
+        Combined score and scores of each picture.
     """
 
     def share(parts: Sequence[tuple[float, float]]) -> float:

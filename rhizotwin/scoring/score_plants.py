@@ -1,4 +1,4 @@
-"""Compare what a result says of each of several plants with the truth."""
+"""Comparison of each of several plants in a result with the ground truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.1
-"""Of the points along roots: a fifth of how far a line may lie from the true one."""
+"""Distance of the sample points along roots: a fifth of the tolerance of a centre line."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlantScore:
-    """How one of several plants agrees with the true one. Errors are signed fractions: found / true - 1."""
+    """Score of one of several plants. Relative errors are found / true - 1."""
 
     plant: str
     volume_mm3: float
@@ -30,10 +30,10 @@ class PlantScore:
     length_true_mm: float
     length_error: float
     rightly_given: float
-    """Share of the plant's found length, where it lies on a true root, that lies on one of this plant."""
+    """Fraction of the plant's found length on true roots that lies on roots of this plant."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the table's lines."""
+        """Return the rows of the text table."""
         return [
             (f"plant {self.plant}", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {100.0 * self.volume_error:+.2f} %"),
             ("  length", f"{self.length_mm:.1f} mm, true {self.length_true_mm:.1f} mm: {100.0 * self.length_error:+.2f} %"),
@@ -44,16 +44,16 @@ class PlantScore:
 def compare_plants(
     found: Sequence[OfPlant], roots: Sequence[Root], truth: Mapping[str, Mapping[str, Any]], true: Sequence[Root]
 ) -> tuple[PlantScore, ...]:
-    """Compare each plant that a result and the truth both name.
+    """Compare each plant that occurs in both result and ground truth.
 
     Parameters
     ----------
     found : sequence of OfPlant
-        Of the result.
+        Plants of the result.
     roots, true : sequence of Root
-        Found and true, with their plants.
+        Found and true roots, with their plants.
     truth : mapping
-        By plant, as `scenes.truth.Truth.plants`.
+        True values by plant, as `scenes.truth.Truth.plants`.
     """
     told = [one for one in found if one.subject.plant in truth]
     if not told:
@@ -85,7 +85,7 @@ def compare_plants(
 
 
 def _points(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
-    """Return points (N, 3) every fifth of `NEAR_MM` along roots, and the plant (N,) of each."""
+    """Sample points (N, 3) every fifth of `NEAR_MM` along roots, with the plant (N,) of each."""
     points, plants = [], []
     for root in roots:
         way = polyline.way_mm(root.points_mm)

@@ -1,4 +1,4 @@
-"""Compare what the pictures told of the rig with the truth, each quantity in its own standard deviations."""
+"""Comparison of the self-calibrated rig parameters with the ground truth, in units of their standard deviations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,34 +12,34 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.calibration_table import Row, rows
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
-"""Place of each quantity among tilts and offsets."""
+"""Index of each quantity among tilts and offsets."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigError:
-    """A quantity that was calibrated from the pictures against the truth."""
+    """Error of a rig parameter that was calibrated from the pictures."""
 
     quantity: str
     found: float
     true: float
     sigma: float | None
-    """Standard deviation that the result states."""
+    """Standard deviation reported by the result."""
     unit: str
 
     @property
     def error(self) -> float:
-        """Return found less true."""
+        """Found minus true value."""
         return self.found - self.true
 
     @property
     def text(self) -> str:
-        """Return the comparison as words."""
+        """Format the comparison."""
         sigmas = "" if not self.sigma else f", {abs(self.error) / self.sigma:.1f} standard deviations"
-        return f"{self.found:.6g}, true {self.true:.6g}: off by {self.error:+.2g} {self.unit}".rstrip() + sigmas
+        return f"{self.found:.6g}, true {self.true:.6g}: error {self.error:+.2g} {self.unit}".rstrip() + sigmas
 
 
 def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[RigError, ...]:
-    """Return the errors of those quantities of a result's rig that the truth knows."""
+    """Return the errors of all rig parameters with known true values."""
     found = []
     for row in rows(rig):
         true = _true(row, truth)
@@ -50,7 +50,7 @@ def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[Rig
 
 
 def _true(row: Row, truth: Truth) -> float | None:
-    """Return a row's true value; None where the truth does not know it."""
+    """Return the true value of a row; None if unknown."""
     if row.quantity == "index of the water":
         return truth.n_water
     if row.quantity == "focal length over the given":
@@ -68,9 +68,9 @@ def _true(row: Row, truth: Truth) -> float | None:
 
 
 def _table_angles(cameras: Sequence[Camera], truth: Truth) -> RigError | None:
-    """Return how far the table angles are off (root mean square), their common part taken out.
+    """Return the rms error of the table angles without their common part.
 
-    The camera's azimuth takes that up.
+    The common part is equivalent to a change of the camera's azimuth.
     """
     true = {view.file: view.table_deg for view in truth.views}
     off: dict[int, list[float]] = {}
@@ -80,4 +80,4 @@ def _table_angles(cameras: Sequence[Camera], truth: Truth) -> RigError | None:
     left = np.concatenate([np.zeros(0), *(np.array(ring) - np.mean(ring) for ring in off.values())])
     if not len(left):
         return None
-    return RigError(quantity="table angles, rms", found=float(np.sqrt(np.mean(left**2))), true=0.0, sigma=None, unit="deg")
+    return RigError(quantity="table angles (rms)", found=float(np.sqrt(np.mean(left**2))), true=0.0, sigma=None, unit="deg")

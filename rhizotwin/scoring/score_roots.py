@@ -1,4 +1,4 @@
-"""Compare the roots of a result, as centre lines, with the true ones."""
+"""Comparison of the centre lines of a result with the true ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,37 +13,37 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 NEAR_MM = 0.5
-"""A centre line this near the other counts as found."""
+"""Maximum distance between centre lines for a match."""
 TIP_MM = 1.0
-"""A tip this near another counts as the same: two to five diameters."""
+"""Maximum distance between matching tips: two to five diameters."""
 _STEP_MM = 0.1
-"""Centre lines are compared at points so far apart: a fifth of `NEAR_MM`."""
+"""Distance of the sample points along centre lines: a fifth of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootScore:
-    """How the found roots agree with the true ones. Errors are signed fractions: found / true - 1."""
+    """Agreement of the found roots with the true ones. Relative errors are found / true - 1."""
 
     length_mm: float
     length_true_mm: float
     length_error: float
     recall: float
-    """Share of the true length within `NEAR_MM` of a found centre line."""
+    """Fraction of the true length within `NEAR_MM` of a found centre line."""
     precision: float
-    """Share of the found length within `NEAR_MM` of a true centre line."""
+    """Fraction of the found length within `NEAR_MM` of a true centre line."""
     distance_median_mm: float
-    """From found centre lines to true ones."""
+    """Median distance from found centre lines to true ones."""
     radius_error_median: float
-    """Signed fraction, where a centre line was found."""
+    """Median relative error of the radius along matched centre lines."""
     tips: int
     tips_true: int
     tip_recall: float
-    """Share of the true tips with a found tip within `TIP_MM`."""
+    """Fraction of the true tips with a found tip within `TIP_MM`."""
     tip_precision: float
 
 
 def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
-    """Compare centre lines, radii and tips of two root systems, neither of them empty."""
+    """Compare centre lines, radii and tips of two root systems that are not empty."""
     on_found, on_true = (rsml.sample_centre_lines(roots, _STEP_MM) for roots in (found, true))
     away, nearest = cKDTree(on_true.points_mm).query(on_found.points_mm)
     missed = cKDTree(on_found.points_mm).query(on_true.points_mm)[0]
@@ -67,5 +67,5 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
 
 
 def _near_share(these: Array, others: Array) -> float:
-    """Return the share of tips (A, 3) with one of the others (B, 3) within `TIP_MM`; 0 where there are none."""
+    """Return the fraction of tips (A, 3) with one of the others (B, 3) within `TIP_MM`; 0 without tips."""
     return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0

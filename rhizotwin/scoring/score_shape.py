@@ -1,4 +1,4 @@
-"""Compare a reconstructed shape with the true solid: voxels and surfaces."""
+"""Comparison of a reconstructed shape with the true solid by voxels and surfaces."""
 
 from __future__ import annotations
 
@@ -19,53 +19,53 @@ SURFACE_SAMPLES = 20_000
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelScore:
-    """How the occupied voxels overlap the truth; a leaf counts as occupied from half its volume on."""
+    """Overlap of the occupied voxels with the truth; a leaf counts as occupied from an occupancy of one half."""
 
     recall: float
-    """Share of the true solid's voxel centres that are occupied."""
+    """Fraction of the true solid's voxel centres that are occupied."""
     precision: float
-    """Share of the occupied voxels whose centre is in the true solid."""
+    """Fraction of the occupied voxels whose centre is in the true solid."""
     iou: float
-    """Voxels in both over voxels in either."""
+    """Voxels in the intersection over voxels in the union."""
     recall_weighted: float
-    """As recall, but each leaf counts by its fraction, the truth by 2^3 points a voxel."""
+    """Like recall, with each leaf weighted by its occupancy and the truth by 2^3 points per voxel."""
     precision_weighted: float
     iou_weighted: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class HullScore:
-    """What carving left, before the hull was trimmed."""
+    """Visual hull before trimming."""
 
     recall: float
-    """Share of the true solid's voxel centres that lie in the hull's leaves: what is missing here was carved away."""
+    """Fraction of the true solid's voxel centres in the leaves of the hull; the rest was carved away by mistake."""
     volume_mm3: float
     volume_error: float
-    """Signed fraction: what is too much here is what silhouettes cannot tell."""
+    """Relative error of the volume; the excess is not determined by the silhouettes."""
     kept_recall: float
-    """Share of the true solid's voxel centres that lie in the trimmed shape's leaves: what is missing more was trimmed
-    away."""
+    """Fraction of the true solid's voxel centres in the leaves of the trimmed shape; the difference from the recall of
+    the hull was trimmed away by mistake."""
     leaf_count_volume_mm3: float
-    """Volume of the shape's leaves that are at least half occupied, counted whole: the thesis's measure."""
+    """Volume of the leaves that are at least half occupied, counted as full: the volume measure of the thesis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceScore:
-    """Distances between the reconstructed and the true surface, over points even in area, in mm."""
+    """Distances between the reconstructed and the true surface at uniformly distributed points, in mm."""
 
     median_mm: float
-    """Both directions pooled."""
+    """Median over both directions."""
     p95_mm: float
     result_to_truth_median_mm: float
-    """From reconstructed points: ghosts and swelling show here."""
+    """Median from reconstructed points, which shows artefacts and thickening."""
     result_to_truth_p95_mm: float
     truth_to_result_median_mm: float
-    """From true points: what was missed shows here."""
+    """Median from true points, which shows missing parts."""
     truth_to_result_p95_mm: float
 
     @staticmethod
     def of(to_truth: Array, to_result: Array) -> SurfaceScore:
-        """Summarise distances (A,) of the result's points from the truth, and (B,) of the truth's from the result."""
+        """Summarise the distances (A,) from result to truth, and (B,) from truth to result."""
         both = np.concatenate([to_truth, to_result])
         return SurfaceScore(
             median_mm=float(np.median(both)),
@@ -82,7 +82,7 @@ def _ratio(part: float, whole: float) -> float:
 
 
 def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
-    """Compare a shape's leaves, and those of the hull it was trimmed from, with a closed mesh on their own grid.
+    """Compare the leaves of a shape, and of the hull before trimming, with a closed mesh on their own grid.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
 
 
 def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
-    """Compare two surfaces by the distance of points on each to the other; the points are the same at every call."""
+    """Compare two surfaces by distances of sample points, which are identical in each call."""
     rng = np.random.default_rng(0)
     on_shape = surface_sample.sample(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)[0]
     on_truth = surface_sample.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]

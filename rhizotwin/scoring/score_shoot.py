@@ -1,4 +1,4 @@
-"""Compare a shoot with the truth of a simulated dataset."""
+"""Comparison of a shoot with the ground truth of a simulated dataset."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,35 +12,35 @@ from rhizotwin.stored import result_files
 
 @dataclass(frozen=True, kw_only=True)
 class ShootScore:
-    """How well a shoot agrees with the true one. Errors are signed fractions: found / true - 1."""
+    """Agreement of a shoot with the true one. Relative errors are found / true - 1."""
 
     height_mm: float
     height_true_mm: float
     height_error: float
     surface_area_mm2: float
     surface_area_true_mm2: float
-    """Half of the true solid's surface: one side of its blades, and half of its stalks."""
+    """Half of the surface of the true solid: one side of its blades and half of its stalks."""
     surface_area_error: float
     leaf_area_mm2: float | None
-    """Of the blades alone, one side; None where leaves enclose room that no picture looks into."""
+    """One-sided area of the blades; None if leaves enclose a space that is not visible in any picture."""
     leaf_area_true_mm2: float
     leaf_area_error: float | None
     leaves: int
     leaves_true: int
     projected_error: float
-    """Of the area in the pictures, in the median over them."""
+    """Median relative error of the projected area over the pictures."""
     projected_error_max: float
-    """The largest of any picture, without its sign."""
+    """Largest absolute relative error of any picture."""
     hull_mm3: float
     volume_mm3: float | None
-    """None where nobody measured how thick leaves are."""
+    """None if the leaf thickness was not measured."""
     volume_true_mm3: float
     volume_error: float | None
     colour: dict[str, tuple[float, float]] = field(default_factory=dict)
     """NDVI and NDRE, found and true; empty where the shoot was taken in one band."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the table's lines."""
+        """Return the rows of the text table."""
         return [
             ("shoot", ""),
             ("  height", f"{self.height_mm:.2f} mm, true {self.height_true_mm:.2f} mm: {100.0 * self.height_error:+.2f} %"),
@@ -58,17 +58,19 @@ class ShootScore:
 
     def _leaf_area(self) -> str:
         if self.leaf_area_mm2 is None or self.leaf_area_error is None:
-            return f"not told, since leaves enclose room that no picture looks into, true {self.leaf_area_true_mm2:.0f} mm2"
+            return (
+                f"not determined, because leaves enclose a space that is not visible in any picture; true {self.leaf_area_true_mm2:.0f} mm2"
+            )
         return f"{self.leaf_area_mm2:.0f} mm2, true {self.leaf_area_true_mm2:.0f} mm2: {100.0 * self.leaf_area_error:+.2f} %"
 
     def _volume(self) -> str:
         if self.volume_mm3 is None or self.volume_error is None:
-            return f"not told without the leaves' area and thickness, true {self.volume_true_mm3:.0f} mm3"
+            return f"not determined without leaf area and leaf thickness; true {self.volume_true_mm3:.0f} mm3"
         return f"{self.volume_mm3:.0f} mm3, true {self.volume_true_mm3:.0f} mm3: {100.0 * self.volume_error:+.2f} %"
 
 
 def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) -> ShootScore | None:
-    """Compare a shoot with a dataset's ``truth`` folder; None where there is no shoot, or no truth of one."""
+    """Compare a shoot with the ``truth`` folder of a dataset; None without a shoot or its truth."""
     if found is None or not truth:
         return None
     half_mm2 = 0.5 * float(result_files.read_mesh(folder / "shoot.ply").areas_mm2.sum())

@@ -1,4 +1,4 @@
-"""Score a result against what is known from elsewhere: a solid's file, or a volume that was measured."""
+"""Comparison of a result with a known solid, or with a measured volume."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,76 +17,76 @@ from rhizotwin.stored.load import load_result
 
 @dataclass(frozen=True, kw_only=True)
 class VolumeScore:
-    """A result's volume against the true one. Errors are signed fractions: found / true - 1."""
+    """Volume of a result compared with the true one. Relative errors are found / true - 1."""
 
     scene: str
     volume_mm3: float
     volume_true_mm3: float
     volume_error: float
     volume_interval_mm3: tuple[float, float]
-    """The result's 90 % interval."""
+    """90 % interval of the result."""
     interval_holds_truth: bool
     volume_trusted: bool
     volume_verdict: str
 
     def to_dict(self) -> Json:
-        """Return plain values for JSON."""
+        """Convert to JSON values."""
         return asdict(self)
 
     def table(self) -> str:
-        """Return the score as lines of text for the terminal."""
-        return table_of(f"{self.scene}, against a volume that was given", volume_rows(self))
+        """Format the score as a text table."""
+        return table_of(f"{self.scene}, compared with a given volume", volume_rows(self))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SolidScore(VolumeScore):
-    """A result against the solid that was scanned, laid onto it."""
+    """Result compared with the scanned solid after registration."""
 
     extents_mm: Triple
     """Size of the bounding box along x, y, z of the canister frame."""
     extents_true_mm: Triple
-    """The solid's, where it was laid."""
+    """Size of the registered solid."""
     extents_error: Triple
     surface: SurfaceScore
     result_from_solid: tuple[tuple[float, ...], ...]
-    """(4, 4) rigid: where the solid was laid."""
+    """(4, 4) rigid motion that registers the solid to the result."""
 
     def table(self) -> str:
-        """Return the score as lines of text for the terminal."""
+        """Format the score as a text table."""
         rows = [*volume_rows(self), *extent_rows(self.extents_mm, self.extents_true_mm, self.extents_error), *surface_rows(self.surface)]
-        return table_of(f"{self.scene}, against a solid that was laid onto it", rows)
+        return table_of(f"{self.scene}, compared with a registered solid", rows)
 
 
 def score_volume(result: Result | Path | str, volume_mm3: float) -> VolumeScore:
-    """Score a result against a volume that was measured, by displacement or weight.
+    """Compare the volume of a result with a measured one.
 
     Raises
     ------
     UserError
-        If the volume is not positive, or the result's folder cannot be read.
+        If the volume is not positive, or the result folder cannot be read.
     """
     if not (np.isfinite(volume_mm3) and volume_mm3 > 0.0):
-        raise UserError(f"a volume of {volume_mm3:g} mm3 cannot be compared with; give one above 0")
+        raise UserError(f"the reference volume is {volume_mm3:g} mm3, but must be positive")
     found = result if isinstance(result, Result) else load_result(result)
     return VolumeScore(**volume_fields(found, volume_mm3))
 
 
 def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) -> SolidScore:
-    """Score a result against the solid that was scanned, which is laid onto the result first.
+    """Compare a result with the scanned solid, which is registered to the result first.
 
     Parameters
     ----------
     result : Result or path
-        As it was reconstructed, or its folder.
+        Result, or its folder.
     solid : Mesh
-        Closed, mm, anywhere and turned anyhow.
+        Closed mesh in mm, in any pose.
     volume_mm3 : float
-        Of the solid.
+        Volume of the solid.
 
     Raises
     ------
     UserError
-        If the result's folder cannot be read.
+        If the result folder cannot be read.
     """
     found = result if isinstance(result, Result) else load_result(result)
     shape = found.solid.surface
@@ -119,7 +119,7 @@ def volume_fields(found: Result, volume_mm3: float) -> Json:
 
 
 def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
-    """Return the lines of a table that tell of the volume."""
+    """Return the table rows of the volume."""
     low, high = score.volume_interval_mm3
     verdict = "holds" if score.interval_holds_truth else "misses"
     found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (score.volume_mm3, score.volume_true_mm3))
@@ -131,13 +131,13 @@ def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
 
 
 def extent_rows(found_mm: Triple, true_mm: Triple, errors: Triple) -> list[tuple[str, str]]:
-    """Return the lines of a table that tell of the bounding box."""
+    """Return the table rows of the bounding box."""
     each = zip("xyz", found_mm, true_mm, errors, strict=True)
     return [(f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {percent(error)}") for axis, found, true, error in each]
 
 
 def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
-    """Return the lines of a table that tell of the surfaces."""
+    """Return the table rows of the surface distances."""
     return [
         ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
         ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),
@@ -146,11 +146,11 @@ def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
 
 
 def table_of(title: str, rows: Sequence[tuple[str, str]]) -> str:
-    """Return rows of names and texts under a title."""
+    """Format rows of names and texts below a title."""
     width = max(len(name) for name, _ in rows) + 2
     return "\n".join([title, "=" * len(title), *(f"{name:<{width}}{text}".rstrip() for name, text in rows)])
 
 
 def percent(fraction: float) -> str:
-    """Return a signed percentage."""
+    """Format a signed percentage."""
     return f"{100.0 * fraction:+.2f} %"

@@ -1,4 +1,4 @@
-"""Compare how the roots of a result branch with how the true ones do."""
+"""Comparison of the branching of a result with the true one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,25 +10,25 @@ from rhizotwin.scenes.rsml import Root, sample_centre_lines
 from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.25
-"""Roots are matched by points so far apart: half of `NEAR_MM`."""
+"""Distance of the sample points for matching roots: half of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopologyScore:
-    """How the roots hang together. Roots are matched by the length that lies within `NEAR_MM` of the other."""
+    """Agreement of the branching. Roots are matched by the length within `NEAR_MM` of each other."""
 
     roots: int
     roots_true: int
     matched: float
-    """Share of the true roots, half of whose length at least is one found root's."""
+    """Fraction of the true roots of which at least half of the length lies on one found root."""
     parents: float
-    """Share of the matched true roots whose parent is the one matched with the true parent."""
+    """Fraction of the matched true roots whose parent matches the true parent."""
     orders: float
-    """Share of the matched true roots whose order is right."""
+    """Fraction of the matched true roots with the correct order."""
 
 
 def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologyScore:
-    """Compare parents and orders of two root systems, neither of them empty."""
+    """Compare parents and orders of two root systems that are not empty."""
     match = _matches(found, true)
     known = [k for k, one in enumerate(match) if one >= 0]
     parents = [
@@ -47,7 +47,7 @@ def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologySco
 
 
 def _matches(found: Sequence[Root], true: Sequence[Root]) -> list[int]:
-    """Return the found root that covers at least half of each true root, and most of it; -1 where none does."""
+    """Return the found root that covers most, and at least half, of each true root; -1 if there is none."""
     on_found = sample_centre_lines(found, _STEP_MM)
     tree = cKDTree(on_found.points_mm)
     match = []

@@ -1,4 +1,4 @@
-"""Compare the traits of a result with the truth, each by the same definition and code."""
+"""Comparison of the traits of a result with the truth, with the same definitions and code."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,27 +9,27 @@ from rhizotwin.scenes.traits import Traits
 
 @dataclass(frozen=True, kw_only=True)
 class TraitScore:
-    """One trait, found and true."""
+    """Trait of the result and of the truth."""
 
     found: Any
-    """A number, a list for a histogram, None where it is not known."""
+    """Number, list for a histogram, or None if unknown."""
     true: Any
     unit: str
     error: float | None
-    """found / true - 1; of angles the difference in degrees; of histograms the share of the true length that lies in
-    other bins."""
+    """Relative error found / true - 1; for angles the difference in degrees; for histograms the fraction of the true
+    length in wrong bins."""
     error_unit: str
-    """1 or deg."""
+    """Unit of the error: 1 or deg."""
 
     def text(self) -> str:
-        """Return the error for people."""
+        """Format the error."""
         if self.error is None:
             return "-"
         return f"{self.error:+.2f} deg" if self.error_unit == "deg" else f"{100.0 * self.error:+.2f} %"
 
 
 def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
-    """Return the score of each trait by its name; those of a mass are left out, the truth has none."""
+    """Return the score of each trait by name, without the traits that require a mass."""
     scores = {}
     for d in DEFINITIONS:
         a, b = getattr(found, d.field), getattr(true, d.field)
@@ -45,13 +45,13 @@ def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
 
 
 def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
-    """Return a line for each trait that is known of both."""
+    """Return a row for each trait that is known for result and truth."""
     lines = []
     for name, score in scores.items():
         if score.error is None:
             continue
         if isinstance(score.found, list):
-            lines.append((f"  {name}", f"{100.0 * score.error:.2f} % of the length in other bins"))
+            lines.append((f"  {name}", f"{100.0 * score.error:.2f} % of the length in wrong bins"))
         else:
             unit = f" {score.unit}" if score.unit else ""
             lines.append((f"  {name}", f"{shown(score.found)}{unit}, true {shown(score.true)}{unit}: {score.text()}"))
@@ -59,9 +59,9 @@ def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
 
 
 def _misplaced(found: list[float], true: list[float]) -> float | None:
-    """Return half the sum of the bins' differences over the true length.
+    """Return half the sum of the absolute differences of the bins over the true length.
 
-    0 where all agree, 1 where none of an equal length does.
+    It is 0 for equal histograms and 1 if no length of an equal total is in the correct bin.
     """
     if not found or not true:
         return None

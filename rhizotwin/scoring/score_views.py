@@ -1,4 +1,4 @@
-"""Compare each view with the truth: where the camera was, and what the silhouette should have been."""
+"""Comparison of each view with the truth: camera pose and silhouette."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,80 +16,78 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.result_files import read_grey
 
 HALF = 0.49
-"""Half coverage, a little less: sampled coverage is often exactly one half, and rounding must not decide."""
+"""Threshold slightly below one half: sampled coverage is often exactly one half, and rounding must not matter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseScore:
-    """Camera poses in the canister frame against the true ones, over the views that were used."""
+    """Errors of the camera poses of the used views in the canister frame."""
 
     used: int
     left_out: int
     median_mm: float
-    """Distance of the camera centres."""
+    """Median distance of the camera centres."""
     max_mm: float
     median_deg: float
-    """Angle between the orientations."""
+    """Median angle between the orientations."""
     max_deg: float
     common_mm: float
-    """What all views share, as a shift of the specimen's centre: the canister's frame is off, not the cameras."""
+    """Common shift of all views at the centre of the specimen: error of the canister frame."""
     common_deg: float
-    """What all views share, as a turn of the canister's frame."""
+    """Common rotation of all views: error of the canister frame."""
     own_mm: float
-    """Median shift of the specimen's centre that is left when the common part is taken out."""
+    """Median remaining shift of the views at the centre of the specimen, without the common part."""
     per_view: dict[str, tuple[float, float]]
     """(mm, degrees) by file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaskScore:
-    """Silhouettes against the true coverage, in what each picture was able to see; medians over the used views."""
+    """Errors of the silhouettes within the valid region of each picture; medians over the used views."""
 
     mean_abs: float
-    """Mean absolute error of the coverage, relative to the mean true coverage (0 is perfect)."""
+    """Mean absolute error of the coverage relative to the mean true coverage."""
     iou: float
-    """At half coverage."""
+    """Intersection over union at half coverage."""
     area_error: float
-    """Signed: covered area found over true, minus 1."""
+    """Relative error of the covered area, found / true - 1."""
     unseen: float
-    """Share of the true covered area that lies where the picture was taken to say nothing."""
+    """Fraction of the true covered area outside the valid region of the picture."""
     per_view: dict[str, tuple[float, float, float, float]]
     """The same four numbers by file."""
 
 
 def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *, centre_mm: frames.Array) -> PoseScore | None:
-    """Return the pose errors of the used views of a result; None where no view was used.
-
-    ``centre_mm`` is the specimen's centre (3,) in the canister frame, where shifts of the frame are stated.
+    """Compute the pose errors of the used views of a result; None if no view was used.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        Of the result.
+        Cameras of the result.
     truth : Truth
-        Poses of the same files.
+        True poses of the same files.
     lens : model.Camera
-        To see a telecentric camera as a pinhole.
+        Lens, for representing a telecentric camera by a pinhole camera.
     centre_mm : (3,) array
-        The specimen's centre in the canister frame, where shifts of the frame are stated.
+        Centre of the specimen in the canister frame, at which shifts of the frame are evaluated.
 
     Returns
     -------
     PoseScore or None
-        Shifts and turns, of all and of each.
+        Shifts and rotations, common and per view.
     """
     true_poses = {view.file: lens.pinhole_pose(np.array(view.cam_from_canister)) for view in truth.views}
     poses = {view.file: view.cam_from_canister for view in cameras if view.used and view.cam_from_canister is not None}
     unknown = [file for file in poses if file not in true_poses]
     if unknown:
-        raise UserError(f"truth/truth.json has no camera for {unknown[0]}; simulate the dataset again.")
+        raise UserError(f"truth/truth.json has no camera for {unknown[0]}; simulate the dataset again")
     if not poses:
         return None
     found, true = list(poses.values()), [true_poses[file] for file in poses]
     errors = {file: frames.pose_error(a, b) for file, a, b in zip(poses, found, true, strict=True)}
     mm, deg = np.array(list(errors.values())).T
 
-    # Each view by itself says where the found canister frame lies in the true one; their mean is the common part.
+    # each view gives an estimate of the found canister frame in the true one; their mean is the common part
     true_from_found = np.array([frames.invert(b) @ a for a, b in zip(found, true, strict=True)])
     shifts = np.array([frames.apply(pose, centre_mm) for pose in true_from_found]) - centre_mm
     turn = Rotation.from_matrix(true_from_found[:, :3, :3]).mean().magnitude()
@@ -108,7 +106,7 @@ def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *
 
 
 def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, image_wh: tuple[int, int]) -> MaskScore | None:
-    """Return the silhouette errors of the used views; None where the result holds no silhouettes."""
+    """Compute the silhouette errors of the used views; None if the result contains no silhouettes."""
     errors: dict[str, tuple[float, float, float, float]] = {}
     for file, found in silhouettes.items():
         true = read_grey(picture_path(masks_folder, file), image_wh=image_wh)
@@ -128,6 +126,6 @@ def mask_errors(found: Image, true: Image, seen: Mask) -> tuple[float, float, fl
     either = int(((found >= HALF) | (true >= HALF))[seen].sum())
     both = int(((found >= HALF) & (true >= HALF))[seen].sum())
     unseen = 1.0 - area / total if total > 0.0 else 0.0
-    if area == 0.0:  # nothing to see: anything found is wrong without bound, nothing found is perfect
+    if area == 0.0:  # the true silhouette is empty: the error is infinite if anything was found, else 0
         return (0.0, 1.0, 0.0, unseen) if found_area == 0.0 else (float("inf"), 0.0, float("inf"), unseen)
     return difference / area, both / either if either else 1.0, found_area / area - 1.0, unseen

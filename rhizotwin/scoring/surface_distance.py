@@ -7,29 +7,28 @@ from scipy.spatial import cKDTree
 Floats = NDArray[np.float64]
 
 PAIRS_AT_ONCE = 1_000_000
-"""Point-triangle pairs held in memory together."""
+"""Number of point-triangle pairs held in memory at once."""
 _SMALL_CLASS = 0.02
-"""A class with fewer of all triangles than this is not worth a search of its own."""
+"""Size classes with a smaller fraction of all triangles are merged with the next class."""
 
 
 def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return the distance of each point to its triangle, all (N, 3).
+    """Compute the distance of each point to its triangle, all (N, 3).
 
-    Ericson, Real-Time Collision Detection (2005), 5.1.5.
-
-    Equal to the smallest of the distances to the three edges, and to the plane where the foot lies inside.
+    Ericson, Real-Time Collision Detection (2005), 5.1.5. The distance is the smallest distance to the three edges, and
+    to the plane if the foot of the perpendicular lies inside the triangle.
 
     Parameters
     ----------
     p : (N, 3) array
         Points.
     a, b, c : (N, 3) array
-        Corners of each one's triangle.
+        Vertices of the triangles.
 
     Returns
     -------
     (N,) array
-        In the unit of the points.
+        Distances in the unit of the points.
     """
 
     def to_edge(start: Floats, end: Floats) -> Floats:
@@ -52,15 +51,15 @@ def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Float
 
 
 def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]) -> Floats:
-    """Return the distance (N,) in mm of each point (N, 3) to the nearest point of a mesh (V, 3), (F, 3).
+    """Compute the distance (N,) in mm of each point (N, 3) to the nearest point of a mesh (V, 3), (F, 3).
 
-    Triangles are sorted into classes of like size, the fullest first. In each class the candidates are the nearest
-    centroids; a point is done when the next centroid is farther than the distance found so far plus the class's largest
-    circumradius about the centroid, so no nearer triangle can have been missed.
+    Triangles are sorted into classes of similar size, starting with the most frequent class. In each class the
+    candidates are the nearest centroids. The search for a point ends when the next centroid is farther than the current
+    distance plus the largest circumradius of the class, so that no nearer triangle can be missed.
     """
     points_mm = np.asarray(points_mm, np.float64)
     if not len(faces):
-        raise ValueError(f"{faces.shape=} but the distance needs at least one triangle")
+        raise ValueError(f"{faces.shape=} but at least one triangle is required")
     corners = np.asarray(vertices_mm, np.float64)[faces]
     centroids = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
@@ -73,9 +72,9 @@ def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]
 
 
 def _grouped(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Return the members of the classes (M,), the fullest class first.
+    """Return the members of the classes (M,), the most frequent class first.
 
-    Those of a small class go with the next larger size.
+    Small classes are merged with the class of the next larger size.
     """
     groups: list[NDArray[np.int64]] = []
     waiting = np.zeros(0, np.int64)
@@ -89,9 +88,9 @@ def _grouped(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _improve(best: Floats, points_mm: Floats, corners: Floats, tree: cKDTree, radius_mm: float) -> None:
-    """Lower ``best`` in place to the distance to these triangles (M, 3, 3), all within radius_mm of their centroids."""
+    """Update ``best`` in place with distances to triangles (M, 3, 3), all within radius_mm of their centroids."""
     open_points = np.arange(len(points_mm))
-    k = 1 if np.isfinite(best).all() else min(8, len(corners))  # most points are done with after a look at the nearest
+    k = 1 if np.isfinite(best).all() else min(8, len(corners))  # the nearest centroids suffice for most points
     while len(open_points):
         still_open = []
         for start in range(0, len(open_points), max(1, PAIRS_AT_ONCE // k)):

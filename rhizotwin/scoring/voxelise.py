@@ -1,14 +1,14 @@
-"""Which voxel centres lie inside a closed triangle mesh.
+"""Test which voxel centres lie inside a closed triangle mesh.
 
-Vertical rays through the columns of a grid, counted with sign.
+Vertical rays through the columns of the grid are intersected with the mesh and the crossings are counted with sign.
 
-A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Every triangle is laid on the columns (x,
-y) whose centre lies in its projection; a column's crossings, sorted by height, change the winding number by the sign of
-the triangle's normal, and a centre is inside where the winding number is not zero. Columns that pass exactly through an
-edge or a vertex are given to one triangle by symbolic perturbation (Edelsbrunner and Muecke 1990), so that no crossing
-is lost or counted twice.
+A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Each triangle is assigned to the columns
+(x, y) whose centre lies in its projection. The crossings of a column, sorted by height, change the winding number by
+the sign of the triangle's normal, and a centre is inside if the winding number is not zero. Columns that pass exactly
+through an edge or a vertex are assigned to one triangle by symbolic perturbation (Edelsbrunner and Muecke 1990), so
+that no crossing is lost or counted twice.
 
-Nothing is ever as large as the grid: work and memory go with the surface (crossings) and with the voxels asked for.
+Time and memory are proportional to the surface (crossings) and to the number of queried voxels, not to the grid.
 """
 
 from collections.abc import Iterator
@@ -22,10 +22,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PAIRS_AT_ONCE = 3_000_000
-"""Triangle-column pairs held in memory together (about 100 bytes each)."""
+"""Number of triangle-column pairs held in memory at once (about 100 bytes each)."""
 
 NUDGES_VOXEL = ((0.0, 0.0), (1.1e-7, 1.7e-7), (-2.3e-7, 1.3e-7), (3.1e-6, -2.9e-6))
-"""Where a column is tried again, as fractions of a voxel, when rounding left its crossings unbalanced."""
+"""Offsets in voxels at which a column is tried again if rounding left its crossings unbalanced."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class Crossings:
     low: Ints
     """(3,) smallest voxel index of the surface's bounding box."""
     shape: Ints
-    """(3,) voxels of the bounding box; the last has one more, so that a column's topmost crossing has an index."""
+    """(3,) size of the bounding box in voxels; the last has one more, so that the topmost crossing of a column has an
+    index."""
     x_range: tuple[int, int]
     keys: Ints
     """(M,) flat index of the first voxel centre above each crossing, ascending."""
@@ -53,7 +54,7 @@ class Crossings:
         return (x * self.shape[1] + y) * self.shape[2] + z
 
     def count_below(self, flat: Ints) -> Ints:
-        """Return the number of inside centres whose flat index is smaller than each of ``flat`` (N,)."""
+        """Count the inside centres whose flat index is smaller than each of ``flat`` (N,)."""
         if not len(self.keys):
             return np.zeros(len(flat), np.int64)
         at = np.searchsorted(self.keys, flat, side="right") - 1
@@ -61,7 +62,7 @@ class Crossings:
         return np.where(at < 0, 0, found)
 
     def count_in_columns(self, indices_xy: Ints, z_low: Ints, z_high: Ints) -> Ints:
-        """Return for columns (N, 2) the number of inside centres with ``z_low <= i_z < z_high`` (N,)."""
+        """Count the inside centres with ``z_low <= i_z < z_high`` (N,) in columns (N, 2)."""
         x, y = indices_xy[:, 0] - self.low[0], indices_xy[:, 1] - self.low[1]
         known = (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
         known &= (indices_xy[:, 0] >= self.x_range[0]) & (indices_xy[:, 0] < self.x_range[1])
@@ -72,15 +73,16 @@ class Crossings:
 
 
 def _ramp(lengths: Ints) -> Ints:
-    """Return 0, 1, .. n-1 for each n in lengths, one after the other."""
+    """Return 0, 1, .. n-1 for each n in lengths, concatenated."""
     ends = np.cumsum(lengths)
     return np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - lengths, lengths)
 
 
 def _edge_side(p_xy: Floats, a_xy: Floats, b_xy: Floats) -> NDArray[np.int8]:
-    """Return +1 where p lies left of the edge a -> b, -1 where right; ties as if p were moved by (eps, eps^2).
+    """Return +1 if p lies left of the edge a -> b, -1 if right; ties as if p were moved by (eps, eps^2).
 
-    The edge is evaluated from its lexicographically smaller end, so its two triangles get exactly opposite answers.
+    The edge is evaluated from its lexicographically smaller end, so that its two triangles give exactly opposite
+    results.
     """
     swap = (b_xy[:, 0] < a_xy[:, 0]) | ((b_xy[:, 0] == a_xy[:, 0]) & (b_xy[:, 1] < a_xy[:, 1]))
     first = np.where(swap[:, None], b_xy, a_xy)
@@ -92,7 +94,7 @@ def _edge_side(p_xy: Floats, a_xy: Floats, b_xy: Floats) -> NDArray[np.int8]:
 
 
 def _chunks(cost: Ints) -> Iterator[slice]:
-    """Yield consecutive slices whose cost stays under PAIRS_AT_ONCE (or hold one item)."""
+    """Yield consecutive slices whose cost is below PAIRS_AT_ONCE (or that contain one item)."""
     block = (np.cumsum(cost) - 1) // PAIRS_AT_ONCE
     edges = np.concatenate([[0], np.flatnonzero(np.diff(block)) + 1, [len(cost)]])
     for start, stop in pairwise(edges):
@@ -130,23 +132,23 @@ def _cross(corners: Floats, low: Ints, shape: Ints, x_range: tuple[int, int], nu
 
 
 def _balanced(columns: Ints, signs: Ints, size: int) -> NDArray[np.bool_]:
-    """Return for every column whether its crossings enter as often as they leave."""
+    """Return for each column whether it has as many entries as exits."""
     return np.bincount(columns, weights=signs, minlength=size) == 0.0
 
 
 def cross_columns(
     vertices_mm: Floats, faces: NDArray[np.integer], *, origin_mm: Floats, voxel_mm: float, x_range: tuple[int, int] | None = None
 ) -> Crossings:
-    """Cross the columns of a grid with a closed mesh.
+    """Intersect the columns of a grid with a closed mesh.
 
     Parameters
     ----------
     vertices_mm, faces : float64 array, integer array
         Mesh, (V, 3) in mm and (F, 3), consistently oriented and closed (vertices need not be shared).
     origin_mm, voxel_mm : float64 array, float
-        The grid: voxel i covers ``origin_mm + voxel_mm * [i, i + 1]``.
+        Grid: voxel i covers ``origin_mm + voxel_mm * [i, i + 1]``.
     x_range : tuple of int or None
-        Columns ``x_range[0] <= i_x < x_range[1]`` only; None: all that the mesh reaches.
+        Columns ``x_range[0] <= i_x < x_range[1]`` only; None: all columns of the mesh.
 
     Raises
     ------
@@ -180,19 +182,21 @@ def cross_columns(
         )
         balanced = _balanced(columns, signs, size)
     if not balanced.all():
-        raise ValueError(f"the mesh is not closed: {int((~balanced).sum())} of {size} grid columns enter and leave it unequally often")
+        raise ValueError(
+            f"the mesh is not closed: {int((~balanced).sum())} of {size} grid columns have different numbers of entries and exits"
+        )
 
     keys = columns * shape[2] + heights
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     inside = np.cumsum(signs[order]) != 0
-    # Crossings with the same key: only the last one's state counts, and the runs between them are empty.
+    # of crossings with the same key only the last state counts; the intervals between them are empty
     below = np.concatenate([[0], np.cumsum(np.where(inside[:-1], np.diff(keys), 0))]) if len(keys) else keys
     return Crossings(low=low, shape=shape, x_range=x_range, keys=keys, inside=inside, below=below)
 
 
 def _near_columns(corners: Floats, bad: NDArray[np.bool_], low: Ints, shape: Ints) -> NDArray[np.bool_]:
-    """Return the triangles whose bounding box holds one of the bad columns (or may)."""
+    """Return the triangles whose bounding box may contain one of the unbalanced columns."""
     table = np.zeros((int(shape[0]) + 1, int(shape[1]) + 1), np.int64)
     table[1:, 1:] = bad.reshape(int(shape[0]), int(shape[1])).cumsum(axis=0).cumsum(axis=1)
     x0, y0 = (np.clip(np.floor(corners[:, :, i].min(axis=1)).astype(np.int64) - 1 - low[i], 0, shape[i]) for i in (0, 1))
@@ -201,7 +205,7 @@ def _near_columns(corners: Floats, bad: NDArray[np.bool_], low: Ints, shape: Int
 
 
 def _slabs(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: Floats, voxel_mm: float) -> list[tuple[int, int]]:
-    """Return ranges of i_x with about PAIRS_AT_ONCE triangle-column pairs each, in order, covering the mesh."""
+    """Return consecutive ranges of i_x with about PAIRS_AT_ONCE triangle-column pairs each that cover the mesh."""
     points = (vertices_mm - origin_mm) / voxel_mm
     spans = np.ptp(points[faces][:, :, :2], axis=1)
     parts = max(1, int(np.ceil(((spans[:, 0] + 1.0) * (spans[:, 1] + 1.0)).sum() / PAIRS_AT_ONCE)))
@@ -211,23 +215,21 @@ def _slabs(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: Floats, v
 
 
 def count_inside(vertices_mm: Floats, faces: NDArray[np.integer], *, origin_mm: Floats, voxel_mm: float) -> int:
-    """Return the number of voxel centres of the (unbounded) grid inside a closed mesh.
-
-    Parameters as `cross_columns`.
+    """Count the voxel centres of the (unbounded) grid inside a closed mesh.
 
     Parameters
     ----------
     vertices_mm, faces : (V, 3), (F, 3) array
-        The closed mesh.
+        Closed mesh.
     origin_mm : (3,) array
-        Of voxel 0.
+        Lowest corner of voxel 0.
     voxel_mm : float
-        Edge of a voxel.
+        Edge length of a voxel.
 
     Returns
     -------
     int
-        Voxels.
+        Number of voxels.
     """
     slabs = _slabs(vertices_mm, faces, origin_mm, voxel_mm)
     return sum(cross_columns(vertices_mm, faces, origin_mm=origin_mm, voxel_mm=voxel_mm, x_range=slab).count for slab in slabs)
@@ -242,7 +244,7 @@ def count_in_boxes(
     origin_mm: Floats,
     voxel_mm: float,
 ) -> Ints:
-    """Return how many voxel centres of each box of voxels lie inside a closed mesh.
+    """Count the voxel centres of each box of voxels inside a closed mesh.
 
     Parameters
     ----------
@@ -285,22 +287,20 @@ def fraction(
     voxel_mm: float,
     samples: int = 2,
 ) -> NDArray[np.float32]:
-    """Return how much of each box of voxels lies inside a closed mesh, by ``samples``^3 regular points a voxel.
-
-    Parameters are those of `count_in_boxes`; ``samples`` is the number of points along a voxel's edge.
+    """Compute the fraction of each box of voxels inside a closed mesh, with ``samples``^3 regular points per voxel.
 
     Parameters
     ----------
     vertices_mm, faces : (V, 3), (F, 3) array
-        The closed mesh.
+        Closed mesh.
     low, size : (N, 3), (N,) int array
         Lowest voxel and edge of each box, in voxels.
     origin_mm : (3,) array
-        Of voxel 0.
+        Lowest corner of voxel 0.
     voxel_mm : float
-        Edge of a voxel.
+        Edge length of a voxel.
     samples : int
-        Points along a voxel's edge.
+        Points along the edge of a voxel.
 
     Returns
     -------

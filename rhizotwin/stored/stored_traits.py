@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.recon.results.parts import Json, Mesh
+from rhizotwin.recon.results.reasons import shorten
 from rhizotwin.recon.results.result_traits import each, edited, of_shape
 from rhizotwin.scenes import rsml, solution, subject, trait_table
 from rhizotwin.scenes.rsml import Root
@@ -54,10 +55,11 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
 
 
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
-    """Return one row a result as CSV, and where several plants are in it, one row a plant.
+    """Return a CSV table with one row per result, or per plant if a result contains several.
 
-    A row has name, scene, subject, the ions of the nutrient solution where one is known, the traits with their units in
-    the head, the 90 % interval of each trait that has one, the verdict on each trait, edits and warnings.
+    A row contains name, scene, subject, ion concentrations of the nutrient solution if known, the traits with their
+    units in the column names, 90 % intervals, the verdict on each trait, reason codes of the verdict on the volume,
+    edits and warnings.
 
     Parameters
     ----------
@@ -67,13 +69,13 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     shoots = [shoot for _, summary, _ in rows if (shoot := of_shoot(summary))]
     above = [*trait_table.SHOOT, *(d for d in trait_table.COLOUR if any(d.field in shoot for shoot in shoots))] if shoots else []
     found = [(name, summary, one) for name, summary, traits in rows for one in each(name, summary, traits)]
-    ranged = [d for d in trait_table.DEFINITIONS if any(one.assessed[d.field].interval is not None for _, _, one in found)]
-    intervals = [f"{d.name}_{end}{f' ({d.unit})' if d.unit else ''}" for d in ranged for end in ("low", "high")]
-    verdicts = [f"{d.name}_verdict" for d in trait_table.DEFINITIONS]
-    headings = [d.heading for d in (*trait_table.DEFINITIONS, *above)]
+    ranged = [d for d in trait_table.DEFINITIONS if d.field in trait_table.WITH_INTERVAL]
+    intervals = [f"{d.column}_{end}" for d in ranged for end in ("low", "high")]
+    verdicts = [f"{d.column}_verdict" for d in trait_table.DEFINITIONS]
+    headings = [d.column for d in (*trait_table.DEFINITIONS, *above)]
     ions = [solution.of_summary(summary, name).ions_mmol_per_l for name, summary, _ in found]
     dissolved = solution.headings(ions)
-    head = ["result", "scene", *subject.NAMES, *dissolved.values(), *headings, *intervals, *verdicts, "edits", "warnings"]
+    head = ["result", "scene", *subject.NAMES, *dissolved.values(), *headings, *intervals, *verdicts, "reasons", "edits", "warnings"]
     table: list[Sequence[Any]] = [head]
     for (name, summary, one), own in zip(found, ions, strict=True):
         values = [getattr(one.traits, d.field) for d in trait_table.DEFINITIONS]
@@ -82,8 +84,10 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
         values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
         numbers = [trait_table.written(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
         judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]
-        warnings = "; ".join(str(warning) for warning in summary["warnings"])
-        table.append([name, summary["scene"], *subject.as_text(one.subject).values(), *numbers, *judged, edited(summary), warnings])
+        codes = ";".join(one.assessed["volume_mm3"].codes)
+        warnings = shorten([str(warning) for warning in summary["warnings"]])
+        whose = subject.as_text(one.subject).values()
+        table.append([name, summary["scene"], *whose, *numbers, *judged, codes, edited(summary), warnings])
     return trait_table.csv_text(table)
 
 

@@ -1,4 +1,4 @@
-"""The arm as five joints in degrees, on either servo protocol.
+"""The arm as five joints in degrees, with either servo protocol.
 
 Limits, speed, verification, and stopping where something is wrong.
 
@@ -28,7 +28,7 @@ _STILL_LIMIT_S = 5.0
 _COMMAND_TRIES = 2
 _UNMOVED_COUNTS = 2
 _DEAD_COUNTS = 4
-"""A joint with less far to go may not stir: dead band and sag."""
+"""A joint with a smaller remaining distance may not move, because of dead band and sag."""
 
 Counts = dict[int, int]
 
@@ -74,10 +74,10 @@ class ServoArm:
         self._ids = tuple(joint.servo for joint in part.joints)
         self._prepared = False
         self._rests_at: Counts | None = None
-        """Where the last move ended; None after anything else."""
+        """End position of the last move; None after anything else."""
 
     def describe(self) -> str:
-        """Say what answers: the bus, the voltage, the warmest servo."""
+        """Describe the arm: bus, voltage, warmest servo."""
         words = f"{self._bus.describe()}, {len(self._ids)} servos, {self._bus.voltage_v(self._ids):.1f} V"
         temperatures_c = self._bus.temperatures_c(self._ids)
         if temperatures_c is None:
@@ -123,11 +123,11 @@ class ServoArm:
             raise
 
     def read_joints(self) -> tuple[float, ...]:
-        """Read the joint angles back."""
+        """Read the joint angles."""
         return self._joints_deg(self._bus.positions(self._ids))
 
     def holds(self) -> bool:
-        """Whether every joint still has its torque on.
+        """Whether all joints are powered.
 
         Where the protocol cannot tell, whether the arm still stands where it came to rest: without torque it drops.
         """
@@ -150,7 +150,7 @@ class ServoArm:
         """
         target = self._checked_counts(joints_deg)
         if not self._prepared:
-            raise LostError("arm: its torque is off; prepare it before it is moved")
+            raise LostError("arm: the servos are unpowered; prepare the arm before moving it")
         self._check_torque()
         here = start = self._still()
         way_deg = max(abs(target[j.servo] - start[j.servo]) / j.counts_per_deg for j in self._part.joints)
@@ -195,7 +195,7 @@ class ServoArm:
             )
 
     def health(self) -> None:
-        """Check the supply, the temperatures, and that no servo has lost its torque.
+        """Check supply and temperatures, and that all servos are powered.
 
         Raises
         ------
@@ -208,18 +208,18 @@ class ServoArm:
         self._check_torque()
 
     def relax(self) -> None:
-        """Switch the torque off: the arm drops unless it rests on something."""
+        """Unpower the servos: the arm drops unless it is supported."""
         self._prepared = False
         self._rests_at = None
         wheel = self._part.filter
         self._bus.load(self._ids if wheel is None else (*self._ids, wheel.servo), False)
 
     def close(self) -> None:
-        """Close the port; the torque stays as it is."""
+        """Close the port; the torque is not changed."""
         self._bus.close()
 
     def _move_one(self, start: Counts, to: Counts, duration_s: float) -> Counts:
-        """Make one move that fits into one command, and return where it ended."""
+        """Execute one move that fits into one command, and return its end position."""
         tries = 0
         while True:
             self._bus.move(to, duration_s)
@@ -237,13 +237,13 @@ class ServoArm:
             if worst is None:
                 return now
             raise UnsafeError(
-                f"arm: the {self._name(worst.servo)} was sent to {_to_deg(worst, to[worst.servo]):.1f} deg but stands at"
+                f"arm: the {self._name(worst.servo)} was commanded to {_to_deg(worst, to[worst.servo]):.1f} deg but is at"
                 f" {_to_deg(worst, now[worst.servo]):.1f} deg: it is blocked, overloaded, or its command was damaged;"
                 " the arm was stopped, clear its way before it is moved again"
             )
 
     def _still(self) -> Counts:
-        """Read positions until the arm stands still."""
+        """Read positions until the arm is at rest."""
         deadline_s = self._clock.now_s() + _STILL_LIMIT_S
         before = self._bus.positions(self._ids)
         while True:
@@ -253,18 +253,18 @@ class ServoArm:
             if not moving:
                 return now
             if self._clock.now_s() > deadline_s:
-                raise UnsafeError(f"arm: the {self._name(moving[0])} does not come to rest; let go of the arm, or look for what moves it")
+                raise UnsafeError(f"arm: the {self._name(moving[0])} does not come to rest; release the arm, or find what moves it")
             before = now
 
     def _stop_once(self) -> None:
-        """Try to stop, on the way out of an error that matters more than whether this works."""
+        """Try to stop after an error; failures are ignored in favour of that error."""
         try:
             self._bus.stop(self._ids)
         except RigError:
             return
 
     def _off_target(self, target: Counts, now: Counts) -> Joint | None:
-        """Return the joint that is farthest from its target, if it is beyond the tolerance."""
+        """Return the joint with the largest deviation from its target, if it exceeds the tolerance."""
         off_deg = [abs(now[joint.servo] - target[joint.servo]) / joint.counts_per_deg for joint in self._part.joints]
         worst = max(range(JOINTS), key=off_deg.__getitem__)
         return self._part.joints[worst] if off_deg[worst] > self._part.tolerance_deg else None
@@ -279,11 +279,12 @@ class ServoArm:
         for servo, celsius in (self._bus.temperatures_c(self._ids) or {}).items():
             if celsius > part.max_celsius:
                 raise UnsafeError(
-                    f"arm: the {self._name(servo)} is at {celsius} °C, above {part.max_celsius:g} °C; let it cool with the arm at rest"
+                    f"arm: the {self._name(servo)} is at {celsius} °C, above {part.max_celsius:g} "
+                    "°C; let it cool down in the parking position"
                 )
 
     def _limp(self) -> int | None:
-        """Return a servo whose torque is off, as far as that can be told."""
+        """Return an unpowered servo, if this can be read."""
         loaded = self._bus.loaded(self._ids)
         if loaded is not None:
             return next((servo for servo, on in loaded.items() if not on), None)
@@ -297,7 +298,7 @@ class ServoArm:
         if limp is not None:
             self._prepared = False
             raise LostError(
-                f"arm: the {self._name(limp)} has lost its torque, as after a brown-out or its own protection;"
+                f"arm: the {self._name(limp)} has lost its torque, as after a voltage drop or self-protection;"
                 " check the supply, then prepare the arm again"
             )
 
@@ -314,7 +315,7 @@ class ServoArm:
 
     def _checked_counts(self, joints_deg: tuple[float, ...]) -> Counts:
         if len(joints_deg) != JOINTS:
-            raise UnsafeError(f"arm: {len(joints_deg)} joint angles were given but it has {JOINTS} joints; nothing was moved")
+            raise UnsafeError(f"arm: {len(joints_deg)} joint angles are given but the arm has {JOINTS} joints; nothing was moved")
         counts = {}
         for joint, angle_deg in zip(self._part.joints, joints_deg, strict=True):
             name = self._name(joint.servo)

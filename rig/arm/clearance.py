@@ -1,4 +1,4 @@
-"""Whether a path of the arm keeps clear of canister, net pot, table, tank, floor and bars.
+"""Collision checks of paths of the arm against canister, net pot, turntable, tank, floor and bars.
 
 The arm is three capsules and a sphere that holds the camera; what it must not touch are cylinders, boxes and a plane.
 Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
@@ -22,31 +22,31 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene, Tank
 
 TABLE_THICKNESS_MM = 20.0
-"""Of the table's disc, below the canister."""
+"""Thickness of the disc of the turntable below the canister."""
 FINE_MM = 0.1
-"""Intervals of a path are halved until the arm moves by less than this: margins are kept to within it."""
+"""Intervals of a path are subdivided until the arm moves by less than this, which is the accuracy of the margins."""
 START_SLACK_MM = 2.0
-"""An arm that begins inside a margin (it sags, it was pushed) may come nearer by this while it moves away."""
+"""An arm that starts inside a margin (sagged or pushed) may come closer by this distance while it moves away."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """Every piece of the arm against everything that it could touch, for some joint angles."""
+    """Pairs of parts of the arm and obstacles, for given joint angles."""
 
     names: tuple[tuple[str, str], ...]
-    """Of each pair: the piece, the other."""
+    """Names of each pair: part, obstacle."""
     distance_mm: Array
     """(N, P)."""
     margin_mm: Array
-    """(P,) that must be kept."""
+    """(P,) required distance."""
     travel_mm: Array
-    """(P, 5) most that the pair can come nearer per radian of each joint."""
+    """(P, 5) maximum approach of the pair per radian of each joint."""
     floor: NDArray[np.bool_]
-    """(P,) whether it is about the floor, on which an arm without torque may come to lie."""
+    """(P,) whether the obstacle is the floor, on which an unpowered arm may rest."""
 
 
 def solids(rig: RigFile, scene: Scene) -> list[Solid]:
-    """Return what the arm must not touch."""
+    """Return the obstacles."""
     canister, pot, clearance = scene.canister, scene.net_pot, rig.clearance
     under = -canister.height_mm
     return [
@@ -60,7 +60,7 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 
 
 def _tank(tank: Tank, floor_z_mm: float) -> Box:
-    """Return the box about a tank, however it is turned, from its rim to the floor: its stand is within it."""
+    """Return the bounding box of a tank at any angle, from its rim to the floor, which includes its support."""
     turn = np.deg2rad(abs(tank.turn_deg))
     x = tank.front_mm * np.cos(turn) + tank.half_width_mm * np.sin(turn)
     y = tank.half_width_mm * np.cos(turn) + tank.front_mm * np.sin(turn)
@@ -68,7 +68,7 @@ def _tank(tank: Tank, floor_z_mm: float) -> Box:
 
 
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
-    """Measure every pair at joint angles (N, 5).
+    """Compute the distances of all pairs at joint angles (N, 5).
 
     The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot,
     table and camera. The arm's own pieces keep no margin to each other: nothing sags between them.
@@ -143,14 +143,14 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
     Raises
     ------
     UnsafeError
-        With the piece, what it comes near to, the distance and how far along the way.
+        With the piece, what it comes near to, the distance and how far along the path.
     """
     path = np.array(joints_path_deg, dtype=float).reshape(-1, 5)
     here = pairs(rig, scene, path)
     start = here.distance_mm[0]
     least = np.where(here.floor, -rig.clearance.arm_radius_mm, 0.0)
     if (start < least).any():
-        raise _refusal(here, start - least, "where it stands now", least, remedy="move it away by hand, torque off")
+        raise _refusal(here, start - least, "where it stands now", least, remedy="move the unpowered arm away by hand")
     slack = np.minimum(here.margin_mm, np.maximum(start - START_SLACK_MM, least))
     for k in range(1, len(path)):
         if (here.distance_mm[k] < here.margin_mm).any():
@@ -190,12 +190,12 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
             path = [*between, tuple(goal_deg)]
             if _is_clear(rig, scene, [start_deg, *path]):
                 return path
-        raise UnsafeError(f"{error}; neither is there a clear way with the arm drawn in") from error
+        raise UnsafeError(f"{error}; a path with a retracted arm is not free either") from error
     return [tuple(goal_deg)]
 
 
 def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
-    """Return ways through the place of rest, and with the arm drawn in or stretched upward while the base turns."""
+    """Return paths through the parking position, and with the arm retracted or extended upwards."""
     part = arm_of(rig)
     rest = tuple(part.park_deg)
     found: list[list[Joints]] = [[rest]]
@@ -214,7 +214,7 @@ def _is_clear(rig: RigFile, scene: Scene, path_deg: Sequence[Joints]) -> bool:
 
 
 def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array, keep_mm: Array, leg: tuple[int, int]) -> None:
-    """Halve the way between two places until every part of it is known to keep the distances."""
+    """Subdivide the path between two positions until all distances are decided."""
     step_deg = end_deg - begin_deg
     middles, half = np.array([0.5]), 0.5
     while len(middles):
@@ -223,7 +223,7 @@ def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array,
         if (spare < 0.0).any():
             worst = int(spare.min(axis=1).argmin())
             percent = 100.0 * (leg[0] + middles[worst]) / leg[1]
-            raise _refusal(here, spare[worst], f"{percent:.0f} % along the way", keep_mm)
+            raise _refusal(here, spare[worst], f"{percent:.0f} % along the path", keep_mm)
         travel = half * here.travel_mm @ np.abs(np.deg2rad(step_deg))
         unsure = ((spare < travel) & (travel > FINE_MM)).any(axis=1)
         half /= 2.0
@@ -236,11 +236,11 @@ def _refusal(
     where: str,
     keep_mm: Array | float,
     *,
-    remedy: str = "move the ring, the arm or what is in the way",
+    remedy: str = "move the ring, the arm or the obstacle",
 ) -> UnsafeError:
     k = int(spare_mm.argmin())
     piece, other = here.names[k]
     keep = float(np.broadcast_to(keep_mm, spare_mm.shape)[k])
     distance = float(spare_mm[k]) + keep
-    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} ({keep:.0f} mm must be kept)"
+    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} ({keep:.0f} mm required)"
     return UnsafeError(f"arm: the {piece} {how} {where}; {remedy}")

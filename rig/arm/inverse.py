@@ -1,4 +1,4 @@
-"""Joint angles for a wanted place of the camera.
+"""Inverse kinematics: joint angles for a camera pose.
 
 In closed form (thesis section 3.3), and by Newton's method (appendix C.3).
 
@@ -20,50 +20,50 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Lengths below this are rounding."""
+"""Tolerance of lengths for rounding errors."""
 NEAR_AXIS_MM = 1.0
 """Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical
 axis."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
-"""Newton's method ends when the camera is this close, or when the joints move by less than CLOSE_RAD."""
+"""Newton's method ends if the camera is within these distances, or the joints move by less than CLOSE_RAD."""
 DAMPING = 0.1
 """Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are
 Newton's own."""
 UNIT_MM = 100.0
-"""Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
+"""Length equivalent to one radian, about the length of a link, so that millimetres and angles have similar weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
-    """The closed form's answers: base forward or backward, times elbow positive or negative."""
+    """Solutions of the closed form: base forward or backward, times elbow positive or negative."""
 
     joints_rad: Array
     """(..., 4, 5), within -pi to pi; NaN where out of reach."""
     left_over_rad: Array
-    """(...,) smallest angle between the wanted orientation and one that five joints can give at that place."""
+    """(...,) smallest angle between the required orientation and one that five joints can reach at that position."""
     wrist_mm: Array
-    """(...,) distance of the wrist from the shoulder that is asked for."""
+    """(...,) required distance between wrist and shoulder."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Newton's answers."""
+    """Solutions of Newton's method."""
 
     joints_rad: Array
     """(..., 5)."""
     steps: NDArray[np.int64]
-    """(...,) steps taken."""
+    """(...,) number of steps."""
     converged: NDArray[np.bool_]
-    """(...,) whether it came to rest."""
+    """(...,) whether the iteration converged."""
     left_over: Array
-    """(..., 6) twist that is still between the camera and the target: mm, rad."""
+    """(..., 6) remaining twist between camera and target: mm, rad."""
     turned_rad: Array
-    """(...,) how far the target was turned about the free axis."""
+    """(...,) rotation of the target about the free axis."""
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm by its end's place (x, y) and its last link's direction theta.
+    """Return q1, q2, q3 (..., 3) of a planar arm from its end (x, y) and the direction theta of its last link.
 
     Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
     digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
@@ -99,7 +99,7 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles that put the camera's centre where it is wanted.
+    """Return all joint angles for a position of the camera.
 
     Its orientation is the nearest to the wanted one.
 
@@ -139,7 +139,7 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 
 
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
-    """Find joint angles step by step, from a start, by the pseudo-inverse of the body Jacobian.
+    """Find joint angles iteratively, with the pseudo-inverse of the body Jacobian.
 
     Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
     0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
@@ -198,7 +198,7 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the plane through the base's axis and the camera.
+    """Return the direction (...,) of the plane through the axis of the base and the camera.
 
     On that axis, of the one with the optical axis.
     """
@@ -231,7 +231,7 @@ def _step(jacobian: Array, twist: Array) -> Array:
 
 
 def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
-    """Return the rotations (N, 4, 4) of the arm's space about the axis."""
+    """Return rotations (N, 4, 4) about the axis in the frame of the arm."""
     turn = np.zeros((len(angle_rad), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
     turn[:, 1, 0] = np.sin(angle_rad)
@@ -241,12 +241,12 @@ def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
 
 
 def _turning(arm_from_axis: Array, camera: Array) -> Array:
-    """Return the twist (N, 6) that a camera has in its own frame when it goes round the axis."""
+    """Return the twist (N, 6), in the camera frame, of a rotation about the axis."""
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)
 
 
 def _wrapped(angle_rad: Array) -> Array:
-    """Return angles within -pi to pi."""
+    """Wrap angles to -pi to pi."""
     return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))

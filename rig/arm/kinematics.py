@@ -1,4 +1,4 @@
-"""The arm's chain: where the camera is for given joint angles, and how it moves with them.
+"""Forward kinematics: camera pose and its derivatives for given joint angles.
 
 Thesis section 3.3 and appendix C.1.
 
@@ -30,17 +30,17 @@ _SERIES_BELOW_RAD = 1e-3
 
 
 def rig_from_arm(part: ArmPart) -> Array:
-    """Return the 4x4 transform from the arm's frame to the rig's."""
+    """Return the 4x4 transform from the arm frame to the rig frame."""
     return frames.from_rotvec(np.deg2rad(part.rotation_deg), np.array(part.position_mm))
 
 
 def arm_from_cam(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return where the camera is in the arm's frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
+    """Return the camera pose in the arm frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
     return forward(part.links_mm, np.deg2rad(np.asarray(joints_deg, dtype=float)))
 
 
 def cam_from_rig(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return the camera's pose in the rig, 4x4, at joint angles (5,) in degrees."""
+    """Return the camera pose in the rig frame, 4x4, at joint angles (5,) in degrees."""
     return frames.invert(rig_from_arm(part) @ arm_from_cam(part, joints_deg))
 
 
@@ -54,7 +54,7 @@ def forward(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
-    """Return the base plate, shoulder, elbow, wrist and camera in the arm's frame, (..., 5, 3) mm."""
+    """Return base plate, shoulder, elbow, wrist and camera in the arm frame, (..., 5, 3) mm."""
     pitch = np.cumsum(joints_rad[..., 1:4], axis=-1)
     out = _heading(joints_rad[..., 0])
     steps = np.sin(pitch)[..., None] * out[..., None, :] + np.cos(pitch)[..., None] * np.array([0.0, 0.0, 1.0])
@@ -96,7 +96,7 @@ def log_se3(a_from_b: Array) -> Array:
 
 
 def _heading(base_rad: Array) -> Array:
-    """Return the horizontal direction (..., 3) in which the arm leans."""
+    """Return the horizontal direction (..., 3) of positive shoulder angles."""
     return np.stack([np.cos(base_rad), np.sin(base_rad), np.zeros_like(base_rad)], axis=-1)
 
 

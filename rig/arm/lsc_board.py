@@ -44,7 +44,7 @@ def frame(command: int, params: bytes = b"") -> bytes:
 
 
 def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
-    """Yield the parameters of every whole frame with this command, newest first.
+    """Yield the parameters of every complete frame with this command, newest first.
 
     The board's own frames and garbage are passed over.
     """
@@ -57,7 +57,7 @@ def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
 
 
 def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
-    """Return the newest reading that names exactly these servos: a board may leave out one that does not answer it."""
+    """Return the newest reading with exactly these servos: a board may omit one that does not reply."""
     for params in find_frames(heard, MULT_SERVO_POS_READ):
         positions = _positions(params)
         if positions is not None and positions.keys() == set(ids):
@@ -77,7 +77,7 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together with one frame; return at once.
+        """Start all servos simultaneously with one frame; return immediately.
 
         It cannot be verified before its time is over.
 
@@ -93,7 +93,7 @@ class LscBoard:
         self._wire.write(frame(SERVO_MOVE, params))
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions, signed, until two readings in a row agree.
+        """Read positions, signed, until two consecutive readings agree.
 
         Raises
         ------
@@ -107,29 +107,32 @@ class LscBoard:
                 return now
             before = now
         raise NoAnswerError(
-            "arm: no two readings of the positions agree; the arm is pushed, falls without torque, or the line to its board is disturbed"
+            "arm: repeated readings of the positions differ; the arm is pushed or falls "
+            "unpowered, or the connection to its board is disturbed"
         )
 
     def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002
-        """Read the board's supply, which all servos share, until two readings in a row agree."""
+        """Read the supply voltage of the board, common to all servos, until two consecutive readings agree."""
         before_v = self._voltage_once()
         for _ in range(_AGREE_TRIES):
             now_v = self._voltage_once()
             if abs(now_v - before_v) <= _AGREE_V:
                 return now_v
             before_v = now_v
-        raise NoAnswerError("arm: no two readings of the voltage agree; the supply is unsteady, or the line to the board is disturbed")
+        raise NoAnswerError(
+            "arm: repeated readings of the voltage differ; the supply is unstable, or the connection to the board is disturbed"
+        )
 
     def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None: the board does not tell."""
+        """Return None: the board does not report it."""
         return
 
     def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None: the board does not tell."""
+        """Return None: the board does not report it."""
         return
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch torque off; or on, which the board does with a move: here to where the servos are."""
+        """Switch torque off; or on, by a move to the current positions."""
         if on:
             self.move(self.positions(ids), _HOLD_S)
             return
@@ -139,7 +142,7 @@ class LscBoard:
             self._wire.write(unload)
 
     def stop(self, ids: Collection[int]) -> None:
-        """Command the servos to where they have just been, for want of a stop command.
+        """Command the servos to their current positions, because there is no stop command.
 
         The median of three readings is a place on the way that the servo came, even while it moves and one reading is
         damaged.
@@ -149,7 +152,7 @@ class LscBoard:
         self.move({servo: min(max(round(place), MIN_COUNTS), MAX_COUNTS) for servo, place in places.items()}, _HOLD_S)
 
     def describe(self) -> str:
-        """Say that this is the board."""
+        """Name the controller board."""
         return "LSC servo board"
 
     def close(self) -> None:
@@ -179,7 +182,7 @@ class LscBoard:
         return millivolts / 1000.0
 
     def _ask(self, request: bytes, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-        """Ask until something is found; return it with all that was heard."""
+        """Repeat a request until a valid reply is found; return it with all received data."""
         heard_all = b""
         for patience_s in _PATIENCE_S:
             self._wire.discard_input()
@@ -194,7 +197,7 @@ class LscBoard:
 
 
 def _positions(params: bytes) -> dict[int, int] | None:
-    """Read ``n, n x (id, position)``; None when the numbers do not fit."""
+    """Parse ``n, n x (id, position)``; None if the numbers are inconsistent."""
     if not params or len(params) != 1 + 3 * params[0]:
         return None
     triples = [params[at : at + 3] for at in range(1, len(params), 3)]
@@ -204,5 +207,5 @@ def _positions(params: bytes) -> dict[int, int] | None:
 
 def _silence(heard: bytes) -> NoAnswerError:
     if heard:
-        return NoAnswerError(f"arm: the board's answers cannot be understood; check that the line runs at {BAUD} Bd, and the cable")
-    return NoAnswerError("arm: the board does not answer; check that it is switched on and that TX and RX are not swapped")
+        return NoAnswerError(f"arm: the replies of the board are invalid; check the baud rate of {BAUD} Bd, and the cable")
+    return NoAnswerError("arm: the board does not reply; check that it is switched on and that TX and RX are not swapped")

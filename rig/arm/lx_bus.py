@@ -27,7 +27,7 @@ LOAD_WRITE = 31
 LOAD_READ = 32
 
 _PATIENCE_S = (0.06, 0.06, 0.12, 0.25, 0.5)
-"""A servo thinks for 20 to 30 ms and a USB adapter holds bytes back for up to 16 ms; later tries allow for more."""
+"""A servo needs 20 to 30 ms for a reply, and a USB adapter holds data for up to 16 ms; retries allow more."""
 _WRITE_TRIES = 4
 
 
@@ -53,7 +53,7 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
 
 
 def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | None:
-    """Return the ``size`` parameters of the newest whole, undamaged reply of this servo to this command.
+    """Return the ``size`` parameters of the newest complete, undamaged reply of this servo to this command.
 
     Whatever else was heard is passed over: garbage, other servos, cut frames, and the echo of the request, whose length
     differs from its reply's. The search looks behind every header, so a cut frame never swallows the whole one that
@@ -86,7 +86,7 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 
 
 class LxBus:
-    """The servo bus itself.
+    """Servo bus.
 
     Whether the adapter echoes what is sent never matters to the reading, see `find_reply`; it is detected, unless
     given, from the first answer, and tells a dead adapter (not even the echo) from a dead servo.
@@ -99,7 +99,7 @@ class LxBus:
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together; return at once.
+        """Start all servos simultaneously; return immediately.
 
         Every servo gets its target to wait with, all are read back, and only then one broadcast starts them: a servo
         that cannot be reached is found before anything moves. The broadcast reaches every servo that waits, so
@@ -128,14 +128,14 @@ class LxBus:
         # The manual does not say whether a move that waited shows here. When no servo shows it, their positions will
         # tell the arm.
         if len(late) < len(orders):
-            raise NoAnswerError(f"arm: {_named(late)} did not start with the others; check the bus cable")
+            raise NoAnswerError(f"arm: {_named(late)} did not start moving with the others; check the bus cable")
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
         """Read positions, signed."""
         return {servo: int.from_bytes(self._ask(servo, POS_READ, 2), "little", signed=True) for servo in ids}
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Read the lowest supply voltage among these servos: the cable's end shows a weak supply first."""
+        """Read the lowest supply voltage among these servos, which shows a weak supply first."""
         return min(int.from_bytes(self._ask(servo, VIN_READ, 2), "little") for servo in ids) / 1000.0
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int]:
@@ -161,12 +161,12 @@ class LxBus:
             raise failure
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop where they are. Nothing can be read back here, so it is sent twice."""
+        """Stop the servos. There is no reply, so that the command is sent twice."""
         for servo in (*ids, *ids):
             self._wire.write(frame(servo, MOVE_STOP))
 
     def describe(self) -> str:
-        """Say that this is the servo bus, and whether it echoes."""
+        """Name the servo bus, and whether it echoes."""
         return "LX servo bus" + {None: "", True: " with echo", False: " without echo"}[self._echo]
 
     def close(self) -> None:
@@ -188,26 +188,26 @@ class LxBus:
         raise _silence(servo, request, heard_any, echo=self._echo)
 
     def _write_verified(self, servo: int, command: int, params: bytes, read_command: int) -> None:
-        """Write, read back, and write again until what is read is what was written."""
+        """Write, read back, and repeat until the values agree."""
         for _ in range(_WRITE_TRIES):
             self._wire.write(frame(servo, command, params))
             if self._ask(servo, read_command, len(params)) == params:
                 return
-        raise NoAnswerError(f"arm: servo {servo} answers but does not take commands; switch the servos' supply off and on, then try again")
+        raise NoAnswerError(f"arm: servo {servo} replies but ignores commands; switch the supply of the servos off and on, then try again")
 
 
 def _silence(servo: int, request: bytes, heard: bytes, *, echo: bool | None) -> RigError:
-    """Say what kind of silence it was."""
+    """Describe the kind of missing reply."""
     if heard.replace(request, b""):
         return NoAnswerError(
-            f"arm: servo {servo} does not answer, only damaged or foreign bytes come back; check the baud rate and the bus cable,"
+            f"arm: servo {servo} does not reply; only invalid bytes are received; check the baud rate and the bus cable,"
             " and connect long chains of servos as two short ones"
         )
     if echo and not heard:
         return NoAnswerError(
-            f"arm: servo {servo} does not answer, and not even the adapter's echo comes back; check the adapter, or echo in the rig file"
+            f"arm: servo {servo} does not reply, and the adapter sends no echo; check the adapter, or the key echo in the rig file"
         )
-    return NoAnswerError(f"arm: servo {servo} does not answer; check the servos' supply, the bus cable and the servo's number")
+    return NoAnswerError(f"arm: servo {servo} does not reply; check the supply of the servos, the bus cable and the servo number")
 
 
 def _named(servos: Collection[int]) -> str:

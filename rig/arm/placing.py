@@ -1,4 +1,4 @@
-"""From a ring of the plan to joint angles, and from what the markers show to better ones.
+"""Joint angles for a ring of the capture plan, and their correction from the markers.
 
 Degrees here, radians below.
 """
@@ -20,20 +20,20 @@ Joints = tuple[float, ...]
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 LEFT_OVER_RAD = 1e-9
 MOST_AZIMUTH_DEG = 15.0
-"""Farther round the table's axis the camera would not face the backlight any more."""
+"""Maximum azimuth of the camera; beyond it, the camera does not face the backlight."""
 MOST_CORRECTION_DEG = 25.0
-"""A joint that is off by more than this is not badly calibrated: the picture or the rig file is wrong."""
+"""Maximum correction of a joint; larger values indicate an error of the picture or the rig file."""
 ROUNDING_DEG = 1e-6
 MOST_ASIDE_DEG = 0.5
-"""A wanted direction may be missed by so much: servos stop no nearer."""
+"""Tolerance of a requested direction, limited by the resolution of the servos."""
 UPRIGHT = 1e-3
-"""Sine of the least angle from the vertical at which the picture's up is known."""
+"""Minimum sine of the angle from the vertical at which the upright direction of the picture is defined."""
 _TRIED = 1001
-"""Places on the way to the shoulder."""
+"""Number of positions tried towards the shoulder."""
 
 
 def camera_wanted(ring: Ring) -> Array:
-    """Return ``cam_from_rig`` where a ring of the plan wants the camera.
+    """Return ``cam_from_rig`` for a ring of the capture plan.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def camera_wanted(ring: Ring) -> Array:
 
 
 def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
-    """Return joint angles within the limits that put the camera where it is wanted, the elbow as high as it goes.
+    """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
 
     Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is
     turned round the table's axis until they can: the canister turns anyway.
@@ -83,14 +83,14 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
     if excess.min() > ROUNDING_DEG:
         raise UnsafeError(
             f"arm: {_place(cam_from_rig)} cannot be reached within the joints' limits: {_beyond(part, joints_deg[excess.argmin()])}; "
-            "move the ring or the arm's base"
+            "move the ring or the base of the arm"
         )
     elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
     return _clipped(part, joints_deg[int(np.argmax(elbow_up))])
 
 
 def camera_looking(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera at a place that looks in a direction, rig frame.
+    """Return ``cam_from_rig`` (4, 4) of an upright camera at a position with a direction, rig frame.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def camera_looking(position_mm: tuple[float, float, float], direction: tuple[flo
     forward_ = np.asarray(direction, float)
     right = np.cross(forward_, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < UPRIGHT * np.linalg.norm(forward_) or not np.linalg.norm(forward_) > 0.0:
-        raise UnsafeError("arm: the camera cannot look straight up or down and be upright; give another direction")
+        raise UnsafeError("arm: a camera that looks straight up or down has no upright orientation; give another direction")
     forward_, right = forward_ / np.linalg.norm(forward_), right / np.linalg.norm(right)
     rig_from_cam = np.eye(4)
     rig_from_cam[:3, :3] = np.column_stack([right, np.cross(forward_, right), forward_])
@@ -109,7 +109,7 @@ def camera_looking(position_mm: tuple[float, float, float], direction: tuple[flo
 
 
 def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
-    """Return joint angles that put the camera at a place and let it look in a direction.
+    """Return joint angles for a position and direction of the camera.
 
     Five joints put the camera anywhere in reach, but its optical axis stays in the upright plane through the base's
     axis and the camera.
@@ -133,14 +133,14 @@ def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direct
     at = ", ".join(f"{value:.4g}" for value in position_mm)
     if np.isnan(branches.joints_rad).all():
         nearest = _nearest_in_reach(part, wanted)
-        raise UnsafeError(f"arm: ({at}) mm is out of reach with that direction; the nearest that can be reached is ({nearest}) mm")
+        raise UnsafeError(f"arm: ({at}) mm is out of reach with this direction; the nearest reachable position is ({nearest}) mm")
     joints_rad = branches.joints_rad[~np.isnan(branches.joints_rad).any(axis=-1)]
     if branches.left_over_rad > np.deg2rad(MOST_ASIDE_DEG):
         axis = (rig_from_arm(part) @ forward(part.links_mm, joints_rad[0]))[:3, 2]
         near = ", ".join(f"{value:.4f}" for value in axis)
         raise UnsafeError(
-            f"arm: at ({at}) mm five joints cannot look there: {np.rad2deg(branches.left_over_rad):.1f} deg would be left; "
-            f"the nearest direction is ({near})"
+            f"arm: at ({at}) mm the direction cannot be reached with five joints: {np.rad2deg(branches.left_over_rad):.1f} deg would "
+            f"remain; the nearest direction is ({near})"
         )
     excess, joints_deg = _fitted(part, joints_rad)
     if excess.min() > ROUNDING_DEG:
@@ -150,7 +150,7 @@ def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direct
 
 
 def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
-    """Return the nearest place toward the arm's shoulder at which the camera can keep its direction, as text."""
+    """Return the nearest position towards the shoulder at which the camera can keep its direction, as text."""
     arm_from_rig, rig_from_cam = frames.invert(rig_from_arm(part)), frames.invert(wanted)
     shoulder = frames.apply(rig_from_arm(part), np.array([[0.0, 0.0, part.links_mm[0]]]))[0]
     for share in np.linspace(0.0, 1.0, _TRIED):
@@ -162,7 +162,7 @@ def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
 
 
 def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
-    """Return joint angles that bring the camera nearer to where it is wanted, at any azimuth.
+    """Return corrected joint angles for a camera pose, at any azimuth.
 
     It begins from where the markers saw it.
 
@@ -194,7 +194,7 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
     if not _met(found)[()]:
         left = np.linalg.norm(found.left_over[:3])
         raise UnsafeError(
-            f"arm: {_place(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
+            f"arm: {_place(wanted)} cannot be reached: the camera would be {left:.1f} mm off; move the ring or the base of the arm"
         )
     excess, fitted = _fitted(part, found.joints_rad[None], near_deg=joints_deg)
     change = np.abs(fitted[0] - joints_deg)
@@ -206,15 +206,15 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
         )
     if excess[0] > ROUNDING_DEG:
         raise UnsafeError(
-            f"arm: the camera's place cannot be corrected within the joints' limits: {_beyond(part, fitted[0])}; move the ring"
+            f"arm: the camera position cannot be corrected within the joint limits: {_beyond(part, fitted[0])}; move the ring"
         )
     return _clipped(part, fitted[0])
 
 
 def arm_of(rig: RigFile) -> ArmPart:
-    """Return the rig's arm, or refuse."""
+    """Return the arm of a rig; raise an error if there is none."""
     if rig.arm is None:
-        raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
+        raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add the section, or position the camera by hand")
     return rig.arm
 
 
@@ -237,7 +237,7 @@ def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
 
 
 def within_limits(part: ArmPart, joints_deg: Joints) -> None:
-    """Refuse joint angles beyond the limits."""
+    """Reject joint angles beyond the limits."""
     for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
         if not joint.min_deg <= angle <= joint.max_deg:
             raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
@@ -250,8 +250,8 @@ def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: B
     left_deg = float(np.rad2deg(branches.left_over_rad))
     if not met.any():
         raise UnsafeError(
-            f"arm: {_place(cam_from_rig)} leaves {left_deg:.2f} deg over that five joints cannot turn; "
-            "put the arm's base before the table, upright (position_mm and rotation_deg in the rig file)"
+            f"arm: {_place(cam_from_rig)} cannot be reached with five joints, an angle of {left_deg:.2f} deg would remain; "
+            "put the base of the arm in front of the table, upright (position_mm and rotation_deg in the rig file)"
         )
     turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
     if turn_deg > MOST_AZIMUTH_DEG:
@@ -263,7 +263,7 @@ def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: B
 
 
 def _met(found: Found) -> NDArray[np.bool_]:
-    """Return whether the targets were really met, not only approached."""
+    """Return whether the targets were reached exactly."""
     left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
     return found.converged & (left < 1.0)
 
@@ -293,8 +293,8 @@ def _refuse_beyond_reach(part: ArmPart, branches: Branches, cam_from_rig: Array)
         return
     _, upper, fore, _ = part.links_mm
     raise UnsafeError(
-        f"arm: {_place(cam_from_rig)} is out of reach: the wrist would have to be {branches.wrist_mm:.0f} mm from the shoulder, "
-        f"the links reach {abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the arm's base"
+        f"arm: {_place(cam_from_rig)} is out of reach: the wrist must be {branches.wrist_mm:.0f} mm from the shoulder, "
+        f"the links reach {abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the base of the arm"
     )
 
 
@@ -308,7 +308,7 @@ def _beyond(part: ArmPart, joints_deg: Array) -> str:
 
 
 def _place(cam_from_rig: Array) -> str:
-    """Say where a camera stands in the words of a ring."""
+    """Describe a camera position in the terms of a ring."""
     distance_mm, height_mm, tilt_deg = place_of(cam_from_rig)
     beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
     beside = f", {beside_deg:.1f} deg beside the x axis" if abs(beside_deg) > 0.05 else ""

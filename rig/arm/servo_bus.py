@@ -1,4 +1,4 @@
-"""What both servo protocols offer the arm, and what they share: limits of a command, and listening with patience."""
+"""Interface of both servo protocols, with limits of commands and reading with time-outs."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Protocol, TypeVar
@@ -10,7 +10,7 @@ HEADER = b"\x55\x55"
 MIN_COUNTS = 0
 MAX_COUNTS = 1000
 MAX_MOVE_S = 30.0
-"""The longest duration a move command can carry; what takes longer must be sent in parts."""
+"""Maximum duration of a move command; longer moves must be divided."""
 _FLOOD_BYTES = 4096
 _LAST_ID = 253
 
@@ -24,10 +24,10 @@ class ServoBus(Protocol):
     """
 
     least_move_s: float
-    """Moves should not be commanded to be shorter than this."""
+    """Minimum duration of commanded moves."""
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together, at a uniform speed each; return at once. Torque comes on where it was off.
+        """Start all servos simultaneously at uniform speed; return immediately. Torque is switched on.
 
         Raises
         ------
@@ -36,25 +36,25 @@ class ServoBus(Protocol):
         """
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions: signed, and beyond 0 to 1000 where a servo was turned by hand."""
+        """Read positions: signed, and beyond 0 to 1000 if a servo was rotated by hand."""
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Read the supply: the lowest that any of these servos sees."""
+        """Read the lowest supply voltage among these servos."""
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int] | None:
-        """Read temperatures; None when the protocol cannot tell."""
+        """Read temperatures; None if the protocol does not report them."""
 
     def loaded(self, ids: Collection[int]) -> dict[int, bool] | None:
-        """Read whether torque is on; None when the protocol cannot tell."""
+        """Read whether torque is on; None if the protocol does not report it."""
 
     def load(self, ids: Collection[int], on: bool) -> None:
         """Switch torque on or off; every servo is tried before an error is raised."""
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop where they are, torque on."""
+        """Stop at the current positions, with torque on."""
 
     def describe(self) -> str:
-        """Say in a few words what kind of bus it is."""
+        """Describe the bus."""
 
     def close(self) -> None:
         """Close the line."""
@@ -63,7 +63,7 @@ class ServoBus(Protocol):
 def check_move(targets: Mapping[int, int], duration_s: float) -> None:
     """Refuse a command that must never reach a servo."""
     if not 0.0 <= duration_s <= MAX_MOVE_S:
-        raise UnsafeError(f"arm: a move of {duration_s:g} s is outside 0 to {MAX_MOVE_S:g} s and was not sent; split it")
+        raise UnsafeError(f"arm: a move of {duration_s:g} s is outside 0 to {MAX_MOVE_S:g} s and was not sent; divide the move")
     for servo, counts in targets.items():
         if not 0 <= servo <= _LAST_ID:
             raise UnsafeError(f"arm: servo number {servo} is outside 0 to {_LAST_ID} and was not commanded; correct the rig file")

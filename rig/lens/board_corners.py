@@ -1,4 +1,4 @@
-"""Find the calibration board in a picture: OpenCV names its corners, `rig.lens.saddle_fit` measures them."""
+"""Detection of the calibration board: OpenCV identifies its corners, `rig.lens.saddle_fit` measures them."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,11 +15,11 @@ from rhizotwin.scenes.reduced import Picture, reduced
 
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
-"""Share of the named corners that must be measurable."""
+"""Minimum fraction of the identified corners that must be measurable."""
 CLEAR: Final = 0.9
-"""How much of the white between a corner and the nearest marker takes part in the fit."""
+"""Fraction of the white area between a corner and the nearest marker that is used in the fit."""
 MOST_BENT: Final = 0.2
-"""Median distance, in squares, of corners from a flat board's: more, and the corners are named wrongly."""
+"""Maximum median deviation of corners from a flat board, in squares; more indicates wrong identification."""
 OTHER_DICTIONARIES: Final = (
     "APRILTAG_36h11",
     "4X4_250",
@@ -34,50 +34,50 @@ OTHER_DICTIONARIES: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class BoardView:
-    """Corners of the board that one picture shows."""
+    """Corners of the board in one picture."""
 
     ids: NDArray[np.int64]
     """(N,) ascending, indices into `CharucoBoard.corners_mm`."""
     corners_px: Array
     """(N, 2) pixel centres at integers."""
     sigma_px: float
-    """Median standard deviation of a coordinate, as the fits to the picture say."""
+    """Median standard deviation of a coordinate, estimated by the fits."""
     blur_px: float
-    """Median standard deviation of the blur, the pixel's own included."""
+    """Median standard deviation of the blur, including the pixel itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoBoard:
-    """Why a picture cannot be used."""
+    """Reason why a picture cannot be used."""
 
     reason: str
 
 
 def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
-    """Find the corners of the board in a picture and measure them.
+    """Detect and measure the corners of the board in a picture.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
         Grey levels.
     board : CharucoBoard
-        What was printed.
+        Board.
 
     Returns
     -------
     BoardView or NoBoard
-        With at least `LEAST_CORNERS` corners, not all in one row; or the reason against it.
+        At least `LEAST_CORNERS` corners, not all in one row; or the reason for failure.
     """
     ids, start_px, markers = _search(image, board)
     if len(ids) < LEAST_CORNERS:
         return NoBoard(reason=_why_few(image, board, corners=len(ids), markers=markers))
     flat, at_mm = _flat(board, ids, start_px)
     if flat is None:
-        return NoBoard(reason=f"its {len(ids)} corners lie in one row; show more of the board")
+        return NoBoard(reason=f"its {len(ids)} corners are in one row; show more of the board")
     near_px = np.median(np.linalg.norm(start_px - _map(flat, at_mm), axis=1))
     if near_px > MOST_BENT * _square_px(board, flat, at_mm):
         return NoBoard(
-            reason=f"its corners do not lie as on a flat board of {_size(board)} squares; check --squares, and that the board is flat"
+            reason=f"its corners do not agree with a flat board of {_size(board)} squares; check --squares, and that the board is flat"
         )
     found: dict[int, Saddle] = {}
     for corner, p_px, q_mm in zip(ids.tolist(), start_px, at_mm, strict=True):
@@ -86,11 +86,11 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
             found[corner] = fit
     if len(found) < max(LEAST_CORNERS, LEAST_MEASURED * len(ids)):
         return NoBoard(
-            reason=f"only {len(found)} of its {len(ids)} corners can be measured: too blurred, too noisy, or the board too small in it"
+            reason=f"only {len(found)} of its {len(ids)} corners can be measured; it is blurred or noisy, or the board is too small in it"
         )
     chosen = np.array(sorted(found))
     if _flat(board, chosen, np.array([found[k].at_px for k in chosen]))[0] is None:
-        return NoBoard(reason=f"its {len(found)} measurable corners lie in one row; show more of the board")
+        return NoBoard(reason=f"its {len(found)} measurable corners are in one row; show more of the board")
     return BoardView(
         ids=chosen,
         corners_px=np.array([found[k].at_px for k in chosen]),
@@ -100,13 +100,13 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
-    """Return ids (N,) and rough corners (N, 2) in the full picture, and how many markers were seen."""
+    """Return ids (N,) and approximate corners (N, 2) in the full picture, and the number of detected markers."""
     small, scale = reduced(image)
     parameters = cv2.aruco.CharucoParameters()
-    parameters.minMarkers = 1  # one marker beside a corner names it; measuring comes after
+    parameters.minMarkers = 1  # one adjacent marker identifies a corner; it is measured later
     detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)
     best: tuple[NDArray[np.int64], Array, int] = (np.zeros(0, np.int64), np.zeros((0, 2)), 0)
-    for power in (1.0, 0.5):  # the square root lifts what is much darker than the brightest
+    for power in (1.0, 0.5):  # the square root brightens dark regions
         corners, ids, _, marker_ids = detector.detectBoard(_tone(small, power))
         markers = 0 if marker_ids is None else len(marker_ids)
         if ids is not None and len(ids) > len(best[0]):
@@ -144,7 +144,7 @@ def _map(flat: Array, at_mm: Array) -> Array:
 
 
 def _sides(board: CharucoBoard, flat: Array, at_mm: Array) -> Array:
-    """Return the half sides (2, 2), px, of the part round a corner that is clear of markers."""
+    """Return the half sides (2, 2), px, of the area around a corner without markers."""
     clear_mm = CLEAR * (board.square_mm - board.marker_mm) / 2.0
     here, right, down = _map(flat, at_mm + clear_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return np.stack([right - here, down - here], axis=1)
@@ -161,24 +161,24 @@ def _size(board: CharucoBoard) -> str:
 
 
 def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int) -> str:
-    """Say what kept a picture's corners from being found."""
+    """Return the reason why too few corners were found."""
     if corners:
-        return f"only {corners} corners of the board are in it, {LEAST_CORNERS} are needed; show more of the board"
+        return f"it shows only {corners} corners of the board, but {LEAST_CORNERS} are required; show more of the board"
     if markers >= 3:
         return (
-            f"it shows {markers} markers of {board.dictionary}, but not as they stand on a board of {_size(board)} squares; "
+            f"it shows {markers} markers of {board.dictionary}, but not in the arrangement of a board of {_size(board)} squares; "
             "check --squares, and that the board is flat"
         )
     picture = _tone(image, 1.0)
     if _count(np.ascontiguousarray(picture[:, ::-1]), board.dictionary) >= 3:
-        return "it is mirrored: the board is only found in its mirror image"
+        return "it is mirrored: the board is detected in its mirror image only"
     for name in OTHER_DICTIONARIES:
         if name != board.dictionary and _count(picture, name) >= 3:
-            return f"it shows markers of {name}, the board has {board.dictionary}; show the board alone, or check --dictionary"
-    return "no board was found: too dark, too blurred, too far away, or not there"
+            return f"it shows markers of {name}, but the board has {board.dictionary}; show only the board, or check --dictionary"
+    return "no board was detected; it may be too dark, blurred, or too far away"
 
 
 def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
-    """Return how many markers of a dictionary a picture shows."""
+    """Count the markers of a dictionary in a picture."""
     ids = cv2.aruco.ArucoDetector(dictionary_named(dictionary)).detectMarkers(picture)[1]
     return 0 if ids is None else len(ids)

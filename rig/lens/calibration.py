@@ -1,7 +1,4 @@
-"""Calibrate a camera from pictures of the board.
-
-What can be used, the lens, what to be careful about, and the files.
-"""
+"""Camera calibration from pictures of the board: selection of pictures, lens fit, warnings, and files."""
 
 import re
 from collections import Counter
@@ -29,64 +26,64 @@ from rhizotwin.scenes.reduced import Picture
 from rhizotwin.scenes.schema import to_plain
 
 CELLS_WH: Final = (8, 6)
-"""The picture's field is divided into so many cells, to see how much of it the corners cover."""
+"""Number of cells of the field of view for the coverage by corners."""
 ENOUGH_PICTURES: Final = 10
 COVERAGE: Final = (0.15, 0.6)
-"""Share of the cells with corners: below the first refused, below the second warned of."""
+"""Minimum fraction of cells with corners: for acceptance, and without a warning."""
 TILT_DEG: Final = (8.0, 20.0)
-"""Largest tilt of the board against the picture's plane: below the first refused, below the second warned of."""
+"""Minimum of the largest tilt of the board: for acceptance, and without a warning."""
 ONE_WAY_DEG: Final = 6.0
-"""Spread of the tilts in the direction in which they spread least: below it, warned of."""
+"""Minimum spread of the tilts in the direction of least spread, without a warning."""
 MOST_RMS_PX: Final = (3.0, 0.5)
-"""Residual: above the first refused, above the second warned of."""
+"""Maximum residual: for acceptance, and without a warning."""
 MOST_FOCAL_STD: Final = 0.001
 MOST_BLUR_PX: Final = 3.0
 SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
-"""Two pictures show the board held the same way when it turned and moved (as a share of its distance) by less than
-this."""
+"""Two pictures count as the same pose of the board if rotation and translation (relative to the distance) differ by
+less."""
 ENOUGH_WAYS: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A calibrated camera and what it rests on."""
+    """Calibrated camera with its data."""
 
     camera: Camera
     board: CharucoBoard
     fit: LensFit
     rejected: dict[str, str]
-    """Pictures that were not used, with the reason."""
+    """Pictures that were not used, with reasons."""
     warnings: tuple[str, ...]
     coverage: float
-    """Share of the cells of the field with corners."""
+    """Fraction of the cells of the field of view with corners."""
     tilts_deg: dict[str, float]
-    """Angle between the board and the picture's plane, by picture."""
+    """Angle between the board and the image plane, by picture."""
 
 
 def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | None = None) -> Calibration:
-    """Calibrate the camera that took pictures of the board.
+    """Calibrate a camera from pictures of the board.
 
     Parameters
     ----------
     paths : sequence of path
-        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera at one focus, of one size.
+        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera with constant focus and size.
     board : CharucoBoard
-        What was printed; its size is of no matter for the lens, its squares' numbers and markers are.
+        Board; its absolute size has no effect on the lens.
     monitor : Monitor or None
-        Hears how far it is.
+        Progress monitor.
 
     Returns
     -------
     Calibration
-        Lens, its fit and what a person should know of it.
+        Lens, fit, and warnings.
 
     Raises
     ------
     RigError
-        When the pictures are too few, too alike, show the board too little tilted or in too little of the field, or fit
-        no lens.
+        If the pictures are too few or too similar, the board was tilted too little or covers too little of the field,
+        or no lens fits.
     UserError
-        For a board that cannot be.
+        If the board is invalid.
     """
     check_board(board)
     seen: dict[str, BoardView] = {}
@@ -116,7 +113,9 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     for name, (width, height) in sizes.items():
         if (width, height) != image_wh:
             del seen[name]
-            rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; a lens is calibrated at one size"
+            rejected[name] = (
+                f"it has {width}x{height} px, most others have {image_wh[0]}x{image_wh[1]}; all pictures must have the same size"
+            )
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
     return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
 
@@ -124,25 +123,25 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
 def calibrate_views(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, bits: int = 8, rejected: dict[str, str] | None = None
 ) -> Calibration:
-    """Calibrate a camera from the corners that its pictures show.
+    """Calibrate a camera from corners in pictures.
 
     Parameters
     ----------
     views : dict of BoardView
-        The corners, by picture.
+        Corners by picture.
     board : CharucoBoard
-        What was printed.
+        Board.
     image_wh : tuple of int
-        Size of the pictures.
+        Picture size.
     bits : int
-        Depth of the camera's converter.
+        Bit depth of the camera.
     rejected : dict of str or None
-        Pictures that were left out before, with the reason.
+        Pictures that were rejected before, with reasons.
 
     Returns
     -------
     Calibration
-        Lens, its fit and what a person should know of it.
+        Lens, fit, and warnings.
 
     Raises
     ------
@@ -164,7 +163,7 @@ def calibrate_views(
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return 1 for each cell of the field (rows, columns) with corners in it, 0 for the others."""
+    """Return 1 for each cell of the field (rows, columns) with corners, 0 for the others."""
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -182,7 +181,7 @@ def write_calibration(made: Calibration, folder: Path) -> list[Path]:
 
 
 def numbers(made: Calibration) -> dict[str, Any]:
-    """Return every number of a calibration as JSON values."""
+    """Return all numbers of a calibration as JSON values."""
     fit = made.fit
     return {
         "program": "rhizotwin calibrate camera",
@@ -219,12 +218,12 @@ def numbers(made: Calibration) -> dict[str, Any]:
 
 
 def model_text(fit: LensFit) -> str:
-    """Say in words which lens was fitted, and what was left out of it."""
+    """Describe the fitted lens model and its omitted parameters."""
     terms = [term for term in TERMS if not any(term in gone.split(", ") for gone in fit.left_out)]
     focal = "one focal length" if "fx / fy" in fit.left_out else "two focal lengths (fx, fy)"
     text = f"{focal}, principal point, {'distortion ' + ' '.join(terms) if terms else 'no distortion'}"
     gone = [term for term in DROPPED if term in fit.left_out]
-    return f"{text}; left out, as the pictures do not support it: {'; '.join(gone)}" if gone else text
+    return f"{text}; omitted, because the pictures do not support them: {'; '.join(gone)}" if gone else text
 
 
 def _camera_text(made: Calibration) -> str:
@@ -233,23 +232,23 @@ def _camera_text(made: Calibration) -> str:
     head = (
         f"# Fitted to {fit.corners} corners in {len(fit.views)} pictures; residual {fit.rms_px:.3f} px rms. {model_text(fit)}.\n"
         f"# Standard deviations of focal_px and principal_px: {std} px.\n"
-        "# Put this section into the scene file in place of its [camera].\n"
+        "# Replace the [camera] section of the scene file by this one.\n"
     )
     return head + toml_text.dumps({"camera": to_plain(made.camera)})
 
 
 def _none_usable(rejected: dict[str, str], pictures: int) -> str:
     if not rejected:
-        return "there are no pictures to calibrate with; give the folder of pictures of the board"
+        return "there are no pictures; give the folder with the pictures of the board"
     kinds = {name: re.sub("[0-9]+", "#", reason) for name, reason in rejected.items()}
     kind, count = Counter(kinds.values()).most_common(1)[0]
     name = next(name for name in rejected if kinds[name] == kind)
-    others = f" (the same with {count - 1} others)" if count > 1 else ""
+    others = f" (and {count - 1} others for the same reason)" if count > 1 else ""
     return f"none of the {pictures} pictures can be used; {name}: {rejected[name]}{others}"
 
 
 def _lowest_bit(value: int) -> int:
-    """Return how many of the lowest bits no picture uses (12 bits left-aligned in 16 leave 4), at most 8."""
+    """Return the number of unused lowest bits in all pictures (4 for 12 bits left-aligned in 16), at most 8."""
     return min(8, (value & -value).bit_length() - 1) if value else 8
 
 
@@ -258,12 +257,12 @@ def _tilt_deg(cam_from_board: Array) -> float:
 
 
 def _normal(cam_from_board: Array) -> Array:
-    """Return the board's normal in the camera's frame, away from the camera."""
+    """Return the normal of the board in the camera frame, away from the camera."""
     return cam_from_board[:3, 2]
 
 
 def _ways(fit: LensFit) -> int:
-    """Return in how many clearly different ways the board was held."""
+    """Return the number of clearly different poses of the board."""
     different: list[Array] = []
     for pose in fit.cam_from_board.values():
         for other in different:
@@ -277,52 +276,55 @@ def _ways(fit: LensFit) -> int:
 
 
 def _refuse(made: Calibration) -> None:
-    """Raise where the pictures cannot give a lens that is worth having."""
+    """Raise an error if the pictures do not allow a valid calibration."""
     fit = made.fit
     if fit.rms_px > MOST_RMS_PX[0]:
         raise RigError(
-            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms, usual is below 0.3; was the focus or zoom changed, "
-            "is the board flat, and are --squares right?"
+            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms (usually below 0.3); check that focus and zoom "
+            "were constant, the board is flat, and --squares is correct"
         )
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[0]:
         raise RigError(
-            f"the board was hardly tilted, at most {tilt_deg:.0f} degrees: the focal length cannot be told from the distance; "
-            "take pictures with the board tilted by 20 to 45 degrees, every way"
+            f"the board was tilted by at most {tilt_deg:.0f} degrees, so that focal length and distance cannot be separated; "
+            "take pictures with the board tilted by 20 to 45 degrees in all directions"
         )
     if made.coverage < COVERAGE[0]:
         raise RigError(
-            f"the board's corners cover only {made.coverage:.0%} of the field; show the board all over the picture, into its corners"
+            f"the corners of the board cover only {made.coverage:.0%} of the field; "
+            "show the board all over the picture, including the corners"
         )
     if (ways := _ways(fit)) < 3:
-        raise RigError(f"the board was held in {ways} different ways only; take about 20 pictures, each with the board held differently")
+        raise RigError(f"the board was held in only {ways} different poses; take about 20 pictures, each with another pose of the board")
 
 
 def _warnings(made: Calibration) -> list[str]:
-    """Return one sentence for each thing that makes the lens less sure than it could be."""
-    fit, said = made.fit, []
+    """Return one sentence for each weakness of the calibration."""
+    fit, warnings = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
-        said.append(f"only {len(fit.views)} pictures were used; take about 20")
+        warnings.append(f"only {len(fit.views)} pictures were used; take about 20")
     if (ways := _ways(fit)) < ENOUGH_WAYS:
-        said.append(f"the board was held in {ways} different ways only; hold it differently for each picture")
+        warnings.append(f"the board was held in only {ways} different poses; use another pose for each picture")
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[1]:
-        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 for a sure focal length")
+        warnings.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 degrees for an accurate focal length")
     else:
         normals = np.array([_normal(pose) / np.sign(_normal(pose)[2]) for pose in fit.cam_from_board.values()])[:, :2]
         least_deg = float(np.rad2deg(np.linalg.svd(normals, compute_uv=False)[1] / np.sqrt(len(normals))))
         if least_deg < ONE_WAY_DEG:
-            said.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
+            warnings.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
     if made.coverage < COVERAGE[1]:
-        said.append(f"the corners cover {made.coverage:.0%} of the field; distortion is guessed where they do not reach")
+        warnings.append(f"the corners cover {made.coverage:.0%} of the field; the distortion is extrapolated elsewhere")
     if fit.rms_px > MOST_RMS_PX[1]:
-        said.append(f"the residual of {fit.rms_px:.2f} px rms is high; is the board flat, the focus fixed, and nothing moved?")
+        warnings.append(
+            f"the residual of {fit.rms_px:.2f} px rms is high; check that the board is flat, the focus is fixed, and nothing moved"
+        )
     focal = fit.focal_std_px[0] / fit.focal_px[0]
     if focal > MOST_FOCAL_STD:
-        said.append(f"the focal length is sure to {focal:.2%} only (one standard deviation); take more pictures, tilted and near")
+        warnings.append(f"the standard deviation of the focal length is {focal:.2%}; take more pictures, with the board tilted and near")
     blur_px = float(np.median([view.blur_px for view in fit.views.values()]))
     if blur_px > MOST_BLUR_PX:
-        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus where the canister will stand, and hold the board still")
+        warnings.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
     if fit.dropped_corners > 0.02 * (fit.corners + fit.dropped_corners):
-        said.append(f"{fit.dropped_corners} corners lay far off and were left out; look for glare, dirt or a bent board")
-    return said
+        warnings.append(f"{fit.dropped_corners} corners with large residuals were excluded; look for glare, dirt or a bent board")
+    return warnings

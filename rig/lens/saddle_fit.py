@@ -1,9 +1,7 @@
-"""Measure where four squares of a chessboard meet.
+"""Measurement of chessboard corners by a least-squares fit of two crossing blurred edges.
 
-Two blurred edges that cross, laid over the picture by least squares.
-
-A crossing looks the same turned by half a turn, so that blur, and ink that spreads, leave it in place; the fit uses
-every pixel round it, where OpenCV's cornerSubPix uses gradients only.
+A crossing is symmetric under rotation by 180 degrees, so that blur and spreading ink do not move it. The fit uses all
+surrounding pixels, while OpenCV's cornerSubPix uses gradients only.
 """
 
 from dataclasses import dataclass
@@ -22,21 +20,22 @@ FIRST_BLUR_PX: Final = 0.8
 MOST_STEPS: Final = 20
 ENOUGH_PX: Final = 1e-3
 MOST_SHIFT_PX: Final = 3.0
-"""A crossing found farther than this from where it was looked for (and half the reach) is another one."""
+"""Maximum distance between the crossing and its initial position (and half the window); a farther one is another
+crossing."""
 LEAST_CORRELATION: Final = 0.9
 LEAST_PIXELS: Final = 24
 
 
 @dataclass(frozen=True, kw_only=True)
 class Saddle:
-    """A measured crossing."""
+    """Measured crossing."""
 
     at_px: Array
     """(2,) pixel centres at integers."""
     sigma_px: float
-    """Standard deviation of each coordinate, from the residual picture."""
+    """Standard deviation of each coordinate, estimated from the residuals."""
     blur_px: float
-    """Standard deviation of the blur, the pixel's own (0.29) included."""
+    """Standard deviation of the blur, including the pixel itself (0.29)."""
 
 
 def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: Array) -> Saddle | None:

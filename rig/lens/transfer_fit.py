@@ -1,8 +1,8 @@
-"""A camera's curve from pictures of one still scene at several exposure times.
+"""Response curve of a camera from pictures of a static scene at several exposure times.
 
-A number v in picture j stands for the light ``f(v) = E t_j``: what changes from picture to picture is the exposure time
-t alone. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
-piecewise straight between knots, as smooth as the pictures allow, and 0 at full scale. It is linear least squares.
+A value v in picture j corresponds to the light ``f(v) = E t_j``, where only the exposure time t varies between
+pictures. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
+piecewise linear between knots, smoothed, and 0 at full scale. It is a linear least-squares problem.
 """
 
 from collections.abc import Sequence
@@ -20,15 +20,15 @@ from rhizotwin.scenes.transfer import Curve
 
 KNOTS = 65
 PIXELS = 2000
-"""Pixels that are used, spread over the brightness of the middle picture."""
+"""Number of pixels, distributed over the brightness of the middle picture."""
 USABLE = 0.02, 0.98
-"""Numbers nearer than this to the ends of the range are noise or clipped."""
+"""Values closer than this to the ends of the range are noise or clipped."""
 SMOOTH = 2.0
-"""Weight of g's second differences against a pixel's equation: noise of a pixel is about 0.01 in g, bends between knots
-are less."""
+"""Weight of the second differences of g relative to the equation of a pixel: noise of a pixel is about 0.01 in g,
+bends between knots are smaller."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 KNOWN = 0.01
-"""A measured curve this near to a known one everywhere, but for a common factor (exposures tell none), is that one."""
+"""Maximum deviation from a known curve, up to a common factor, at which the known curve is used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,35 +37,34 @@ class TransferFit:
 
     curve: Curve
     residual: float
-    """Root mean square of what is left, as a share of the light."""
+    """Relative root mean square of the residual."""
     reached: tuple[float, float]
-    """Lowest and highest number, of full scale, that the pictures show: beyond, the curve goes on smoothly, and nobody
-    looked."""
+    """Lowest and highest value, relative to full scale, in the pictures; the curve is extrapolated smoothly beyond."""
 
 
 def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> TransferFit:
-    """Measure a camera's curve.
+    """Measure the response curve of a camera.
 
     Parameters
     ----------
     images : (H, W) sequence of uint8 or uint16 array
-        Numbers as stored, of one scene before a camera at rest.
+        Stored values of pictures of a static scene.
     exposures_s : sequence of float
-        Their exposure times.
+        Exposure times.
 
     Raises
     ------
     RigError
-        Where they are too few, too alike, or do not fit one curve.
+        If the pictures are too few, too similar, or do not fit one curve.
     """
     times = np.asarray(exposures_s, np.float64)
     if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():
         raise RigError(
-            f"{len(images)} pictures of {times.min():g} to {times.max():g} s tell no curve: take {LEAST_PICTURES} or more, "
-            f"the longest exposed at least {LEAST_RANGE:g} times as long as the shortest"
+            f"{len(images)} pictures with {times.min():g} to {times.max():g} s are not sufficient: take at least {LEAST_PICTURES}, "
+            f"with the longest exposure at least {LEAST_RANGE:g} times the shortest"
         )
     if len({image.shape for image in images}) > 1:
-        raise RigError("the pictures differ in size; take them of one scene with one camera")
+        raise RigError("the pictures differ in size; take all of them of one scene with one camera")
     full = float(np.iinfo(images[0].dtype).max)
     order = np.argsort(images[int(np.argsort(times)[len(times) // 2])], axis=None, kind="stable")
     chosen = order[np.linspace(0, order.size - 1, min(PIXELS, order.size)).astype(np.int64)]
@@ -73,7 +72,7 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     use = (number > USABLE[0]) & (number < USABLE[1])
     use &= use.sum(axis=0) >= 2
     if use.sum() < 10 * KNOTS:
-        raise RigError("too few pixels are neither dark nor clipped in two pictures: light the scene evenly from dark to bright")
+        raise RigError("too few pixels are neither dark nor clipped in two pictures; use a scene with grey levels from dark to bright")
     g, left = _solve(number, use, times)
     share = np.linspace(0.0, 1.0, KNOTS)
     light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))
@@ -84,7 +83,7 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
 
 
 def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
-    """Return how far two curves (KNOTS,) are apart at most within `USABLE`, but for a common factor."""
+    """Return the maximum difference of two curves (KNOTS,) within `USABLE`, up to a common factor."""
     inside = np.s_[int(np.ceil(USABLE[0] * KNOTS)) : int(USABLE[1] * KNOTS)]
     factor = float(light[inside] @ known[inside]) / float(known[inside] @ known[inside])
     return float(np.abs(light[inside] - factor * known[inside]).max())
@@ -96,7 +95,7 @@ def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[n
     place = number[use] * (KNOTS - 1)
     low = np.minimum(place.astype(np.int64), KNOTS - 2)
     part = place - low
-    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat: both ends are worse known
+    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat function: lower weight at both ends
     row = np.arange(len(place))
     bend = len(place) + np.arange(KNOTS - 2)
     last = len(place) + KNOTS - 2

@@ -1,4 +1,4 @@
-"""A series of exposures from files, and the measured curve as a part of a scene file."""
+"""Reading of an exposure series, and output of the response curve for a scene file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,24 +15,24 @@ _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A
 
 
 def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Grey], list[float]]:
-    """Read pictures and their exposure times, from a text of numbers with commas or from their EXIF.
+    """Read pictures and their exposure times, from a comma-separated text or from their EXIF data.
 
     Parameters
     ----------
     paths : sequence of Path
-        Pictures of one thing, exposed otherwise.
+        Pictures of one scene with different exposures.
     exposures_s : str or None
-        Numbers with commas; None: from EXIF.
+        Comma-separated numbers; None: from EXIF.
 
     Returns
     -------
     list of (H, W) arrays, list of float
-        Pictures and seconds.
+        Pictures and exposure times in seconds.
 
     Raises
     ------
     UserError
-        For a damaged picture, or times that are missing or no positive numbers.
+        If a picture is damaged, or exposure times are missing or not positive.
     """
     images = [decode_grey(path.read_bytes(), where=str(path)) for path in paths]
     if exposures_s is None:
@@ -40,19 +40,19 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
     try:
         times = [float(part) for part in exposures_s.split(",")]
     except ValueError:
-        raise UserError(f"--exposures-s {exposures_s}: must be numbers with commas, such as 0.002,0.004,0.008") from None
+        raise UserError(f"--exposures-s {exposures_s}: must be comma-separated numbers, such as 0.002,0.004,0.008") from None
     if len(times) != len(paths) or not all(time > 0.0 for time in times):
-        raise UserError(f"--exposures-s {exposures_s}: {len(times)} times for {len(paths)} pictures; give a positive one for each")
+        raise UserError(f"--exposures-s {exposures_s}: {len(times)} values for {len(paths)} pictures; give one positive value per picture")
     return images, times
 
 
 def transfer_text(found: TransferFit, pictures: int) -> str:
-    """Return the lines of a scene's camera that state a measured curve."""
+    """Return the lines of a scene's [camera] with the response curve."""
     low, high = found.reached
     head = (
         f"# Measured in {pictures} exposures, from {low:.2f} to {high:.2f} of full scale.\n"
         f"# Residual {100.0 * found.residual:.1f} % of the light.\n"
-        "# Put these lines into the scene file's [camera].\n"
+        "# Paste these lines into the [camera] section of the scene file.\n"
     )
     if found.curve in (LINEAR, SRGB):
         return head + toml_text.dumps({"transfer": "srgb" if found.curve == SRGB else "linear"})
@@ -66,5 +66,5 @@ def _exif_time(path: Path) -> float:
     except (UnidentifiedImageError, OSError):
         time = None
     if not time or not float(time) > 0.0:
-        raise UserError(f"{path}: its EXIF does not say how long it was exposed; give all exposure times with --exposures-s")
+        raise UserError(f"{path}: its EXIF data contain no exposure time; give all exposure times with --exposures-s")
     return float(time)

@@ -24,16 +24,16 @@ from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board
 from rhizotwin.scenes.errors import UserError
 
 GAP_MM: Final = 6.0
-"""White round the pattern."""
+"""White margin around the pattern."""
 
 
 def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
-    """Lay the board out on a page, with ruler and square below it or beside it.
+    """Lay out the board on a page, with ruler and square below or beside it.
 
     Raises
     ------
     UserError
-        When it does not fit, or the board cannot be.
+        If it does not fit, or the board is invalid.
     """
     check_board(board)
     notes = [*printing_notes(paper), *_board_notes(board)]
@@ -48,8 +48,9 @@ def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
                 return Page(size_mm=size_mm, parts=tuple(_parts(board, paper, room_mm, notes, beside=beside)), stretch_xy=paper.stretch_xy)
     page = f"{paper.size_mm[0]:g} x {paper.size_mm[1]:g}"
     raise UserError(
-        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {page} mm with its margins and "
-        f"ruler ({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are needed within the margins); use a larger --page, or smaller or fewer squares"
+        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {page} mm with margins and "
+        f"ruler ({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are required within the margins); "
+        "use a larger --page, or smaller or fewer squares"
     )
 
 
@@ -57,7 +58,7 @@ def _board_notes(board: CharucoBoard) -> list[str]:
     columns, rows = board.squares_xy
     return [
         f"ChArUco board, {columns}x{rows} squares of {board.square_mm:g} mm, markers {board.marker_mm:g} mm, {board.dictionary}.",
-        "Glue it on something flat and stiff (glass, acrylic), without bubbles.",
+        "Glue it to a flat and stiff plate (glass, acrylic), without bubbles.",
     ]
 
 

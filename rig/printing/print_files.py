@@ -1,4 +1,4 @@
-"""Write pages as PDF or SVG at true scale, in vectors."""
+"""Writing of pages as PDF or SVG vector graphics at true scale."""
 
 import io
 import re
@@ -12,49 +12,49 @@ from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Strokes, 
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
-if TYPE_CHECKING:  # matplotlib takes long to load, and a Raspberry Pi scans without it
+if TYPE_CHECKING:  # slow import; a Raspberry Pi scans without it
     from matplotlib.figure import Figure
 
 SUFFIXES: Final = (".pdf", ".svg")
 MM_PER_INCH: Final = 25.4
 POINTS_PER_MM: Final = 72.0 / MM_PER_INCH
 CAPITALS: Final = 0.73
-"""Height of capitals over the font's size (DejaVu Sans)."""
+"""Height of capitals relative to the font size (DejaVu Sans)."""
 CREATOR: Final = "rhizotwin"
 
 
 def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     """Write pages to one PDF file, or to SVG files.
 
-    One under its own name, several with ``-1``, ``-2``, ... behind the name.
+    A single SVG page keeps the file name; several get ``-1``, ``-2``, ... appended.
 
     Parameters
     ----------
     pages : sequence of Page
-        What is drawn.
+        Pages.
     path : Path
-        Ends in .pdf or .svg.
+        File name that ends in .pdf or .svg.
     title : str
-        Of the document.
+        Title of the document.
 
     Returns
     -------
     list of Path
-        The files written.
+        Written files.
 
     Raises
     ------
     UserError
-        For another suffix, or a file that is there already.
+        If the suffix is different, or a file already exists.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise UserError(f"{path}: write the pages as .pdf or .svg")
+        raise UserError(f"{path} must end in .pdf or .svg")
     svg_names = [path.with_stem(f"{path.stem}-{number + 1}") for number in range(len(pages))]
     paths = svg_names if suffix == ".svg" and len(pages) > 1 else [path]
     for one in paths:
         if one.exists():
-            raise UserError(f"{one} exists already; choose another name or remove it")
+            raise UserError(f"{one} already exists; choose another name or remove it")
     contents = [_pdf(pages, title)] if suffix == ".pdf" else [_svg(page, title) for page in pages]
     for one, content in zip(paths, contents, strict=True):
         write_bytes(one, content)
@@ -62,7 +62,7 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
 
 
 def figure_of(page: Page) -> "Figure":
-    """Return a page as a figure of its size, 1 unit of its axes 1 mm on the paper."""
+    """Return a page as a figure of its size; 1 unit of its axes is 1 mm on the paper."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import PathPatch
@@ -78,7 +78,7 @@ def figure_of(page: Page) -> "Figure":
         if isinstance(part, Fill | Shape):
             outlines = _corners(part.rectangles_mm) if isinstance(part, Fill) else part.points_mm[None]
             outline = Outline.make_compound_path(*(Outline(np.vstack([o, o[:1]]) * stretch, closed=True) for o in outlines))
-            # one path, so that no viewer shows seams between neighbours; no snapping to pixels, which would move edges
+            # a single path avoids visible seams between neighbours; no snapping to pixels, which would move edges
             axes.add_artist(PathPatch(outline, facecolor=str(part.grey), linewidth=0.0, snap=False))
         elif isinstance(part, Strokes):
             if part.lines_mm:
@@ -112,7 +112,7 @@ def _corners(rectangles: Any) -> Any:
 
 
 def _settings() -> Any:
-    """Return matplotlib's own settings for a while: a user's might crop the page (savefig.bbox) or change its fonts."""
+    """Use default settings of matplotlib temporarily: user settings may crop the page or change fonts."""
     import matplotlib as mpl
 
     return mpl.rc_context(dict(mpl.rcParamsDefault) | {"svg.hashsalt": CREATOR, "pdf.fonttype": 42})
@@ -139,16 +139,16 @@ def _pdf(pages: Sequence[Page], title: str) -> bytes:
 
 
 def _at_true_scale(pdf: bytes) -> bytes:
-    """Append to a PDF that viewers shall not offer to scale it.
+    """Disable scaling of a PDF in viewers.
 
-    ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update.
+    It appends ``/PrintScaling /None`` (PDF 1.6, table 8.1) as an incremental update.
     """
     root, size = re.search(rb"/Root (\d+) 0 R", pdf), re.search(rb"/Size (\d+)", pdf)
     starts = re.findall(rb"startxref\s+(\d+)", pdf)
     catalog = root and re.search(rb"(?:^|\n)" + root[1] + rb" 0 obj\s*<<(.*?)>>\s*endobj", pdf, re.DOTALL)
     info = re.search(rb"/Info (\d+) 0 R", pdf)
     if not (root and size and starts and catalog and info):
-        return pdf  # a writer that numbers otherwise: the page itself says 100 %
+        return pdf  # another object numbering: the page itself states 100 %
     changed = root[1] + b" 0 obj\n<<" + catalog[1] + b" /ViewerPreferences << /PrintScaling /None >> >>\nendobj\n"
     start, table = len(pdf), len(pdf) + len(changed)
     trailer = b"trailer\n<< /Size " + size[1] + b" /Root " + root[1] + b" 0 R /Info " + info[1] + b" 0 R /Prev " + starts[-1] + b" >>\n"

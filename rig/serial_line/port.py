@@ -1,4 +1,4 @@
-"""A serial port, with errors that a person can act on.
+"""Serial port, with error messages that state the remedy.
 
 It is a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial.
 """
@@ -27,31 +27,31 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 
 
 class Wire(Protocol):
-    """What a driver needs of a port: `Port`, and `rig.serial_line.recording.ReplayPort` in its place."""
+    """Interface of a port for drivers, implemented by `Port` and `rig.serial_line.recording.ReplayPort`."""
 
     @property
     def clock(self) -> Clock:
-        """Whose time the time-outs are in."""
+        """Clock of the time-outs."""
 
     @property
     def url(self) -> str:
-        """Where it leads to."""
+        """Address of the port."""
 
     @property
     def device(self) -> str:
-        """What is at the other end, for messages."""
+        """Connected device, for messages."""
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what is there as soon as something is there; nothing after the time-out."""
+        """Return available data as soon as there are any; nothing after the time-out."""
 
     def discard_input(self) -> None:
-        """Drop what has come in."""
+        """Discard received data."""
 
     def close(self) -> None:
-        """Close it."""
+        """Close the port."""
 
 
 class Port:
@@ -117,7 +117,7 @@ class Port:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
             raise NoAnswerError(
-                f"{self.device} on {self.url}: took no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
+                f"{self.device} on {self.url}: accepted no data for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
             ) from error
         except OSError as error:
             raise self._lost(error) from error
@@ -140,13 +140,13 @@ class Port:
         return data
 
     def discard_input(self) -> None:
-        """Drop what has come in; it is recorded all the same, so that a replay sees it."""
-        for _ in range(16):  # a device that babbles without end is not waited for
+        """Discard received data; they are recorded nevertheless for the replay."""
+        for _ in range(16):  # devices that send continuously are not waited for
             if not self.read(0.0):
                 return
 
     def close(self) -> None:
-        """Close the port; nothing when it is closed already."""
+        """Close the port, if it is open."""
         self._is_open = False
         with suppress(OSError):
             self._serial.close()
@@ -154,10 +154,10 @@ class Port:
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
+            raise LostError(f"{self.device} on {self.url}: the port is closed; open it again")
 
     def _waiting(self) -> bytes:
-        """Read what has arrived. A socket never admits to more than one byte, so it is asked until it has none."""
+        """Read received data. A socket never reports more than one byte, so that it is read until it is empty."""
         data = b""
         while len(data) < _READ_AT_ONCE and (waiting := self._serial.in_waiting):
             data += self._serial.read(min(waiting, _READ_AT_ONCE))
@@ -167,7 +167,7 @@ class Port:
         left_s = timeout_s
         while left_s > 0.0:
             slice_s = _slice_s(left_s)
-            if slice_s != self._timeout_s:  # each change makes pyserial configure the port anew
+            if slice_s != self._timeout_s:  # each change makes pyserial configure the port again
                 self._serial.timeout = self._timeout_s = slice_s
             first: bytes = self._serial.read(1)
             if first:
@@ -180,20 +180,20 @@ class Port:
 
 
 def _hold(url: str, device: str, stack: ExitStack) -> None:
-    """Hold a network port against other programs of this computer, as the system does with device files."""
+    """Lock a network port against other programs of this computer, as the system does for device files."""
     name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
     try:
         stack.enter_context(locked(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
     except UserError as error:
         raise RigError(str(error)) from error
     except PermissionError as error:
-        raise RigError(f"{device}: {url} is used by another person on this computer ({error.filename}); wait until that ends") from error
+        raise RigError(f"{device}: {url} is used by another user of this computer ({error.filename}); wait until that ends") from error
 
 
 def _slice_s(left_s: float) -> float:
-    """Return the power of two that is not longer (but for the last millisecond).
+    """Return the largest power of two that does not exceed the time (except for the last millisecond).
 
-    Ever the same few time-outs, seldom set anew.
+    It limits the number of different time-outs, whose change is expensive.
     """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
@@ -203,12 +203,12 @@ def _why_not_open(url: str, error: OSError | ValueError) -> str:
     code = error.errno if isinstance(error, OSError) else None
     if code == errno.EACCES:
         return (
-            f"{url} may not be opened by you; join the group of serial ports ('sudo usermod -aG dialout $USER' on most systems), "
-            "log out and in, and try again"
+            f"{url} cannot be opened without permission; add your user to the group of serial ports "
+            "('sudo usermod -aG dialout $USER' on most systems), log out and in, and try again"
         )
     if code in _BUSY:
-        return f"{url} is used by another program; close that one and try again"
+        return f"{url} is used by another program; close it and try again"
     if code in _ABSENT:
         there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"{url} is not there (serial ports that are: {there}); plug the device in, or correct its port in the rig file"
+        return f"{url} does not exist (existing serial ports: {there}); connect the device, or correct its port in the rig file"
     return f"{url} cannot be opened as a serial port ({error}); check the device, and its port in the rig file"

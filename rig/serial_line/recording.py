@@ -1,10 +1,10 @@
-"""Every byte on the wire as JSON lines, and a port that plays them back.
+"""Recording of the serial communication as JSON lines, and a port that replays it.
 
-A session on the bench becomes a test of the drivers.
+A recorded session can be used as a test of the drivers.
 
-A file holds sessions one after the other. A session begins with a line ``{"recording": 1, "time": ..., "versions":
-...}``; then come ``{"t_s", "device", "open": {"url", "baud"}}`` for each port that is opened and ``{"t_s", "device",
-"dir": ">" or "<", "hex"}`` for what is sent to (``>``) and heard from (``<``) a device.
+A file contains sessions in sequence. A session begins with a line ``{"recording": 1, "time": ..., "versions": ...}``,
+followed by ``{"t_s", "device", "open": {"url", "baud"}}`` for each opened port and ``{"t_s", "device", "dir": ">" or
+"<", "hex"}`` for bytes sent to (``>``) and received from (``<``) a device.
 """
 
 import json
@@ -23,13 +23,13 @@ FORMAT = 1
 
 
 class Recorder:
-    """Appends to a recording; every line reaches the system at once, so that a crash loses none.
+    """Appends to a recording; every line is written immediately, so that a crash loses none.
 
     Raises
     ------
     RigError
-        When the file cannot be written; from `record` as well, but once only: a full disk must not keep the lamps from
-        being switched off.
+        If the file cannot be written; by `record` only once, because a full disk must not prevent the lamps from being
+        switched off.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -51,32 +51,32 @@ class Recorder:
             raise
 
     def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Note that a port was opened, with its settings.
+        """Record the opening of a port, with its settings.
 
         Parameters
         ----------
         t_s : float
-            When.
+            Time.
         device : str
-            Its name, as ``turntable``.
+            Name of the device, such as ``turntable``.
         url, baud : str, int
-            Of the port.
+            Settings of the port.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})
 
     def record(self, t_s: float, device: str, direction: Literal[">", "<"], data: bytes) -> None:
-        """Note bytes that were sent (``>``) or heard (``<``).
+        """Record bytes that were sent (``>``) or received (``<``).
 
         Parameters
         ----------
         t_s : float
-            When.
+            Time.
         device : str
-            Its name, as ``turntable``.
+            Name of the device, such as ``turntable``.
         direction : {'>', '<'}
             To the device, or from it.
         data : bytes
-            As they were on the wire.
+            Transmitted bytes.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
 
@@ -96,14 +96,14 @@ class Recorder:
             raise self._failed(error) from error
         self._broken = written != len(line)
         if self._broken:
-            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or do not record")
+            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or omit --record")
 
     def _failed(self, error: OSError) -> RigError:
-        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or do not record")
+        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or omit --record")
 
 
 def _end_line(path: Path) -> None:
-    """Cut off a last line that a crash or a full disk left without its end."""
+    """Remove an incomplete last line after a crash or a full disk."""
     if not path.is_file():  # a pipe, a device
         return
     with path.open("r+b") as stream:
@@ -113,14 +113,14 @@ def _end_line(path: Path) -> None:
 
 
 class ReplayError(UserError):
-    """A driver did something else than at the time of the recording.
+    """A driver behaved differently from the recording.
 
-    No `RigError`, so that no driver takes it for a device's failure.
+    It is not a `RigError`, so that drivers do not treat it as a failure of a device.
     """
 
 
 class ReplayClock:
-    """Time that passes only by `sleep`, at once."""
+    """Clock that advances by `sleep` only, immediately."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
@@ -130,25 +130,25 @@ class ReplayClock:
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         self._now_s += max(seconds, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Entry:
     line: int
-    """Of the file, from 1."""
+    """Line number in the file, from 1."""
     sent: bool
     data: bytes
 
 
 class ReplayPort:
-    """Stands in for a `rig.serial_line.port.Port`.
+    """Replacement for a `rig.serial_line.port.Port`.
 
-    Demands the bytes that were sent in the recording, and answers what was heard.
+    It requires the bytes that were sent in the recording, and returns those that were received.
 
-    Only the order counts, not the times: a read returns the next bytes that were heard, unless something was sent
-    before them; then time passes up to the time-out. After the first difference every call fails with it.
+    Only the order counts, not the times: a read returns the next received bytes, unless bytes were sent before them;
+    then the time-out passes. After the first difference every call fails with it.
     """
 
     def __init__(self, path: Path, device: str, entries: list[_Entry], clock: Clock) -> None:
@@ -157,16 +157,16 @@ class ReplayPort:
         self.clock = clock
         self._entries = entries
         self._at = 0
-        self._done = 0  # bytes of the present entry that were sent already
+        self._done = 0  # bytes of the current entry that were already sent
         self._difference: ReplayError | None = None
 
     def write(self, data: bytes) -> None:
-        """Take what the driver sends.
+        """Compare sent bytes with the recording.
 
         Raises
         ------
         ReplayError
-            When something else was sent at this point of the recording.
+            If they differ.
         """
         self._check()
         left = data
@@ -189,7 +189,7 @@ class ReplayPort:
                 self._at, self._done = self._at + 1, 0
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what was heard at this point of the recording, or nothing after the time-out."""
+        """Return the bytes received at this point of the recording, or nothing after the time-out."""
         self._check()
         entry = self._entry()
         if entry is None or entry.sent:
@@ -199,7 +199,7 @@ class ReplayPort:
         return entry.data
 
     def discard_input(self) -> None:
-        """Skip what was heard up to the next sent bytes."""
+        """Skip received bytes up to the next sent bytes."""
         while self.read(0.0):
             pass
 
@@ -207,12 +207,12 @@ class ReplayPort:
         """Do nothing; see `finish`."""
 
     def finish(self) -> None:
-        """Demand that the whole recording was gone through.
+        """Require that the recording was replayed completely.
 
         Raises
         ------
         ReplayError
-            When something of it is left.
+            If a part of it remains.
         """
         self._check()
         entry = self._entry()
@@ -239,30 +239,30 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     Parameters
     ----------
     path : path
-        The recording.
+        Recording.
     device : str
-        Its name in the recording: "turntable", "arm".
+        Name of the device in the recording: "turntable", "arm".
     clock : Clock or None
-        Passed on to the driver; needs virtual time to be quick. None: a `ReplayClock`.
+        Clock for the driver; virtual time makes the replay fast. None: a `ReplayClock`.
     session : int
-        Which session of the file, counted as in a list; the last one by default.
+        Index of the session in the file; the last one by default.
 
     Returns
     -------
     ReplayPort
-        Gives back what the device once said.
+        Port that replays the recording.
 
     Raises
     ------
     UserError
-        When the file cannot be read, is damaged, or knows no such device.
+        If the file cannot be read, is damaged, or does not contain the device.
     """
     path = Path(path)
     try:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: cannot be read as a recording ({error})") from error
-    # a last line without its end was cut off by a crash
+    # an incomplete last line is due to a crash
     plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
@@ -280,7 +280,7 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
 
 
 def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
-    """Read one line; everything that `replay_port` takes out of it is checked here."""
+    """Parse and validate one line."""
     try:
         plain = json.loads(line)
         if not isinstance(plain, dict):

@@ -1,1 +1,1 @@
-"""The board of turntable and lights, which speaks Marlin: from bytes to angles and levels."""
+"""Controller of turntable and lamps with Marlin firmware: protocol, angles and lamp levels."""

@@ -1,7 +1,7 @@
-"""The thesis's electronics: a DRV8825 and NeoPixels on a Raspberry Pi's pins, as turntable and lights.
+"""Electronics of the thesis as turntable and lamps: a DRV8825 and NeoPixels on the pins of a Raspberry Pi.
 
-Nothing can be read back: the angle is the number of steps that were sent. It is known from `declare` until the motor
-loses its current, and never by a program that has just started; then the markers tell it.
+The angle cannot be read back; it is the number of steps sent. It is known from `declare` until the motor loses its
+current, and unknown when a program starts; then it is determined from the markers.
 """
 
 from collections.abc import Sequence
@@ -16,11 +16,12 @@ from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
 
 SETUP_S = 1e-3
-"""Between a change of direction or current and the first step; the DRV8825 wants 650 ns, and 1.7 ms after sleep."""
+"""Time between a change of direction or current and the first step; the DRV8825 requires 650 ns, and 1.7 ms after
+sleep."""
 WAKE_S = 0.05
-"""After the current is switched on the rotor jumps to its place."""
+"""Waiting time after the current is switched on, because the rotor jumps to its phase."""
 LATE_S = 2.0
-"""So much longer than computed a move may take: the pulses are timed by a thread of a busy computer."""
+"""Tolerance of the duration of a move: the pulses are timed by a thread, which a busy computer may delay."""
 POLL_S = 0.01
 
 
@@ -31,12 +32,12 @@ class HatTurntable:
         self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
         self._step_deg = part.full_step_deg / hat.microsteps
         self._acceleration = part.acceleration_deg_per_s2
-        self._steps: int | None = None  # where the table stands, from angle 0, in microsteps; None: not known
+        self._steps: int | None = None  # position of the turntable from angle 0 in microsteps; None: unknown
         self._on = False
-        self._seated = False  # whether the last move arrived from the side that all moves arrive from
+        self._seated = False  # whether the last move approached from the common side
 
     def describe(self) -> str:
-        """Say what drives the table, and where it stands."""
+        """Describe the driver and the position of the turntable."""
         where = "table angle not known" if self._steps is None else f"table at {self.position_deg():.3f} deg"
         return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps a degree, {where}"
 
@@ -57,28 +58,28 @@ class HatTurntable:
         self._check_fault()
 
     def position_deg(self) -> float:
-        """Return the angle by the steps that were sent; below any angle that can be declared when it is not known."""
+        """Return the angle from the number of steps sent; below any valid angle if unknown."""
         return 10.0 * LEAST_DEG if self._steps is None else round(self._steps * self._step_deg, 6)
 
     def declare(self, angle_deg: float) -> None:
-        """Say that the table stands at this angle now, to the nearest microstep.
+        """Set the current angle of the turntable, to the nearest microstep.
 
         Raises
         ------
         UnsafeError
-            For an angle outside -90 to 720.
+            If the angle is outside -90 to 720.
         """
         _check_angle(angle_deg)
         if not self._on:
-            raise LostError("turntable: its motor is off, so that its angle cannot be kept; connect it first")
+            raise LostError("turntable: the motor is off, so that the angle cannot be kept; connect it first")
         self._steps, self._seated = round(angle_deg / self._step_deg), False
 
     def knows_zero(self) -> bool:
-        """Whether an angle was declared since the motor was switched on."""
+        """Whether an angle was set since the motor was switched on."""
         return self._on and self._steps is not None
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Speed up and slow down so from the next move on."""
+        """Set the acceleration of the following moves."""
         self._acceleration = deg_per_s2
 
     def move_to(self, angle_deg: float) -> float:
@@ -93,7 +94,7 @@ class HatTurntable:
         """
         _check_angle(angle_deg)
         if self._steps is None or not self._on:
-            raise LostError("turntable: does not know the table's angle; find it by the markers, or declare it")
+            raise LostError("turntable: the angle is unknown; determine it from the markers, or set it")
         goal, room = round(angle_deg / self._step_deg), round(self._part.approach_deg / self._step_deg)
         here = self._steps
         if room and goal < (here if self._seated else here + room):
@@ -103,19 +104,19 @@ class HatTurntable:
         return self.position_deg()
 
     def release(self) -> None:
-        """Switch the motor off; the angle is forgotten."""
+        """Switch the motor off; the angle is lost."""
         self._steps, self._seated, self._on = None, False, False
         self._pins.output(self._hat.enable_pin, 1)
 
     def close(self) -> None:
-        """Give the pins back: the motor loses its current."""
+        """Release the pins: the motor loses its current."""
         self._steps, self._on = None, False
         self._pins.close()
 
     def _run(self, here: int, goal: int) -> int:
-        """Send the steps of one way and wait for their end.
+        """Send the steps of one move and wait for their end.
 
-        Whatever breaks it off leaves an angle that is not known.
+        After an interruption the angle is unknown.
         """
         count = abs(goal - here)
         if not count:
@@ -133,11 +134,12 @@ class HatTurntable:
             while self._pins.busy(self._hat.step_pin):
                 if self._clock.now_s() > until_s:
                     raise LostError(
-                        f"turntable: {count} steps were not sent within {LATE_S:g} s of their time; is the computer overloaded?"
+                        f"turntable: {count} steps were not sent within {LATE_S:g} s of "
+                        "their scheduled time; the computer may be overloaded"
                     )
                 self._clock.sleep(POLL_S)
         except BaseException:
-            self.release()  # the pulses that are still under way must not turn the table
+            self.release()  # pending pulses must not move the turntable
             raise
         self._check_fault()
         self._steps = goal
@@ -157,7 +159,7 @@ class HatLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set all lamps and wait until they burn steadily.
+        """Set all lamps and wait until they are stable.
 
         Parameters
         ----------
@@ -171,7 +173,7 @@ class HatLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch all off."""
+        """Switch all lamps off."""
         self._fill(0.0, 0.0)
 
     def _fill(self, panel: float, front: float, band: BandPart | None = None) -> None:

@@ -22,7 +22,7 @@ class MarlinLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set the lamps and wait until they burn steadily.
+        """Set all lamps and wait until they are stable.
 
         Parameters
         ----------
@@ -38,14 +38,14 @@ class MarlinLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch both off, whatever happened before; a board that was lost is connected anew for it.
+        """Switch both lamps off in any case; a lost board is connected again for this.
 
         Raises
         ------
         NoAnswerError
-            When nobody knows whether they are off: the board does not answer. It was told all the same.
+            If the board does not reply, so that the state of the lamps is unknown. The command was sent.
         LostError
-            When the board is not there any more.
+            If the board is missing.
         """
         try:
             self._surely_off()
@@ -55,7 +55,7 @@ class MarlinLights:
             raise
 
     def close(self) -> None:
-        """Close the port that table and lights share."""
+        """Close the port that turntable and lamps share."""
         self._link.close()
 
     def _surely_off(self) -> None:
@@ -63,7 +63,7 @@ class MarlinLights:
             self._link.start()
         try:
             self._show(0.0, 0.0)
-        except LostError:  # it was reset meanwhile: it answers again after a new start
+        except LostError:  # the board was reset meanwhile and replies again after a new start
             self._link.start()
             self._show(0.0, 0.0)
 
@@ -78,4 +78,4 @@ class MarlinLights:
             self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
         for output in self._outputs:
             self._link.command(f"M106 P{output} S{_FULL}" if output == band.output else f"M107 P{output}")
-        self._link.ask("M114", POSITION)  # what was sent before is done when this is answered
+        self._link.ask("M114", POSITION)  # a reply to this means that all earlier commands are done

@@ -1,12 +1,12 @@
-"""The link to a Marlin board.
+"""Connection to a Marlin board.
 
-Numbered, checksummed lines, one in flight, each sent again until it is certain that the board took it.
+Lines are numbered and have checksums. One line is sent at a time, and repeated until the board has certainly accepted
+it.
 
-The board takes lines only in the order of their numbers, so a line that is sent twice is done once: the second copy is
-refused, and the number that the refusal asks for proves that the first was taken. Whatever happens to an answer is
-cured in this way. What cannot be seen from a single answer is an ``ok`` that belongs to an earlier line (late, or
-doubled). Therefore nothing is believed to be done until a command that prints something, asked after it, has printed
-it: see `MarlinLink.ask`.
+The board accepts lines only in the order of their numbers, so that a repeated line is executed once: the second copy is
+refused, and the number in the refusal proves that the first was accepted. This covers all losses of replies. A single
+reply does not show whether an ``ok`` belongs to an earlier line (late or duplicated). A command therefore counts as
+done only after a later command with printed output has been answered: see `MarlinLink.ask`.
 """
 
 import re
@@ -18,18 +18,18 @@ from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kin
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
-"""Boards that start anew when their port is opened greet within this time; others say nothing."""
+"""Boards that reset when their port is opened send a greeting within this time; others send nothing."""
 STARTS = 3
 ASKS = 3
 
 
 class MarlinLink:
-    """The board behind a port. Turntable and lights share one."""
+    """Board behind a port, shared by turntable and lamps."""
 
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
         self._journal = Journal()
-        # how long the command may take that was broken off, by Ctrl-C or for want of an answer
+        # possible duration of a command that was aborted, by Ctrl-C or a missing reply
         self._unsettled_s: float | None = None
         self._lost: str | None = f"{self._wire.name}: not connected yet"
         self.firmware = ""
@@ -45,20 +45,20 @@ class MarlinLink:
 
     @property
     def ready(self) -> bool:
-        """Whether the link was started and the board was not lost since."""
+        """Whether the connection was started and the board was not lost since."""
         return self._lost is None
 
     def start(self) -> None:
-        """Agree on line numbers, ask for the firmware, switch off what it would do by itself.
+        """Synchronise line numbers, read the firmware version, and disable automatic functions.
 
-        Table and lights are left as they are.
+        Turntable and lamps are not changed.
 
         Raises
         ------
         NoAnswerError
-            When nothing answers, or what answers is not Marlin.
+            If nothing replies, or the reply is not from Marlin.
         LostError
-            When the board keeps starting anew, is halted, or was unplugged.
+            If the board resets repeatedly, is halted, or was unplugged.
         """
         for tries_left in reversed(range(STARTS)):
             try:
@@ -71,81 +71,80 @@ class MarlinLink:
                 return
 
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
-        """Have a command taken; return what the board printed meanwhile.
+        """Send a command until it is accepted; return the lines printed by the board meanwhile.
 
-        That it was taken does not mean that it is done: moves are only queued, and an ``ok`` may have belonged to an
-        earlier command. Whoever needs to know goes on with `ask`.
+        Acceptance does not mean completion: moves are queued, and an ``ok`` may belong to an earlier command. To wait
+        for completion, use `ask` afterwards.
 
         Parameters
         ----------
         text : str
-            Without number and checksum.
+            Command without number and checksum.
         expect_s : float
-            How long the board may need until its ``ok``.
+            Maximum expected time until ``ok``.
         optional : bool
-            Whether a firmware that does not know the command will do.
+            Whether the firmware may lack the command.
 
         Returns
         -------
         list of str
-            Its lines before ``ok``.
+            Lines before ``ok``.
 
         Raises
         ------
         NoAnswerError
-            When the board did not take it after every retry; the link may be used on.
+            If the board did not accept the command after all retries; the connection remains usable.
         LostError
-            When the board was reset, halted or unplugged, now or since the last `start`.
+            If the board was reset, halted or unplugged since the last `start`.
         RigError
-            When the firmware does not know the command.
+            If the firmware does not support the command.
         """
         return self._guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
-        """Have a command answered.
+        """Send a command and return its reply.
 
-        The board works in order: everything sent before is done then (moves: if M400 was sent behind them).
+        The board processes commands in order: all earlier commands are done then (moves: if M400 was sent after them).
 
         Parameters
         ----------
         text : str
-            The command.
+            Command.
         pattern : Pattern[str]
-            Searched for in each line of the answer. It must refuse lines that were cut short; a digit may still be
-            wrong.
+            Pattern searched in each line of the reply. It must not match truncated lines; a digit may still be wrong.
         expect_s : float
-            How long it may take.
+            Maximum expected time.
 
         Returns
         -------
         re.Match[str]
-            The line that answers.
+            Matching line.
 
         Raises
         ------
         NoAnswerError, LostError, RigError
-            As `command`; and when the answers cannot be understood.
+            As `command`; and if the replies are invalid.
         """
         return self._ask(text, pattern, expect_s=expect_s)[0]
 
     def send_unheard(self, *texts: str) -> None:
-        """Send commands to a board that may hear though it is not heard.
+        """Send commands to a board whose replies may be lost.
 
-        Three times, unnumbered, so that lost lines do no harm.
+        They are sent three times, without numbers, so that lost lines do no harm.
         """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move at once, where the firmware can (EMERGENCY_PARSER); return whether it can.
+        """Stop a move at once if the firmware supports it (EMERGENCY_PARSER); return whether it does.
 
-        The table's angle is forgotten.
+        The angle of the turntable is lost.
         """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
         try:
-            self._wire.send(b"M410\n")  # acts as it is received, whatever waits before it
+            self._wire.send(b"M410\n")  # processed on reception, before all queued commands
         except LostError as error:
             self._lost = str(error)
             raise
@@ -156,7 +155,7 @@ class MarlinLink:
         return True
 
     def close(self) -> None:
-        """Close the port; nothing when it is closed already."""
+        """Close the port, if it is open."""
         self._lost = f"{self._wire.name}: closed"
         self._wire.close()
 
@@ -171,14 +170,14 @@ class MarlinLink:
         self.capabilities = frozenset(found[1] for line in lines if (found := CAPABILITY.search(line)))
         self.sessions += 1
         self.command(f"M113 S{BUSY_EVERY_S}", optional=True)
-        for reports in ("M155 S0", "M154 S0"):  # they would get between the answers
+        for reports in ("M155 S0", "M154 S0"):  # these would interfere with the replies
             self.command(reports, optional=True)
         self.command("M211 S0", optional=True)  # software endstops
-        self.command("M18 S0")  # or the idle motor is released, and the angle with it
+        self.command("M18 S0")  # otherwise the idle motor is released and the angle is lost
         self.ask("M114", POSITION)
 
     def _listen_to_greeting(self) -> None:
-        """Wait for the greeting of a board that starts, to its end, or for the silence of one that runs already."""
+        """Wait for the end of the greeting of a starting board, or for silence of a running one."""
         clock = self._wire.clock
         self._wire.fresh()
         until_s = clock.now_s() + BOOT_S
@@ -198,7 +197,7 @@ class MarlinLink:
                 if found := pattern.search(line):
                     return found, output
         heard = repr(output[-1]) if output else "nothing"
-        raise NoAnswerError(f"{self._wire.name}: does not answer {text} as Marlin does ({heard}); check port, baud rate and cable")
+        raise NoAnswerError(f"{self._wire.name}: does not reply to {text} like Marlin ({heard}); check port, baud rate and cable")
 
     def _guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
         if self._lost is not None:
@@ -212,9 +211,9 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Find a new beginning after a command that was broken off.
+        """Resynchronise after an aborted command.
 
-        The answers still to come must not be taken for those of the next.
+        Pending replies must not be mistaken for those of the next command.
         """
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 

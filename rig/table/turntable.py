@@ -1,4 +1,4 @@
-"""The turntable: axis X of a Marlin board, in degrees."""
+"""Turntable: axis X of a Marlin board, in degrees."""
 
 import math
 
@@ -14,14 +14,14 @@ ZERO_X_DEG = 360.0
 """The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board
 itself remembers whether it was told its angle."""
 KNOWN_X_DEG = 200.0
-"""Least X of a board that knows its angle."""
+"""Minimum X of a board that knows its angle."""
 _ROUNDED_DEG = 0.0051
 """M114 prints two decimals of a single-precision number."""
 _START_S = 2.0
-"""Longer than computed a move may take."""
+"""Tolerance of the duration of a move."""
 _LOOKS = 3
 _PAUSE_S = 0.2
-"""Before looking again: what is late comes meanwhile, and is dropped."""
+"""Waiting time before another reading; late replies are discarded meanwhile."""
 _READINGS = 6
 
 
@@ -32,24 +32,24 @@ class MarlinTurntable:
         self._link = link
         self._part = part
         self._clock = clock
-        self._verified: tuple[int, float] | None = None  # session of the link, and X as it was verified in it
-        self._seated = False  # whether the last move arrived from the side that all moves arrive from
+        self._verified: tuple[int, float] | None = None  # session of the connection, and X as verified in it
+        self._seated = False  # whether the last move approached from the common side
         self._acceleration = part.acceleration_deg_per_s2
 
     def describe(self) -> str:
-        """Say which firmware answers, and where the table stands."""
+        """Describe the firmware and the position of the turntable."""
         x_deg = self._x_deg()
         where = f"table at {_table_deg(x_deg):.2f} deg" if x_deg >= KNOWN_X_DEG else "table angle not known"
         return f"{self._link.firmware}, {where}"
 
     def prepare(self) -> None:
-        """Connect: agree on line numbers, energise the motor for good, absolute angles."""
+        """Connect: synchronise line numbers, energise the motor permanently, use absolute angles."""
         self._verified, self._seated = None, False
         self._link.start()
         self._link.command("M17")
         self._link.command("G90")
         self._link.command(f"M204 T{_plain(self._acceleration)}")
-        # moves nothing; a firmware that has stopped itself says so here
+        # no motion; a halted firmware reports it here
         self._link.command(f"G1 F{_plain(self._feed())}")
         self._link.ask("M114", POSITION)
 
@@ -61,7 +61,7 @@ class MarlinTurntable:
         return _table_deg(self._x_deg())
 
     def declare(self, angle_deg: float) -> None:
-        """Tell the board that the table stands at this angle now (no motion).
+        """Set the current angle of the turntable (no motion).
 
         Raises
         ------
@@ -75,11 +75,11 @@ class MarlinTurntable:
         self._verify(angle_deg)
 
     def knows_zero(self) -> bool:
-        """Whether the board still holds an angle that was declared: False after power-up or a reset."""
+        """Whether the board still knows its angle: False after power-up or a reset."""
         return self._x_deg() >= KNOWN_X_DEG
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Speed up and slow down so from the next move on (M204 T: moves that extrude nothing)."""
+        """Set the acceleration of the following moves (M204 T: travel moves)."""
         self._acceleration = deg_per_s2
         self._link.command(f"M204 T{_plain(deg_per_s2)}")
 
@@ -113,7 +113,7 @@ class MarlinTurntable:
         return read_deg
 
     def release(self) -> None:
-        """Switch the motor off. The rotor may turn then: the board is made to forget its angle first."""
+        """Switch the motor off. Since the rotor may turn then, the angle of the board is invalidated first."""
         self._verified, self._seated = None, False
         if not self._link.ready:
             self._link.start()
@@ -123,15 +123,15 @@ class MarlinTurntable:
         self._link.ask("M114", POSITION)
 
     def close(self) -> None:
-        """Close the port that table and lights share."""
+        """Close the port that turntable and lamps share."""
         self._link.close()
 
     def _feed(self) -> float:
-        """Return the speed per minute, as G1 wants it."""
+        """Return the speed per minute, as required by G1."""
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
-        """Return the angle that the board says, once it is the one that it was told.
+        """Return the angle reported by the board when it equals the commanded one.
 
         A different answer is not believed at once.
         """
@@ -151,7 +151,7 @@ class MarlinTurntable:
         )
 
     def _known_x_deg(self) -> float:
-        """Return where the table stands; it is asked only when it is not known from the last move."""
+        """Return the position of the turntable; it is read only if unknown from the last move."""
         if self._verified is not None and self._link.ready and self._verified[0] == self._link.sessions:
             return self._verified[1]
         x_deg = self._x_deg()
@@ -160,7 +160,7 @@ class MarlinTurntable:
         return x_deg
 
     def _x_deg(self) -> float:
-        """Read X until an answer can be believed."""
+        """Read X until a valid reply is received."""
         verified = self._verified[1] if self._verified is not None else math.nan
         before = math.nan
         for _ in range(_READINGS):
@@ -186,5 +186,5 @@ def _table_deg(x_deg: float) -> float:
 
 
 def _plain(value: float) -> str:
-    """Write a number as G-code does, without an exponent and without a tail of zeros."""
+    """Format a number for G-code, without exponent and trailing zeros."""
     return f"{value:.4f}".rstrip("0").rstrip(".")

@@ -1,6 +1,6 @@
-"""What an adapter is: the protocol of one device.
+"""Interface of an adapter, which implements the protocol of one device.
 
-It is fed with the host's bytes and answers with bytes that are due at a time.
+It receives the bytes of the host and returns bytes with their due times.
 """
 
 from dataclasses import dataclass
@@ -9,28 +9,28 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Reply:
-    """One message of a device: a line of text, a frame."""
+    """Message of a device: a line of text, or a frame."""
 
     due_s: float
-    """When the device begins to send it."""
+    """Time at which the device begins to send it."""
     data: bytes
 
 
 class Adapter(Protocol):
-    """Speaks for a device; knows nothing of wires."""
+    """Protocol of a device, independent of the serial line."""
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host."""
+        """Process bytes from the host."""
 
     def next_s(self) -> float:
-        """Return when `poll` has something to do; infinity when it has not."""
+        """Return the time of the next action of `poll`; infinity if there is none."""
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Do what is due by itself."""
+        """Execute actions that are due."""
 
 
 class Motor(Protocol):
-    """What a board drives; angles are degrees of the motor's own count since power-up."""
+    """Motor of a board; angles are degrees of its own count since power-up."""
 
     steps_per_deg: float
     acceleration_deg_per_s2: float
@@ -38,18 +38,18 @@ class Motor(Protocol):
 
     @property
     def steps(self) -> int:
-        """Microsteps given."""
+        """Number of microsteps given."""
 
     @property
     def full(self) -> bool:
-        """Whether no further move fits the queue."""
+        """Whether the queue is full."""
 
     @property
     def moving(self) -> bool:
-        """Whether it moves."""
+        """Whether the motor is moving."""
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` are left."""
+        """Return the time until at most ``moves`` remain."""
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
         """Add a move."""
@@ -64,7 +64,7 @@ class Motor(Protocol):
         """Stop at once."""
 
     def power_up(self) -> None:
-        """Start anew."""
+        """Reset to the state after power-up."""
 
 
 class Strip(Protocol):

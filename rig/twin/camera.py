@@ -1,6 +1,6 @@
-"""The twin's camera, and its driver.
+"""Emulated camera and its driver.
 
-The sensor may stop, give old pictures or expose wrongly; the driver notices, as a real one must.
+The sensor may stop, deliver old pictures or expose wrongly; the driver detects this, like that of a real camera.
 """
 
 from collections.abc import Callable
@@ -15,18 +15,18 @@ from rhizotwin.scenes.pictures import Grey
 
 READOUT_S = 0.03
 PATIENCE_S = 10.0
-"""How long the driver waits for a picture beyond its exposure."""
+"""Time-out of a picture beyond its exposure time."""
 TRIES = 3
 NEAR = 0.01
-"""Relative difference at which a reported exposure time or gain counts as another."""
+"""Relative tolerance of reported exposure times and gains."""
 
 Look = Callable[[float], Grey]
-"""Takes exposure against the nominal one; returns what the camera would store now."""
+"""Function from the relative exposure to the picture that the camera stores."""
 
 
 @dataclass(frozen=True)
 class _Raw:
-    """What comes from the sensor."""
+    """Data from the sensor."""
 
     image: Grey
     began_s: float
@@ -62,11 +62,11 @@ class TwinCamera:
         self._last: _Raw | None = None
 
     def describe(self) -> str:
-        """Say what it is."""
+        """Describe the camera."""
         return f"the twin's camera, exposure {1000.0 * self._part.exposure_s:g} ms, gain {self._part.gain:g}"
 
     def prepare(self) -> None:
-        """Prove by a picture that it works."""
+        """Verify the camera by a picture."""
         self.capture()
 
     def capture(self) -> Shot:
@@ -89,10 +89,10 @@ class TwinCamera:
                 wrong = f"exposes for {1000.0 * raw.exposure_s:g} ms instead of {1000.0 * self._part.exposure_s:g} ms"
             else:
                 return Shot(image=raw.image, exposure_s=raw.exposure_s, gain=raw.gain)
-        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and see that no other program uses it")
+        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and check that no other program uses it")
 
     def close(self) -> None:
-        """Do nothing: there is nothing to give back."""
+        """Do nothing; there is nothing to release."""
 
     def _frame(self) -> _Raw:
         self._count += 1
@@ -108,14 +108,14 @@ class TwinCamera:
         waited_s = self._back_s - self._clock.now_s()
         self._clock.sleep(min(waited_s, PATIENCE_S))
         if waited_s > PATIENCE_S:
-            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and power, then go on with --resume")
+            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and supply, then continue with --resume")
         if stale:
             return self._last or self._expose(exposure_s, began_s=-1.0)
         self._last = self._expose(exposure_s, began_s=self._clock.now_s())
         return self._last
 
     def _expose(self, exposure_s: float, *, began_s: float) -> _Raw:
-        """Look at the world in the middle of the exposure."""
+        """Render the world at the middle of the exposure."""
         self._clock.sleep(exposure_s / 2.0)
         image = self._look(exposure_s * self._part.gain / (self._nominal.exposure_s * self._nominal.gain))
         self._clock.sleep(exposure_s / 2.0 + READOUT_S)

@@ -1,4 +1,4 @@
-"""Virtual time: it passes only when somebody waits, and whatever happens meanwhile happens at its own moment."""
+"""Virtual time, which passes only while a program waits; events occur at their exact times."""
 
 import math
 import threading
@@ -7,13 +7,13 @@ from typing import Protocol
 
 
 class Source(Protocol):
-    """Something that changes with time."""
+    """Source of events."""
 
     def next_s(self) -> float:
-        """Return when it next does something by itself; infinity when nothing is to come."""
+        """Return the time of the next event; infinity if there is none."""
 
     def advance_to(self, now_s: float) -> None:
-        """Do what is due up to now."""
+        """Process all events until a time."""
 
 
 class VirtualClock:
@@ -24,11 +24,11 @@ class VirtualClock:
         self._sources: list[Source] = []
 
     def add(self, source: Source) -> None:
-        """Let a source take part; sources are served in the order in which they were added."""
+        """Add a source; sources are served in the order of addition."""
         self._sources.append(source)
 
     def now_s(self) -> float:
-        """Return seconds of virtual time since the twin was made."""
+        """Return seconds of virtual time since the start."""
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
@@ -37,33 +37,33 @@ class VirtualClock:
             self.advance_to(self._now_s + seconds)
 
     def next_s(self) -> float:
-        """Return when the next source does something by itself."""
+        """Return the time of the next event of any source."""
         return min((source.next_s() for source in self._sources), default=math.inf)
 
     def advance_to(self, then_s: float) -> None:
-        """Go to a moment, stopping at every event on the way; the past is ignored."""
+        """Advance to a time, processing all events on the way; times in the past are ignored."""
         while self._now_s < then_s:
             self.step(then_s)
 
     def step(self, limit_s: float) -> None:
-        """Go to the next event or to ``limit_s``, whichever comes first, and serve every source once."""
+        """Advance to the next event or to ``limit_s``, whichever comes first, and serve every source once."""
         self._now_s = max(self._now_s, min(self.next_s(), limit_s))
         for source in self._sources:
             source.advance_to(self._now_s)
 
 
 class ScaledClock:
-    """A `rig.clock.Clock` that runs ``speed`` times as fast as the computer's."""
+    """A `rig.clock.Clock` that runs ``speed`` times as fast as the computer's clock."""
 
     def __init__(self, speed: float = 1.0) -> None:
         self.speed = speed
         self._start_s = time.monotonic()
 
     def now_s(self) -> float:
-        """Return seconds since it was made, on its own scale."""
+        """Return scaled seconds since the start."""
         return (time.monotonic() - self._start_s) * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for real, less long by the speed."""
+        """Sleep for the scaled time."""
         if seconds > 0.0:
             time.sleep(min(seconds / self.speed, threading.TIMEOUT_MAX))

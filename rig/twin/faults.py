@@ -1,4 +1,4 @@
-"""The faults that a twin can have, as data: on the wire, in a device, in the camera."""
+"""Faults of the emulated rig as data: in the communication, in a device, in the camera."""
 
 import threading
 from dataclasses import dataclass, replace
@@ -17,21 +17,22 @@ FOR_GOOD = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One thing that goes wrong."""
+    """One fault."""
 
     kind: str
-    """A kind of `MENU`."""
+    """Kind, from `MENU`."""
     device: Device
     at_message: int | None = None
-    """It happens at this message (from 1) of the device: reply, request or picture, as the kind says."""
+    """Index (from 1) of the message of the device that is affected: reply, request or picture, depending on the
+    kind."""
     at_s: float | None = None
-    """Or it happens at this virtual time, to the first message from then on. Neither: at once."""
+    """Virtual time from which the next message is affected. Without index and time: immediately."""
     amount: float = 0.5
-    """Seconds (of a delay, an absence), or which part of a message is hit (0 to 1); see the kind."""
+    """Duration in s, or affected part of a message (0 to 1), depending on the kind."""
     count: int = 1
-    """So many messages one after the other."""
+    """Number of consecutive messages."""
     joint: int = 1
-    """Which servo of the arm: index of the joint, base first."""
+    """Index of the joint of the arm, base first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,15 +41,15 @@ class FaultKind:
 
     name: str
     what: str
-    """What happens, in words; says what ``amount`` means."""
+    """Description of the fault and of ``amount``."""
     devices: tuple[Device, ...]
     where: Where
     amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
-    """Amounts that are drawn from."""
+    """Amounts for random faults."""
     counts: tuple[int, ...] = (1,)
-    """Numbers of messages that are drawn from."""
+    """Counts for random faults."""
     protocol: Literal["lx", "lsc"] | None = None
-    """Only with this protocol of the arm."""
+    """Required protocol of the arm, if any."""
 
 
 _SERIAL: tuple[Device, ...] = ("table", "arm")
@@ -77,7 +78,7 @@ MENU: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="busy",
-        what="the board says busy every two seconds, AMOUNT seconds long, before it answers",
+        what="the board reports busy every two seconds for AMOUNT seconds before it replies",
         devices=("table",),
         where="reply",
         amounts=(3.0, 9.0, 45.0),
@@ -87,14 +88,14 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="stopped", what="Marlin stops itself because of an error", devices=("table",), where="device"),
     FaultKind(
         name="unplugged",
-        what="the cable is pulled, and put back after AMOUNT seconds (0: never)",
+        what="the cable is unplugged, and reconnected after AMOUNT seconds (0: never)",
         devices=_SERIAL,
         where="device",
         amounts=(0.0, 0.5, 3.0, 20.0),
     ),
     FaultKind(
         name="stalled",
-        what="a servo is blocked for AMOUNT seconds (0: for good)",
+        what="a servo is blocked for AMOUNT seconds (0: permanently)",
         devices=("arm",),
         where="device",
         amounts=(0.0, 0.5, 5.0),
@@ -102,14 +103,14 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="overheated", what="a servo is AMOUNT degrees warm", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)),
     FaultKind(
         name="brown_out",
-        what="the arm's voltage breaks down for AMOUNT seconds; the servos lose their torque",
+        what="the supply of the arm fails for AMOUNT seconds; the servos lose their torque",
         devices=("arm",),
         where="device",
         amounts=(0.2, 1.0, 10.0),
     ),
     FaultKind(
         name="camera_stopped",
-        what="the camera gives no picture for AMOUNT seconds (0: never again)",
+        what="the camera delivers no picture for AMOUNT seconds (0: permanently)",
         devices=("camera",),
         where="shot",
         amounts=(0.0, 5.0, 30.0),
@@ -117,7 +118,7 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="stale_frame", what="the camera gives an old picture", devices=("camera",), where="shot", counts=(1, 1, 2, FOR_GOOD)),
     FaultKind(
         name="wrong_exposure",
-        what="the camera exposes AMOUNT times as long as told, and says so",
+        what="the camera exposes AMOUNT times longer than commanded, and reports it",
         devices=("camera",),
         where="shot",
         amounts=(0.5, 2.0),
@@ -137,7 +138,7 @@ def kind_of(name: str) -> FaultKind:
         For an unknown name.
     """
     if name not in _KINDS:
-        raise UserError(f'there is no fault "{name}"{suggestion(name, list(_KINDS))}; there are {", ".join(_KINDS)}')
+        raise UserError(f'unknown fault "{name}"{suggestion(name, list(_KINDS))}; available: {", ".join(_KINDS)}')
     return _KINDS[name]
 
 
@@ -207,7 +208,7 @@ def parse_fault(text: str) -> Fault:
                 raise UserError(f'fault "{text}": {key} must be {must}, not {number}')
         else:
             raise UserError(
-                f'fault "{text}": {word!r} is not understood; after {name} come {" or ".join(kind.devices)} and '
+                f'fault "{text}": {word!r} is invalid; {name} must be followed by {" or ".join(kind.devices)} and '
                 "at_message=N, at_s=SECONDS, amount=X, count=N, joint=N"
             )
     fault = Fault(kind=name, device=device, amount=values.get("amount", kind.amounts[0]))
@@ -221,7 +222,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class Pending:
-    """The faults that have not happened yet; several threads may ask."""
+    """Pending faults; access is thread-safe."""
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
@@ -232,13 +233,13 @@ class Pending:
         """What happened, with its time."""
 
     def add(self, fault: Fault) -> None:
-        """Let a fault happen from now on."""
+        """Add a fault."""
         kind_of(fault.kind)
         with self._lock:
             self._left.append(fault)
 
     def clear(self) -> None:
-        """Let no further fault happen."""
+        """Remove all pending faults."""
         with self._lock:
             self._left.clear()
 
@@ -266,14 +267,14 @@ class Pending:
         return [fault for fault in here if _is_due(fault, number, now_s)]
 
     def use(self, fault: Fault, now_s: float) -> None:
-        """Count one message that a fault has hit."""
+        """Count one affected message of a fault."""
         with self._lock:
             self.happened.append((now_s, fault))
             i = next(i for i, left in enumerate(self._left) if left is fault)
             self._left[i : i + 1] = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
 
     def next_s(self) -> float:
-        """Return the time of the next fault that happens to a device by the clock."""
+        """Return the time of the next timed fault of a device."""
         with self._lock:
             times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
         return min(times, default=float("inf"))

@@ -1,4 +1,4 @@
-"""How far the emulated devices are from perfect: one set of numbers a profile."""
+"""Errors of the emulated devices for each profile."""
 
 from dataclasses import dataclass, replace
 
@@ -8,14 +8,14 @@ Key = tuple[int, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Imperfections:
-    """Errors of the devices. Every zero means perfect; quantisation is always there."""
+    """Errors of the devices. Zero means none; quantisation is always present."""
 
     servo_zero_deg: float = 0.0
-    """Each joint's zero is off by up to this much either way, drawn once."""
+    """Maximum error of each joint's zero in either direction, constant."""
     servo_scale: float = 0.0
-    """Each joint turns this fraction too far or not far enough, at most, drawn once."""
+    """Maximum relative scale error of each joint, constant."""
     servo_repeat_deg: float = 0.0
-    """Standard deviation of where a servo stops, drawn for each move."""
+    """Standard deviation of the final position of a servo, random for each move."""
     servo_backlash_deg: tuple[float, float] = (0.0, 0.0)
     """Play of the gears: a servo stops half of it before or beyond, by the side from which it came; drawn once between
     these."""
@@ -23,22 +23,21 @@ class Imperfections:
     """How far the shoulder gives way under the arm stretched out level; other joints, and other poses, by their torque.
     Drawn once."""
     servo_dead_band_counts: int = 0
-    """A command this near to where the servo stands does not move it."""
+    """A servo does not move for a command this close to its position."""
     table_microstep_deg: float = 0.0
-    """Amplitude of the table's error within four full steps: a function of the motor's position."""
+    """Amplitude of the periodic error of the turntable within four full steps."""
     table_play_deg: float = 0.0
-    """Play between the motor and the table."""
+    """Backlash between motor and turntable."""
     table_jump_steps: float = 0.0
-    """When the motor is first energised after power-up, the rotor jumps by up to this many full steps."""
+    """Maximum jump of the rotor in full steps when the motor is first energised."""
     swing_hz: float = 0.0
-    """At which the roots would twist to and fro in the water without damping; 0: they hang still whatever the table
-    does."""
+    """Natural frequency of the torsion of the roots in water; 0: no swinging."""
     swing_damping: float = 1.0
-    """Of it, as a fraction of the critical one."""
+    """Damping of the torsion, relative to critical damping."""
     lamp_ramp_s: float = 0.0
-    """Time a lamp takes from dark to full."""
+    """Time from dark to full brightness."""
     lamp_level_error: float = 0.0
-    """Relative error of a lamp's brightness, at most, drawn once."""
+    """Maximum relative error of the brightness, constant."""
 
 
 CLEAN = Imperfections()
@@ -64,8 +63,8 @@ its drag is 1.4 of the critical one (docs/twin.md has the sums)."""
 
 
 def imperfections_of(profile_name: str) -> Imperfections:
-    """Return the device errors that go with a disturbance profile.
+    """Return the device errors of a profile.
 
-    None for ``clean``, roots that swing for ``real``, those of a bench for every other.
+    There are none for ``clean``; ``real`` adds swinging roots; all others have those of ``bench``.
     """
     return {"clean": CLEAN, "real": REAL}.get(profile_name, BENCH)

@@ -1,6 +1,6 @@
-"""The model of a lamp: a strip of LEDs, each with its colour, and a brightness for all; light follows with a ramp.
+"""Model of a lamp: an LED strip with colours and a common brightness; the light follows with a ramp.
 
-Knows no protocol.
+It is independent of the protocol.
 """
 
 import numpy as np
@@ -35,12 +35,12 @@ class Lamp:
 
     @property
     def level(self) -> float:
-        """The light now, as a fraction of full."""
+        """Current light, relative to full."""
         return self._level
 
     @property
     def goal(self) -> float:
-        """The level that the lamp has or is on its way to."""
+        """Target level."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:
@@ -49,7 +49,7 @@ class Lamp:
         return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
-        """Give all LEDs (or one, if there is such a one) a colour, 0-255 each."""
+        """Set all LEDs, or one, to a colour, 0-255 each."""
         if led is None:
             self._rgb = [rgb] * LEDS
         elif 0 <= led < LEDS:
@@ -57,18 +57,18 @@ class Lamp:
         self._settle()
 
     def dim(self, brightness: int) -> None:
-        """Scale all LEDs, 0-255; kept until changed."""
+        """Scale all LEDs, 0-255, until changed."""
         self._brightness = brightness
         self._settle()
 
     def power_up(self) -> None:
-        """Go dark, as the LEDs do when their board starts."""
+        """Switch off, as after a reset of the board."""
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
         self._settle()
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         if self._level != self.goal:
             step = dt_s / self._ramp_s if self._ramp_s > 0.0 else np.inf
             self._level += float(np.clip(self.goal - self._level, -step, step))

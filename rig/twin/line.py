@@ -1,4 +1,4 @@
-"""A serial line: what the host writes reaches the device after its time on the wire, so do the answers.
+"""Model of a serial line with transmission times and faults.
 
 Faults sit in between.
 """
@@ -17,7 +17,7 @@ NOISE = bytes((0xFF, 0x00, 0x55, 0x13, 0x9C, 0x0A, 0x55, 0x55, 0xFE, 0x7F, 0x01,
 BUSY = b"echo:busy: processing\n"
 BUSY_EVERY_S = 2.0
 SPLIT_EVERY = 4
-"""One message in so many reaches the host in two pieces."""
+"""Every so many messages, one reaches the host in two pieces."""
 
 
 class Line:
@@ -53,10 +53,10 @@ class Line:
         self._mute_ok = False
         self.plugged = True
         self.plugs = 0
-        """How often the cable was pulled: a port that was open before is dead after it."""
+        """Number of disconnections; ports opened before are invalid afterwards."""
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the host."""
+        """Accept bytes from the host."""
         self._sent_count += 1
         for fault in self._pending.due(self.device, "request", self._sent_count, now_s):
             self._pending.use(fault, now_s)
@@ -71,7 +71,7 @@ class Line:
         self._requests.append((self._request_free_s, data))
 
     def take(self, size: int | None = None) -> bytes:
-        """Hand the host up to ``size`` of the bytes that have arrived."""
+        """Return up to ``size`` received bytes to the host."""
         size = len(self._received) if size is None else size
         data = bytes(self._received[:size])
         del self._received[:size]
@@ -79,15 +79,15 @@ class Line:
 
     @property
     def waiting(self) -> int:
-        """How many bytes have arrived for the host."""
+        """Number of bytes received for the host."""
         return len(self._received)
 
     def drop_input(self) -> None:
-        """Forget what has arrived, as the flush of a serial port does."""
+        """Discard received bytes, as by flushing a serial port."""
         self._received.clear()
 
     def unplug(self) -> None:
-        """Pull the cable: what is on the wire is lost."""
+        """Disconnect the cable: bytes in transmission are lost."""
         self.plugged = False
         self.plugs += 1
         self._requests.clear()
@@ -98,15 +98,15 @@ class Line:
         self._mute_ok = False
 
     def plug(self) -> None:
-        """Put the cable back."""
+        """Connect the cable."""
         self.plugged = True
 
     def silence(self) -> None:
-        """Forget the replies that the device has not sent yet: it was reset."""
+        """Discard pending replies of the device after a reset."""
         self._replies.clear()
 
     def next_s(self) -> float:
-        """Return when the next byte arrives anywhere."""
+        """Return the arrival time of the next byte."""
         times = [self.adapter.next_s()]
         if self._requests:
             times.append(self._requests[0][0])
@@ -117,7 +117,7 @@ class Line:
         return min(times)
 
     def advance_to(self, now_s: float) -> None:
-        """Carry what is due."""
+        """Transmit bytes that are due."""
         while self._requests and self._requests[0][0] <= now_s:
             self._answer(self.adapter.receive(self._requests.popleft()[1], now_s))
         self._answer(self.adapter.poll(now_s))
@@ -134,7 +134,7 @@ class Line:
         insort(self._arrivals, (at_s, data), key=lambda arrival: arrival[0])
 
     def _send(self, reply: Reply, now_s: float) -> None:
-        """Put a reply on the wire, with the faults that hit it."""
+        """Transmit a reply, with the faults that affect it."""
         self._reply_count += 1
         for fault in self._pending.due(self.device, "device", self._reply_count, now_s):
             self._break_device(fault)
@@ -169,7 +169,7 @@ class Line:
 
 
 def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
-    """Return the messages that are left of some when a fault of the wire has hit them."""
+    """Return the remaining messages after a fault of the line."""
     if fault.kind in ("reply_dropped", "ok_missing"):
         return []
     if fault.kind == "reply_corrupted":
@@ -186,7 +186,7 @@ def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
 
 
 def corrupted(data: bytes, amount: float) -> bytes:
-    """Return a message with one bit turned; ``amount`` (0 to 1) says which."""
+    """Return a message with one inverted bit, selected by ``amount`` (0 to 1)."""
     if not data:
         return data
     bit = min(int(amount * 8 * len(data)), 8 * len(data) - 1)

@@ -13,10 +13,10 @@ from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.003
 PER_SERVO_S = 0.004
-"""Time the board takes to ask one servo on its bus."""
+"""Time in which the board queries one servo."""
 MAX_LENGTH = 100
 COMPLETED = bytes((0x55, 0x55, 0x05, 0x08, 0x01, 0x01, 0x00))
-"""Frame 8, an action group is complete: boards send it unasked."""
+"""Frame 8, completion of an action group, which boards send unsolicited."""
 
 
 class LscAdapter:
@@ -28,7 +28,7 @@ class LscAdapter:
         self._buffer = bytearray()
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host; what is no frame is ignored (the board beeps)."""
+        """Process bytes from the host; invalid frames are ignored."""
         if not self._supply.up:
             self._buffer.clear()
             return []
@@ -39,7 +39,7 @@ class LscAdapter:
         return replies
 
     def next_s(self) -> float:
-        """Return infinity; unasked frames are the business of `rig.twin.faults`."""
+        """Return infinity; unsolicited frames are faults (`rig.twin.faults`)."""
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:

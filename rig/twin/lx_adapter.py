@@ -11,16 +11,16 @@ from rhizotwin.rig.twin.adapter import Reply
 from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.0015
-"""From the end of a question to its answer."""
+"""Time from a request to its reply."""
 BROADCAST = 254
 ID_READ = 14
-"""The only question to all that is answered."""
+"""The only broadcast request with a reply."""
 MAX_LENGTH = 10
-"""Longer frames do not exist: a length above is noise."""
+"""Maximum frame length; larger values are noise."""
 
 
 class LxAdapter:
-    """The servos on one bus."""
+    """Servos on one bus."""
 
     def __init__(self, servos: dict[int, Servo], supply: Supply) -> None:
         self._servos = servos
@@ -46,15 +46,15 @@ class LxAdapter:
         return replies
 
     def next_s(self) -> float:
-        """Return infinity: servos never speak unasked."""
+        """Return infinity: servos never send unsolicited data."""
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:
-        """Do nothing: servos never speak unasked."""
+        """Do nothing: servos never send unsolicited data."""
         return []
 
     def _frame(self) -> bytes | None:
-        """Take the next whole and correct frame out of the buffer."""
+        """Remove the next complete and valid frame from the buffer."""
         buffer = self._buffer
         while True:
             start = buffer.find(b"\x55\x55")
@@ -82,7 +82,7 @@ class LxAdapter:
         return [number] if number in self._servos else []
 
     def _answer(self, number: int, command: int, parameters: bytes) -> bytes | None:
-        """Carry a command out for one servo; return its frame if the command asks for one."""
+        """Execute a command of one servo; return its reply, if any."""
         servo = self._servos[number]
         if command in _READS:
             return frame_of(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
@@ -145,7 +145,7 @@ def frame_of(number: int, command: int, parameters: bytes) -> bytes:
 
 
 def _collided(frames: list[bytes]) -> bytes:
-    """Return what the host hears when several servos answer at once: a low level wins on the wire."""
+    """Return the received bytes when several servos reply at once: a low level dominates."""
     heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
     for frame in frames:
         for i, byte in enumerate(frame):
@@ -170,7 +170,7 @@ _READS: dict[int, Callable[[int, Servo, Supply], bytes]] = {
     32: lambda _n, servo, _s: bytes([servo.holds]),
 }
 
-# Settings that do nothing here but are told back. Read command: write command and default.
+# settings without effect that can be read back: read command: write command and default
 _STORED_READS: dict[int, tuple[int, bytes]] = {
     19: (17, b"\x00"),
     21: (20, _ANGLE_LIMITS),

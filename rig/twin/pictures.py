@@ -1,6 +1,6 @@
-"""Pictures of the twin rendered by `sim`, with the camera's noise, and their truth.
+"""Pictures of the emulated rig rendered by `sim`, with camera noise, and their ground truth.
 
-The only module of the rig that knows `sim`.
+This is the only module of the rig that imports `sim`.
 
 `sim` is imported when something is rendered or drawn, not before: `rig` runs without Mitsuba. Whoever wants rendered
 pictures has chosen Mitsuba's variant by then.

@@ -1,6 +1,6 @@
-"""What the twin's pictures really show, remembered by the pictures' content.
+"""Record of the true state at each picture of the emulated rig, by picture content.
 
-A scan's files are told by it, after a restart, too.
+It identifies the files of a scan, also after a restart.
 """
 
 import hashlib
@@ -59,7 +59,7 @@ class Record:
             with path.open("a", encoding="utf-8") as file:
                 file.writelines(_line(shot) for shot in self.shots)
         except OSError as error:
-            raise UserError(f"{path}: cannot be used for the twin's record ({error.strerror})") from error
+            raise UserError(f"{path} cannot be used for the record of the emulated rig ({error.strerror})") from error
         self._path = path
 
     def end(self) -> None:

@@ -1,6 +1,6 @@
-"""A twin alone, in real time.
+"""Standalone emulated rig in real time.
 
-Serial ports that any program can open, a camera over HTTP, a rig file that leads to them.
+It provides serial ports for any program, a camera over HTTP, and a rig file with their addresses.
 """
 
 import os
@@ -74,19 +74,19 @@ class TwinServer:
         self._ports.stop()
 
     def inject(self, fault: Fault) -> None:
-        """Let a fault happen."""
+        """Trigger a fault."""
         with self._ports.lock:
             self.twin.inject(fault)
         self._ports.wake()
 
     def where(self) -> str:
-        """Say what the devices have really done."""
+        """Describe the true state of the devices."""
         with self._ports.lock:
             self._ports.catch_up()
             world = self.twin.world
             joints = ", ".join(f"{angle:.2f}" for angle in world.joints_deg) or "no arm"
             lamps = f"panel {world.panel.level:.3f}, front light {world.front.level:.3f}"
-            return f"truly: table {world.table_deg:.3f} deg; joints {joints} deg; {lamps}"
+            return f"true state: table {world.table_deg:.3f} deg; joints {joints} deg; {lamps}"
 
     def _opened(self, name: str) -> None:
         if name == "table":
@@ -99,7 +99,7 @@ class TwinServer:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:
-        """Take the state of the world now; paint it without holding up the ports."""
+        """Read the state of the world, and render it without blocking the ports."""
         with self._ports.lock:
             self._ports.catch_up()
             sight = self.twin.world.sight(exposure=exposure)
@@ -151,7 +151,7 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
                 save_scene(twin.calibrated_scene(), scene_path, new=True)
                 say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
             server.start()
-            say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")
+            say(f"running at {speed:g} times real time; press Ctrl-C to stop. Commands: {HELP}")
             for word in _lines(_typed_at() if commands is None else commands):
                 if word == "quit":
                     break

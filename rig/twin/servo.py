@@ -1,9 +1,9 @@
-"""The model of a bus servo: position control at uniform speed, gears with play, gravity, heat, and the supply.
+"""Model of a bus servo: position control at uniform speed, backlash, gravity, heat, and supply.
 
-Knows no protocol.
+It is independent of the protocol.
 
-Positions are counts of the servo (0.24 degrees each). ``sensed`` is what its potentiometer feels, ``true`` where its
-output really is:
+Positions are counts of the servo (0.24 degrees each). ``sensed`` is measured by its potentiometer, ``true`` is the
+position of its output:
 
     true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the play + error of this move + sag
 """
@@ -119,12 +119,12 @@ class Servo:
 
     @property
     def true_counts(self) -> float:
-        """Where the output really is."""
+        """True position of the output."""
         return self.unbent_counts + self._sag()
 
     @property
     def unbent_counts(self) -> float:
-        """Where the output would be without sag."""
+        """Position of the output without sag."""
         return 500.0 + (self._sensed - 500.0) * self._scale + self._zero + self._error
 
     @property
@@ -134,17 +134,17 @@ class Servo:
 
     @property
     def holds(self) -> bool:
-        """Whether it has torque."""
+        """Whether the servo is powered."""
         return self.torque_on and not self.hot
 
     @property
     def moving(self) -> bool:
-        """Whether it is on its way."""
+        """Whether the servo is moving."""
         return self._into_s < self._duration_s and self.holds
 
     @property
     def falls(self) -> bool:
-        """Whether gravity turns it."""
+        """Whether gravity rotates the servo."""
         return not self.holds and abs(self.torque) > FRICTION and STOPS[0] < self._sensed < STOPS[1]
 
     def move(self, counts: int, duration_ms: int) -> None:
@@ -167,7 +167,7 @@ class Servo:
         self._duration_s = max(duration_ms / 1000.0, abs(way) / MAX_SPEED, 1e-3)
 
     def load(self, on: bool) -> None:
-        """Switch the torque; on, it goes to what it was last told at full speed, or holds where it stands."""
+        """Switch the torque; when on, the servo moves to its last command at full speed, or holds its position."""
         if on and not self.torque_on:
             if self.commanded:
                 self.move(self.command[0], 0)
@@ -181,11 +181,11 @@ class Servo:
         self.stop()
 
     def stop(self) -> None:
-        """Stay where it is."""
+        """Hold the current position."""
         self._into_s = self._duration_s = 0.0
 
     def heat(self, celsius: float) -> None:
-        """Take a temperature at once."""
+        """Set the temperature."""
         self._celsius = celsius
         self._guard()
 
@@ -194,7 +194,7 @@ class Servo:
         self.heat(min(self._celsius, AMBIENT_CELSIUS + self._warmth))
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         moving = self.moving
         if moving and not self.stalled:
             self._into_s = min(self._into_s + dt_s, self._duration_s)

@@ -1,6 +1,6 @@
 """Pictures drawn in milliseconds, without Mitsuba.
 
-The marker strip exactly where the camera sees it, the panel, and a root-like thing.
+They show the marker strip and the panel exactly, and an approximate root.
 
 The strip is outside the canister, so that no ray to it is refracted: every pixel's ray is met with the net pot's
 cylinder. What hangs below it is drawn without the water's refraction and is no specimen: pictures for tests of the rig,
@@ -31,7 +31,7 @@ Light = NDArray[np.float32]
 
 
 class Sketch:
-    """Draws what a camera of a scene sees.
+    """Fast drawing of a scene's pictures.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Sketch:
         self._roots_mm = _root_lines(scene)
 
     def picture(self, sight: Sight) -> Grey:
-        """Return what a camera without noise stores."""
+        """Return a picture without noise."""
         bits = self._scene.camera.bits
         numbers = np.rint(np.minimum(self.light(sight), np.float32(1.0)) * np.float32(2**bits - 1))
         return numbers.astype(np.uint8) if bits <= 8 else numbers.astype(np.uint16) << np.uint16(16 - bits)
@@ -81,7 +81,7 @@ class Sketch:
         return np.concatenate([flat, np.ones((height, width, 1))], axis=2).astype(np.float32)
 
     def _draw_strip(self, light: Light, cam_from_strip: frames.Array, front: np.float32) -> None:
-        """Meet the pixels' rays with the net pot's skirt and take what is printed there."""
+        """Intersect the pixel rays with the skirt of the net pot and sample the printed strip."""
         pot = self._scene.net_pot
         rows, columns = self._bounds(cam_from_strip)
         rays = self._rays[rows, columns] @ cam_from_strip[:3, :3].astype(np.float32)  # in the strip's frame
@@ -111,7 +111,7 @@ class Sketch:
                 cv2.polylines(light, [points], False, float(panel) * ROOT, thickness=6 if i == 0 else 2, shift=_SHIFT)
 
     def _project(self, cam_from_b: frames.Array, points_b: frames.Array) -> frames.Array | None:
-        """Return pixels (N, 2); None when a point is not before the camera."""
+        """Return pixels (N, 2); None if a point is behind the camera."""
         points = frames.apply(cam_from_b, points_b)
         if points[:, 2].min() < 1.0:
             return None
@@ -120,7 +120,7 @@ class Sketch:
         return found if np.abs(found).max() < 1e5 else None
 
     def _bounds(self, cam_from_strip: frames.Array) -> tuple[slice, slice]:
-        """Return the rows and columns that can see the skirt."""
+        """Return the rows and columns that can show the skirt."""
         pot = self._scene.net_pot
         height, width = self._rays.shape[:2]
         angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
@@ -157,7 +157,7 @@ def _strip_texture(scene: Scene) -> Light:
 
 
 def _share(texel_mm: NDArray[Any], start_mm: float, side_mm: float, cells: int) -> frames.Array:
-    """Return which fraction of each texel (by its centre) each cell of a marker covers."""
+    """Return the fraction of each texel covered by each cell of a marker."""
     half = (texel_mm[1] - texel_mm[0]) / 2.0
     edges = start_mm + side_mm / cells * np.arange(cells + 1)
     low = np.maximum(texel_mm[:, None] - half, edges[None, :-1])

@@ -1,6 +1,6 @@
-"""The model of the turntable: a stepper motor behind a gear, driven in microsteps along a queue of moves.
+"""Model of the turntable: a stepper motor with a gear, driven in microsteps through a queue of moves.
 
-Knows no protocol.
+It is independent of the protocol.
 
 Angles are degrees of the table. The motor's own count starts at 0 when the power comes; where the table then stands is
 the world's affair.

@@ -79,7 +79,7 @@ class Twin:
         samples: int | None = None,
     ) -> None:
         if seed < 0:
-            raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
+            raise UserError(f"seed {seed} is negative; give 0 or a positive whole number")
         if protocol_twin.PACKAGE not in serial.protocol_handler_packages:
             serial.protocol_handler_packages.append(protocol_twin.PACKAGE)
         self.scene = scene
@@ -169,7 +169,7 @@ class Twin:
             path = Path(folder) / frame.file
             shot = self.record.shot_of(decode_grey(path.read_bytes(), where=str(path)))
             if shot is None:
-                raise UserError(f"{path}: was not taken by this twin, so that its true pose is not known")
+                raise UserError(f"{path} was not taken by this emulated rig, so that its true pose is unknown")
             taken.append((frame.file, shot.sight))
         self._rendered.write_truth(Path(folder), taken)
         return True

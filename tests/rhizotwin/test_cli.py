@@ -99,9 +99,9 @@ MISTAKES = [
     ("simulate sphere_20mm -o d --image-wh 8x6", "16 to 20000"),
     ("simulate sphere_20mm -o d --image-wh -8x6", "--image-wh"),
     ("simulate sphere_20mm -o d --fidelity best", "best"),
-    ("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl: there is no such file"),
-    ("simulate sphere_20mm -o d --specimen no_such.stl --specimen-unit cm", "--specimen-unit cm is for traced roots only"),
-    ("simulate sphere_20mm -o d --specimen-diameter-mm 0.5", "--specimen-diameter-mm 0.5 is for traced roots only"),
+    ("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl does not exist"),
+    ("simulate sphere_20mm -o d --specimen no_such.stl --specimen-unit cm", "--specimen-unit cm can be used with traced roots only"),
+    ("simulate sphere_20mm -o d --specimen-diameter-mm 0.5", "--specimen-diameter-mm 0.5 can be used with traced roots only"),
     ("simulate sphere_20mm -o d --specimen a.rsml --specimen-diameter-mm 0", "--specimen-diameter-mm: 0 is out of range"),
     ("reconstruct no_such_dataset -o r", "no_such_dataset: there is no such folder"),
     ("reconstruct d -o r --voxel-mm 0.009", "0.01 to 10 mm"),
@@ -118,21 +118,21 @@ MISTAKES = [
     ("score no_such_result --volume-ml 0", "--volume-ml"),
     ("scenes sphere_20mm", "-o FILE"),
     ("scenes sphere_20mm --specimen-stl a.obj", ".stl"),
-    (f"plan sphere_20mm -o d --views {100_000 * '['}", "nested deeper"),
+    (f"plan sphere_20mm -o d --views {100_000 * '['}", "nested too deeply"),
     ("plan sphere_20mm -o d --heights=-42,x", "not a number of mm"),
     ("plan sphere_20mm -o d --heights=10:", "not a number of degrees"),
     ("plan sphere_20mm -o d --heights=10:95", "out of range"),
     ("plan sphere_20mm -o d --heights=-1e9", "out of range"),
     ("plan sphere_20mm -o d --within 0", "out of range"),
-    ("plan sphere_20mm -o pictures", "no earlier plan"),
+    ("plan sphere_20mm -o pictures", "do not belong to an earlier plan"),
     ("markers", "SCENE"),
     ("markers printed_8ml -o strip.png", "strip.png"),
-    ("markers printed_8ml -o strip.pdf --page a9", "'a9' is no page"),
-    ("markers printed_8ml -o strip.pdf --page 297x", "'297x' is no page"),
+    ("markers printed_8ml -o strip.pdf --page a9", "'a9' is not a page size"),
+    ("markers printed_8ml -o strip.pdf --page 297x", "'297x' is not a page size"),
     ("markers printed_8ml -o strip.pdf --page 20x20", "50 to 5000"),
     ("markers printed_8ml -o strip.pdf --page 160x80", "too small for the strip"),
     ("markers printed_8ml -o strip.pdf --printed-ruler-mm 60", "90 to 110"),
-    ("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not what 100 mm became"),
+    ("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not a ruler length"),
     ("markers printed_8ml -o strip.pdf --paper-mm 9", "0 to 2"),
     ("markers printed_8ml -o strip.pdf --landscape --portrait", "--portrait"),
     ("calibrate lens", "lens"),
@@ -144,7 +144,7 @@ MISTAKES = [
     ("calibrate board -o board.pdf --squares 20x20 --square-mm 8", "needs 200 markers"),
     ("calibrate camera no_such_folder -o lens", "no_such_folder"),
     ("calibrate camera pictures -o lens --board no_such.toml", "no_such.toml"),
-    ("calibrate camera pictures -o lens --board b.toml --squares 9x6", "leave --squares out"),
+    ("calibrate camera pictures -o lens --board b.toml --squares 9x6", "and --squares cannot be used together"),
     ("calibrate camera pictures -o lens", "none of the 3 pictures can be used"),
     ("calibrate simulate printed_8ml -o pictures", "not empty"),
     ("calibrate simulate printed_8ml -o twin --pictures 1", "give 3 to 1000"),
@@ -175,7 +175,7 @@ def test_a_mistake_is_one_sentence_and_writes_nothing(
 
 FAILURES = [
     (UserError("views/a.png is\ncut short; copy it again"), 2, "views/a.png is cut short; copy it again"),
-    (KeyboardInterrupt(), 130, "stopped; nothing was written; run it again"),
+    (KeyboardInterrupt(), 130, "interrupted; nothing was written"),
     (OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 2, "out/a.png: the disk is full; free some space"),
     (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
     (MemoryError(), 1, "not enough memory"),
@@ -210,7 +210,7 @@ def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("rhizotwin.commands.scenes.scenes", load)
     before = signal.getsignal(signal.SIGINT)
-    command.fails("scenes", named=["stopped"], code=cli.EXIT_STOPPED)
+    command.fails("scenes", named=["interrupted"], code=cli.EXIT_STOPPED)
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -224,7 +224,7 @@ def test_ctrl_c_in_a_running_simulation(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60.0)
     assert process.returncode == cli.EXIT_STOPPED
-    assert said.decode().splitlines()[-1] == "rhizotwin: stopped; the same command takes it up again"
+    assert said.decode().splitlines()[-1] == "rhizotwin: interrupted; run the same command again to continue"
     assert "Traceback" not in said.decode()
     assert not (out / "dataset.json").exists()
     assert not [path for path in tmp_path.rglob("*") if path.name.endswith(".tmp")]
@@ -241,7 +241,7 @@ def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, command: Command) -> 
     path = tmp_path / "mine.toml"
     command.works("scenes", "printed_8ml", "-o", path)
     assert files.load_scene(path) == files.load_scene("printed_8ml")
-    command.fails("scenes", "printed_8ml", "-o", path, named=["exists already"])
+    command.fails("scenes", "printed_8ml", "-o", path, named=["already exists"])
 
 
 def test_options_change_the_scene(tmp_path: Path) -> None:
@@ -266,5 +266,5 @@ def test_options_change_the_scene(tmp_path: Path) -> None:
 def test_demo_never_overwrites_what_is_no_demo(tmp_path: Path, command: Command) -> None:
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "mine.png").touch()
-    command.fails("demo", "-o", tmp_path, named=["not made by the demo"])
+    command.fails("demo", "-o", tmp_path, named=["not written by the demo"])
     assert (tmp_path / "dataset" / "mine.png").exists()

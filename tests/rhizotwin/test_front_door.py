@@ -66,8 +66,8 @@ def test_stages_are_kept_for_study(found: Reconstructed) -> None:
 def test_traits_have_units_and_are_a_pandas_frame_where_pandas_is(found: Reconstructed) -> None:
     traits = found.result.traits
     rows = {row["name"]: row for row in traits} if isinstance(traits, list) else traits.T.to_dict()
-    assert rows["volume"]["unit"] == "mm3"
-    assert rows["volume"]["value"] == pytest.approx(found.result.volume_mm3)
+    assert rows["volume_mm3"]["unit"] == "mm3"
+    assert rows["volume_mm3"]["value"] == pytest.approx(found.result.volume_mm3)
     assert isinstance(traits, pytest.importorskip("pandas").DataFrame)
 
 

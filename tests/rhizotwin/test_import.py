@@ -107,7 +107,7 @@ def test_damage_that_no_checksum_shows_is_refused_by_its_neighbours(suffix: str,
             grey[20:30] = 0
         cv2.imwrite(str(tmp_path / "in" / f"v{k}{suffix}"), grey, [cv2.IMWRITE_TIFF_COMPRESSION, 1] if suffix == ".tif" else [])
     if suffix == ".tif":
-        with pytest.raises(UserError, match=r"v3\.tif: rows (18|19|20) to 29 are like no other picture's.*no checksum"):
+        with pytest.raises(UserError, match=r"v3\.tif: rows (18|19|20) to 29 differ from all other pictures.*no checksum"):
             import_pictures(tmp_path / "in", scene, tmp_path / "out")
         assert not (tmp_path / "out").exists()
         (tmp_path / "in" / "v3.tif").unlink()
@@ -227,7 +227,7 @@ def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, 
     words = ("import", folder, "--scene", tmp_path / "rig.toml", "-o", tmp_path / "out")
     told = command.works(*words).out
     assert "2 pictures" in told
-    assert "no table angle is assumed" in told  # the plan has four
+    assert "table angles: none" in told  # the plan has four
     assert [frame.table_deg for frame in load_dataset(tmp_path / "out").frames] == [None, None]
     command.fails(*words, named=["not empty", "choose another name"])
 
@@ -237,7 +237,7 @@ def test_overexposed_pictures_are_said_and_recorded(tmp_path: Path, scene: Scene
     write_image(tmp_path / "in" / "a.png", good)
     write_image(tmp_path / "in" / "b.png", np.where(np.arange(WH[1])[:, None] < WH[1] // 2, np.uint8(255), good))
     made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
-    assert any("warning: 1 of 2 pictures are overexposed, images/b.png worst with 50 %" in note for note in made.notes)
+    assert any("warning: 1 of 2 pictures are overexposed; the worst is images/b.png with 50 %" in note for note in made.notes)
     assert list(load_dataset(tmp_path / "out").origin["clipped"]) == ["images/b.png"]
 
 

@@ -84,11 +84,11 @@ def test_checksums_tables_and_copies_are_those_of_the_sources(published: Path, m
 def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, study: Path, tmp_path: Path, command: Command) -> None:
     goal = tmp_path / "data"
     command.fails("export", made, "--publish", goal, named=["--study", "title", "licence", "authors"])
-    command.fails("export", made, "-o", tmp_path / "x", "--publish", goal, named=["leave -o"])
+    command.fails("export", made, "-o", tmp_path / "x", "--publish", goal, named=["cannot be combined with -o"])
     command.fails("export", made, made, "-o", tmp_path / "x.ply", named=["one result"])
-    command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["there is no such folder"])
+    command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["does not exist"])
     (tmp_path / "empty").mkdir()
-    command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["holds no dataset"])
+    command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["contains no dataset"])
     (tmp_path / "empty" / "elsewhere").symlink_to(made)
     command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["is a link"])
     copy = tmp_path / "copy"
@@ -107,7 +107,7 @@ def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, st
     [
         ("CC-BY-4.0", "CC-BY", 'did you mean "CC-BY-4.0"'),
         ("0000-0002-1825-0097", "0000-0002-1825-0098", "check digit"),
-        ("https://university.example", "university.example", "must be an address"),
+        ("https://university.example", "university.example", "must be a web address"),
         ("title", "titel", "unknown key"),
         ('name = "Ada Example"', 'name = " "', "must be a name"),
         ("[[authors]]", 'published = "yesterday"\n[[authors]]', "must be a date"),

@@ -85,5 +85,5 @@ def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path:
 def test_raw_and_other_pictures_are_not_mixed(tmp_path: Path) -> None:
     write_dng(tmp_path / "a.dng")
     cv2.imwrite(str(tmp_path / "b.png"), np.zeros((WH[1] // 2, WH[0] // 2), np.uint8))
-    with pytest.raises(UserError, match="one kind"):
+    with pytest.raises(UserError, match="a separate folder"):
         import_pictures(tmp_path, Scene(camera=Camera().resized((WH[0] // 2, WH[1] // 2))), tmp_path / "out")

@@ -21,7 +21,7 @@ def test_one_result_is_printed_with_units(results: list[Path], command: Command)
     out = command.works("traits", results[0]).out
     (volume,) = [line for line in out.splitlines() if line.startswith("  volume ")]
     assert volume.split()[:6] == ["volume", "905", "mm3", "850", "to", "950"]
-    assert "no roots were found" in out
+    assert "no centre lines were found" in out
 
 
 def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, command: Command) -> None:
@@ -30,9 +30,9 @@ def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, 
     command.works(*words)
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert [row["result"] for row in rows] == ["one", "two"]
-    assert [float(row["tissue_density (g/ml)"]) for row in rows] == pytest.approx([2.0, 2.0])
+    assert [float(row["tissue_density_g_per_ml"]) for row in rows] == pytest.approx([2.0, 2.0])
     assert rows[0]["warnings"] == "it is dark, alas"
-    command.fails(*words, named=["exists already"])
+    command.fails(*words, named=["already exists"])
 
 
 def test_json_has_every_number_and_the_mass_that_was_kept(results: list[Path], tmp_path: Path, command: Command) -> None:
@@ -40,11 +40,11 @@ def test_json_has_every_number_and_the_mass_that_was_kept(results: list[Path], t
     (stored,) = json.loads((tmp_path / "t.json").read_text())
     assert (stored["result"], stored["mass_g"]) == ("one", 1.0)
     values = {trait["name"]: trait["value"] for trait in stored["traits"]}
-    assert values["tissue_density"] == pytest.approx(1.0 / 0.905)
-    assert values["total_length"] is None
+    assert values["tissue_density_g_per_ml"] == pytest.approx(1.0 / 0.905)
+    assert values["total_length_mm"] is None
 
 
 def test_mistakes(results: list[Path], command: Command) -> None:
-    command.fails("traits", *results, "--mass-g", "1", named=["1 masses for 2 results"])
+    command.fails("traits", *results, "--mass-g", "1", named=["1 values for 2 results"])
     command.fails("traits", *results, "--mass-g", "0,1", named=["out of range"])
     command.fails("traits", *results, "-o", "table.xlsx", named=[".csv or .json"])

@@ -165,7 +165,7 @@ def command(name: str, work: Path, step: int) -> int:
     def action() -> None:
         code = cli.main(line)
         if code == cli.EXIT_MISTAKE:
-            raise UserError("exists already")
+            raise UserError("already exists")
         assert code == 0, line
 
     return every(before, action, work, reader=lambda: look(work / "goal"), in_part=in_part, step=step)
@@ -214,7 +214,7 @@ def every(
         try:
             action()
         except UserError as error:  # it was done before the kill
-            if "exists already" not in str(error):
+            if "already exists" not in str(error):
                 raise
         states.append(texts(work))
         left = [path for path in work.rglob(".*") if path.name != ".rhizotwin-jobs"]

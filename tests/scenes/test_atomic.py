@@ -101,7 +101,7 @@ def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     assert os.read(reader, 100) == b"through"
     os.close(reader)
     assert names(tmp_path) == ["pipe"]
-    with pytest.raises(UserError, match="null: exists already"):
+    with pytest.raises(UserError, match="null: already exists"):
         atomic.write_bytes("/dev/null", b"x", new=True)
 
 
@@ -109,10 +109,10 @@ def test_a_new_file_replaces_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """Neither one that is there nor one that another process makes at the last moment, with links or without."""
     path = tmp_path / "a.toml"
     atomic.write_text(path, "mine", new=True)
-    with pytest.raises(UserError, match=r"a\.toml: exists already"):
+    with pytest.raises(UserError, match=r"a\.toml: already exists"):
         atomic.write_text(path, "other", new=True)
     monkeypatch.setattr(os, "link", raising(OSError(errno.EPERM, "no links here")))
-    with pytest.raises(UserError, match=r"a\.toml: exists already"):
+    with pytest.raises(UserError, match=r"a\.toml: already exists"):
         atomic.write_text(path, "other", new=True)
     atomic.write_text(tmp_path / "b.toml", "b", new=True)
     assert path.read_text() == "mine"

@@ -63,7 +63,7 @@ def test_folder_that_is_there(tmp_path: Path) -> None:
     out.mkdir()
     with folders.new_folder(out) as building:  # empty: taken
         made(building, a="1")
-    with pytest.raises(UserError, match="exists already"), folders.new_folder(out):
+    with pytest.raises(UserError, match="already exists"), folders.new_folder(out):
         pass
     with pytest.raises(UserError, match="holds a; choose"), folders.new_folder(out, replaces=["b"]):
         pass
@@ -162,7 +162,7 @@ def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path
         folders.check_readable(whole)
     with pytest.raises(UserError, match="is whole, although the run that made it was stopped"), folders.new_folder(whole):
         pass
-    with pytest.raises(UserError, match="exists already"), folders.new_folder(half):
+    with pytest.raises(UserError, match="already exists"), folders.new_folder(half):
         pass
     assert names(whole) == ["dataset.json"]
     assert names(half) == ["a"]

@@ -28,9 +28,9 @@ def test_every_trait_is_in_the_table_once_with_the_unit_of_its_field():
 def test_csv_has_a_row_a_trait_and_a_row_a_bin():
     rows = list(csv.DictReader(io.StringIO(to_csv(TRAITS, {}))))
     by_name = {row["trait"]: row for row in rows if not row["bin_to"]}
-    assert (by_name["total_length"]["value"], by_name["total_length"]["unit"]) == ("25", "mm")
-    assert float(by_name["specific_root_length"]["value"]) == pytest.approx(5.0)
-    assert by_name["angle_to_parent"]["value"] == ""
+    assert (by_name["total_length_mm"]["value"], by_name["total_length_mm"]["unit"]) == ("25", "mm")
+    assert float(by_name["specific_root_length_m_per_g"]["value"]) == pytest.approx(5.0)
+    assert by_name["angle_to_parent_deg"]["value"] == ""
     depth = [(row["bin_from"], row["bin_to"], row["value"]) for row in rows if row["trait"] == "length_by_depth"]
     assert depth == [("0", "10", "10"), ("10", "20", "10"), ("20", "30", "5")]
     diameter = [row for row in rows if row["trait"] == "length_by_diameter"]

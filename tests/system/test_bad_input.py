@@ -153,7 +153,7 @@ def test_empty_masks(rig: Path, tmp_path: Path, command: Command) -> None:
     (tmp_path / "cameras.json").write_text(
         json.dumps({**lens, "frames": [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k in range(4)]})
     )
-    command.fails(*words, "--cameras", tmp_path / "cameras.json", named=["masks", "every silhouette is empty", "white must be root"])
+    command.fails(*words, "--cameras", tmp_path / "cameras.json", named=["masks", "all silhouettes are empty", "roots must be white"])
     nothing_left(tmp_path, "masks", "cameras.json")
 
 
@@ -190,7 +190,7 @@ def test_what_is_no_regular_file_or_too_much_is_refused_before_it_is_read(
 def test_places_that_cannot_be_written_are_named_at_once(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "loop").symlink_to("loop")
     simulate = ("simulate", "sphere_20mm", "--device", "cpu", "-o")
-    command.fails(*simulate, tmp_path / "loop" / "out", named=["loop", "no path"])
+    command.fails(*simulate, tmp_path / "loop" / "out", named=["loop", "is not a valid path"])
     command.fails(*simulate, tmp_path / ("d/" * 2000), named=["--output", "folders deep", "250"])
     monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2**30, 2**30 - 300_000, 300_000))
     monkeypatch.setattr("rhizotwin.sim.simulate.draw_world", None)
@@ -200,7 +200,7 @@ def test_places_that_cannot_be_written_are_named_at_once(tmp_path: Path, command
 
 def test_growth_of_masses_alone(tmp_path: Path, command: Command) -> None:
     (tmp_path / "t.csv").write_text("result,plant,day,mass (g)\na,p,1,2\nb,p,2,3\n")
-    command.fails("growth", tmp_path / "t.csv", "-o", tmp_path / "g", named=["the results have none of the traits", "total_length"])
+    command.fails("growth", tmp_path / "t.csv", "-o", tmp_path / "g", named=["the results contain none of the traits", "total_length"])
     nothing_left(tmp_path, "t.csv")
 
 
@@ -218,9 +218,9 @@ def test_result_folder_with_other_content(scan: Path, command: Command) -> None:
     command.fails("reconstruct", scan / "dataset", "-o", result, *FAST, named=[result, "notes.txt", "choose a new folder"])
     assert (result / "notes.txt").read_text() == "years of work"
     (result / "result.json").unlink()
-    command.fails("reconstruct", scan / "dataset", "-o", result, *FAST, named=[result, "no result", "choose a new folder"])
+    command.fails("reconstruct", scan / "dataset", "-o", result, *FAST, named=[result, "is not a result", "choose a new folder"])
     command.fails("reconstruct", scan / "dataset", "-o", result / "notes.txt", *FAST, named=[result / "notes.txt", "is a file"])
-    command.fails("reconstruct", scan / "dataset", "-o", scan / "dataset", *FAST, named=[scan / "dataset", "no result"])
+    command.fails("reconstruct", scan / "dataset", "-o", scan / "dataset", *FAST, named=[scan / "dataset", "is not a result"])
     command.fails("simulate", "sphere_20mm", "-o", result, "--device", "cpu", named=[result, "not empty", "choose a new folder"])
     command.fails("simulate", "sphere_20mm", "-o", result / "notes.txt", "--device", "cpu", named=["notes.txt: is a file"])
     words = ("simulate", "printed_8ml", "-o", scan / "dataset", "--device", "cpu")
@@ -232,7 +232,7 @@ def test_result_folder_with_other_content(scan: Path, command: Command) -> None:
 def test_score(scan: Path, command: Command) -> None:
     words, dataset, truth = ("score", scan / "result", scan / "dataset", "--json"), scan / "dataset", scan / "dataset" / "truth"
     truth.rename(scan / "truth")
-    assert command.fails(*words, named=[dataset, "no truth", "only simulated"]).out == ""
+    assert command.fails(*words, named=[dataset, "no ground truth", "only simulated"]).out == ""
     (scan / "truth").rename(truth)
     replace_text(dataset / "dataset.json", '"name": "sphere_20mm"', '"name": "other"')
     assert command.fails(*words, named=["was not reconstructed from", "sphere_20mm", "give the dataset"]).out == ""

@@ -113,7 +113,7 @@ SIMULATE_MOMENTS = [
 def test_ctrl_c_in_simulate(moment: Moment, small: Path, tmp_path: Path, command: Any, fault: Any) -> None:
     out = tmp_path / "out"
     stop = fault.stop(moment.owner, moment.name, at=moment.at)
-    command.fails(*SIMULATE, "-o", out, named=["stopped", "the same command"], code=130)
+    command.fails(*SIMULATE, "-o", out, named=["interrupted", "the same command"], code=130)
     assert stop.calls >= moment.at
     check_unfinished_set(out)
     fault.mend()
@@ -146,7 +146,7 @@ IMPORT_MOMENTS = [
 def test_ctrl_c_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
     out = tmp_path / "out"
     stop = fault.stop(moment.owner, moment.name, at=moment.at)
-    command.fails("import", made / "images", "--scene", rig, "-o", out, named=["stopped"], code=130)
+    command.fails("import", made / "images", "--scene", rig, "-o", out, named=["interrupted"], code=130)
     assert stop.calls >= moment.at
     assert list(tmp_path.iterdir()) == []
     fault.mend()
@@ -189,7 +189,7 @@ LATE = [
 def stop_reconstruct(moment: Moment, scan: Path, command: Any, fault: Any, out: Path) -> None:
     before = bytes_of(scan)
     stop = fault.stop(moment.owner, moment.name, at=moment.at)
-    command.fails("reconstruct", scan / "dataset", "-o", out, *FAST, named=["stopped", "nothing was written"], code=130)
+    command.fails("reconstruct", scan / "dataset", "-o", out, *FAST, named=["interrupted", "nothing was written"], code=130)
     assert stop.calls >= moment.at
     fault.mend()
     assert bytes_of(scan) == before
@@ -222,7 +222,7 @@ def test_ctrl_c_while_files_are_moved(late: bool, scan: Path, command: Any, faul
     if late:
         command.works(*words)
     else:
-        command.fails(*words, named=["stopped", "nothing was written"], code=130)
+        command.fails(*words, named=["interrupted", "nothing was written"], code=130)
     assert (bytes_of(scan / "result") == before) is not late
     assert (scan / "result" / "report.html").is_file()
     assert not list(scan.rglob(".rhizotwin-*"))
@@ -263,10 +263,10 @@ def test_stopped_demo_starts_again(tmp_path: Path, command: Any, fault: Any) -> 
     (folder / "dataset" / "images").mkdir()
     (folder / "result").mkdir()
     fault.stop(demo.shutil, "rmtree")
-    command.fails("demo", "-o", folder, "--device", "cpu", named=["stopped"], code=130)
+    command.fails("demo", "-o", folder, "--device", "cpu", named=["interrupted"], code=130)
     fault.mend()
     fault.stop(rhizotwin.sim.simulate, "draw_world")
-    command.fails("demo", "-o", folder, "--device", "cpu", named=["stopped"], code=130)
+    command.fails("demo", "-o", folder, "--device", "cpu", named=["interrupted"], code=130)
     no_temporary(tmp_path)
     assert [path.name for path in folder.iterdir()] == ["dataset"]
 
@@ -278,15 +278,15 @@ def test_stopped_demo_keeps_its_pictures(tmp_path: Path, command: Any, fault: An
     fault.patch.setattr(demo, "IMAGE_WH", (48, 36))
     words = ("demo", "-o", tmp_path / "demo", "--device", "cpu")
     drawn = fault.stop(rhizotwin.sim.simulate.Renderer, "view", at=3)
-    command.fails(*words, named=["stopped", "the same command"], code=130)
+    command.fails(*words, named=["interrupted", "the same command"], code=130)
     kept = bytes_of(tmp_path / "demo" / "dataset" / "images")
     assert list(kept) == ["view_000.png", "view_001.png"]
     fault.stop(demo, "reconstruct_whole")
-    command.fails(*words, named=["stopped", "the same command"], code=130)
+    command.fails(*words, named=["interrupted", "the same command"], code=130)
     assert drawn.calls == 4
     assert bytes_of(tmp_path / "demo" / "dataset" / "images").items() > kept.items()
     fault.stop(demo, "reconstruct_whole")
-    command.fails(*words, "--profile", "bench", named=["stopped"], code=130)
+    command.fails(*words, "--profile", "bench", named=["interrupted"], code=130)
     assert drawn.calls == 7, "another profile begins afresh"
 
 
@@ -299,7 +299,7 @@ def test_ctrl_c_pressed_twice_lets_the_tidying_finish(made: Path, rig: Path, tmp
 
     fault.patch.setattr(rhizotwin.scenes.folders.shutil, "rmtree", press_again)
     fault.patch.setattr(rhizotwin.importer, "save_dataset", lambda _: signal.raise_signal(signal.SIGINT))
-    command.fails("import", made / "images", "--scene", rig, "-o", tmp_path / "out", named=["stopped"], code=130)
+    command.fails("import", made / "images", "--scene", rig, "-o", tmp_path / "out", named=["interrupted"], code=130)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -322,7 +322,7 @@ def test_ctrl_c_swallowed_by_a_library_that_loads(tmp_path: Path, command: Any, 
             time.sleep(0.02)
 
     monkeypatch.setattr("rhizotwin.commands.scenes.scenes", load_and_work)
-    command.fails("scenes", named=["stopped"], code=130)
+    command.fails("scenes", named=["interrupted"], code=130)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of a terminal")
@@ -337,6 +337,6 @@ def test_real_signal_in_reconstruct(number: signal.Signals, made: Path, tmp_path
     process.send_signal(number)
     said += process.communicate(timeout=60.0)[1]
     assert process.returncode == cli.EXIT_STOPPED, said.decode()
-    assert said.decode().endswith("rhizotwin: stopped; nothing was written; run it again\n"), said.decode()
+    assert said.decode().endswith("rhizotwin: interrupted; nothing was written\n"), said.decode()
     assert b"Traceback" not in said
     assert list(tmp_path.iterdir()) == []

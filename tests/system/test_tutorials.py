@@ -1,5 +1,6 @@
 """The tutorials run as they stand, one after another in one folder, as a person would go through them."""
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -41,6 +42,10 @@ def test_the_tutorials_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, comm
                         command_line.bind(words)
                     else:
                         command.works(*words)
+        if name == "my-first-root":
+            first = json.loads((tmp_path / "my_result" / "result.json").read_text(encoding="utf-8"))
+            assert first["volume_trusted"], first["volume_verdict"]
+            assert 0.05 < first["volume_mm3"] / 1000.0 < 0.054, "the tutorial quotes this volume"
     for made in ("my_corrected/corrected.json", "my_scan_result/report.html", "my_traits.csv"):
         assert (tmp_path / made).is_file()
 

@@ -74,9 +74,9 @@ def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "two" / "result.json").read_text())
     rows = list(csv.DictReader(stored_traits.spreadsheet([("two", summary, found.measured)]).splitlines()))
     assert [row["plant"] for row in rows] == ["A", "B"]
-    assert [float(row["volume (mm3)"]) for row in rows] == pytest.approx([20.0, 40.0])
+    assert [float(row["volume_mm3"]) for row in rows] == pytest.approx([20.0, 40.0])
     table = list(csv.DictReader((tmp_path / "two" / "traits.csv").read_text().splitlines()))
-    assert [row["plant"] for row in table if row["trait"] == "total_length"] == ["", "A", "B"]
+    assert [row["plant"] for row in table if row["trait"] == "total_length_mm"] == ["", "A", "B"]
     summary["plants"][0]["at_mm"] = "here"
     with pytest.raises(UserError, match="at_mm"):
         by_plant.of_summary(summary, "result.json")

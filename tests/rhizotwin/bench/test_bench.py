@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from rhizotwin.bench import fingerprints, named, offers, results, run_method
-from rhizotwin.bench.named import Benchmark, Case
+from rhizotwin.bench import benchmarks, fingerprints, offers, results, run_method
+from rhizotwin.bench.benchmarks import Benchmark, Case
 from rhizotwin.bench.results_page import page
 from rhizotwin.scenes.errors import UserError
 from tests.command import Command
@@ -36,7 +36,7 @@ def offered(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def tiny(made: Path, offered: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with the small benchmark, whose cameras are not estimated anew for every run."""
-    monkeypatch.setitem(named.BENCHMARKS, TINY.name, TINY)
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, TINY)
     monkeypatch.setattr(run_method, "offer", lambda _, goal, **__: shutil.copytree(offered, goal))
     shutil.copytree(made, tmp_path / "sets" / "ball")
     return tmp_path / "sets"
@@ -56,24 +56,24 @@ def with_volume(error: float, low: float, high: float) -> dict[str, Any]:
 
 
 def test_every_named_benchmark_can_be_rendered() -> None:
-    for benchmark in named.BENCHMARKS.values():
+    for benchmark in benchmarks.BENCHMARKS.values():
         assert re.fullmatch(r"[a-z]+-\d+", benchmark.name)
         assert len({case.name for case in benchmark.cases}) == len(benchmark.cases)
         for case in benchmark.cases:
-            assert case.seed >= named.HELD_BACK
+            assert case.seed >= benchmarks.HELD_BACK
             assert len(case.rendered_scene().plan.rings) == case.rings
     with pytest.raises(UserError, match="did you mean quick-1"):
-        named.find("quik-1")
+        benchmarks.find("quik-1")
 
 
 def test_other_seeds_grow_other_plants() -> None:
-    case = named.find("roots-1").chosen(("bean",)).cases[0]
+    case = benchmarks.find("roots-1").chosen(("bean",)).cases[0]
     assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
 
 
 @pytest.mark.parametrize("name", ["quick-1", "hard-1"])
 def test_sets_have_fingerprints(name: str) -> None:
-    benchmark = named.find(name)
+    benchmark = benchmarks.find(name)
     reference = fingerprints.reference(benchmark)
     for case in benchmark.cases:
         assert len(reference[case.name]["pixels"]) == case.views * case.rings
@@ -123,9 +123,9 @@ def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) 
     ("program", "state", "word"),
     [
         ("import sys; sys.exit('too few corners')", "failed", "too few corners"),
-        ("import time; time.sleep(60)", "timeout", "stopped after 1 s"),
+        ("import time; time.sleep(60)", "timeout", "stopped at the time limit of 1 s"),
         ("import os; os.kill(os.getpid(), 9)", "failed", "code -9"),
-        ("pass", "nothing", "no file with a known name"),
+        ("pass", "nothing", "no output file with a known name"),
         ("import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'shape.ply').write_text('no')", "unreadable", "shape.ply"),
     ],
 )
@@ -141,7 +141,7 @@ def test_a_method_that_goes_wrong_is_a_row(command: Command, tiny: Path, tmp_pat
 
 def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     several = replace(TINY, cases=(TINY.cases[0], replace(TINY.cases[0], name="other")))
-    monkeypatch.setitem(named.BENCHMARKS, TINY.name, several)
+    monkeypatch.setitem(benchmarks.BENCHMARKS, TINY.name, several)
     shutil.copytree(tiny / "ball", tiny / "other")
     count, kept, rows = tmp_path / "count", tmp_path / "kept", tmp_path / "rows.json"
     (tmp_path / "method.py").write_text(
@@ -151,7 +151,7 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     method = f"{sys.executable} {tmp_path / 'method.py'} {{output}}"
     words = ["bench", "run", "tiny-1", tiny, "--method", method, "-o", rows, "--keep", kept]
     command.works(*words)
-    command.fails(*words, named=["kept/ball exists"])  # a complete run is begun anew
+    command.fails(*words, named=["kept/ball already exists"])  # a complete run is begun anew
     stored = json.loads(rows.read_text())
     rows.write_text(json.dumps({**stored, "rows": stored["rows"][:1]}))  # as if it had been stopped there
     shutil.rmtree(kept / "other")

@@ -155,12 +155,12 @@ def test_gears_mesh_with_their_play(teeth: int) -> None:
 
 
 def test_what_cannot_be_printed_is_refused() -> None:
-    for pot, words in ((NetPot(outer_radius_mm=77.0), "skirt would be"), (NetPot(grid_z_mm=-1.0), "cannot be printed")):
+    for pot, words in ((NetPot(outer_radius_mm=77.0), "would be 0.40 mm thick"), (NetPot(grid_z_mm=-1.0), "cannot be printed")):
         with pytest.raises(UserError, match=words):
             net_pot(replace(Scene(), net_pot=pot), MEASURES)
     with pytest.raises(UserError, match=r"clearance.floor_z_mm -165 leaves"):
         table.table_foot(Scene(), MEASURES, -165.0)
-    with pytest.raises(UserError, match="does not fit a bed of 150 x 150"):
+    with pytest.raises(UserError, match="does not fit the build volume of 150 x 150"):
         check_bed(PARTS["scene"][0], (150.0, 150.0, 200.0))
 
 
@@ -182,9 +182,9 @@ def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_i
         assert (probe.translate((x, y, floor_mm + TANK.tank.wall_mm + tank.GLIDE_MM)) ^ above).volume() < 1e-6
         assert (bore ^ below).volume() > 1.0  # the pockets have a floor
     wet = replace(TANK, tank=replace(TANK.tank, level_mm=-6.5))
-    with pytest.raises(UserError, match=r"strip.bottom_mm lies 3.5 mm above tank.level_mm, but water climbs 3.9 mm"):
+    with pytest.raises(UserError, match=r"strip.bottom_mm is 3.5 mm above tank.level_mm, but the meniscus on a wetted wall reaches 3.9 mm"):
         tank.parts(wet, MEASURES, -300.0)
-    with pytest.raises(UserError, match=r"leaves the tank's posts"):
+    with pytest.raises(UserError, match=r"for the posts of the tank"):
         tank.parts(TANK, MEASURES, -160.0)
 
 

@@ -10,7 +10,7 @@ from scipy.stats import linregress
 from scipy.stats import t as student
 
 from rhizotwin.experiment import growth
-from rhizotwin.experiment.compare import Seen
+from rhizotwin.experiment.compare import Observation
 from rhizotwin.experiment.doses import fit_responses, group_ions, partial_residuals
 from rhizotwin.experiment.measured import read_all
 from rhizotwin.scenes.errors import UserError
@@ -26,14 +26,14 @@ PLANT_SD, ERROR = 0.08, 0.03
 Doses = dict[str, Mapping[str, float]]
 
 
-def experiment(seed: int, factors: tuple[dict[str, float], ...], *, plants: int = 24, bend: float = 0.0) -> tuple[list[Seen], Doses]:
+def experiment(seed: int, factors: tuple[dict[str, float], ...], *, plants: int = 24, bend: float = 0.0) -> tuple[list[Observation], Doses]:
     """Return lengths of plants in solutions of some factors; they follow potassium."""
     rng, seen, doses = np.random.default_rng(seed), [], {}
     for k in range(plants):
         own = doses[f"p{k}"] = Solution(recipe="kliman_2022", factors=factors[k % len(factors)]).ions_mmol_per_l
         level = SLOPE * own["K"] + bend * (own["K"] - 5.0) ** 2 + rng.normal(0.0, PLANT_SD)
         sizes = {day: float(np.exp(0.1 * day + level + rng.normal(0.0, ERROR))) for day in DAYS}
-        seen += [Seen(plant=f"p{k}", treatment="", day=day, value=size) for day, size in sizes.items()]
+        seen += [Observation(plant=f"p{k}", treatment="", day=day, value=size) for day, size in sizes.items()]
     return seen, doses
 
 
@@ -63,7 +63,7 @@ def test_a_saturating_response_is_called_curved() -> None:
     (found,) = fit_responses(*experiment(1, POTASSIUM, bend=-0.02))
     assert found.curvature_p is not None
     assert found.curvature_p < 0.01
-    assert "curved" in found.sentence("total_length")
+    assert "not linear" in found.sentence("total_length")
 
 
 def test_ions_of_a_factorial_are_separated_and_those_of_one_factor_are_not() -> None:
@@ -106,16 +106,18 @@ def table(folder: Path, *, change: bool = False) -> Path:
 def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Command) -> None:
     out = tmp_path / "growth"
     told = command.works("growth", table(tmp_path), "-o", out).out
-    assert "from 1.34 to 10.7 mmol/l K, with H2PO4, NO3, on the mean day" in told
+    assert "from 1.34 to 10.7 mmol/l K, together with H2PO4, NO3, on the mean day" in told
     (row,) = csv.DictReader((out / "doses.csv").read_text(encoding="utf-8").splitlines())
-    assert (row["trait"], row["ion"], row["together_with"], row["levels"]) == ("total_length", "K", "H2PO4 NO3", "4")
+    assert (row["trait"], row["ion"], row["together_with"], row["levels"]) == ("total_length_mm", "K", "H2PO4 NO3", "4")
     assert float(row["low"]) < SLOPE < float(row["high"])
     assert (out / "doses.png").read_bytes()[:4] == b"\x89PNG"
     assert "Dose response" in (out / "growth.html").read_text(encoding="utf-8")
     assert "K (mmol/l)" in (out / "traits.csv").read_text(encoding="utf-8").splitlines()[0]
 
 
-@pytest.mark.parametrize(("cell", "named"), [("-1", "must be 0 or more"), ("5 mmol/l", "is no number"), ("inf", "no finite number")])
+@pytest.mark.parametrize(
+    ("cell", "named"), [("-1", "must not be negative"), ("5 mmol/l", "is not a number"), ("inf", "not a finite number")]
+)
 def test_a_wrong_concentration_is_one_sentence(cell: str, named: str, tmp_path: Path) -> None:
     path = tmp_path / "traits.csv"
     path.write_text(f"plant,day,total_length (mm),K (mmol/l)\np1,5,10,{cell}\n", encoding="utf-8")
@@ -127,9 +129,9 @@ def test_a_trait_without_a_response_is_said(tmp_path: Path) -> None:
     path = tmp_path / "traits.csv"
     path.write_text("plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n", encoding="utf-8")
     notes = growth.measure(read_all([path])).notes
-    assert "total_length: no dose response: 2 plants are too few, or their ions depend on each other" in notes
+    assert "total_length: no dose response: 2 plants are too few, or their concentrations are collinear" in notes
 
 
 def test_a_plant_in_two_solutions_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"plant p0 is in two nutrient solutions, .* differ in"):
+    with pytest.raises(UserError, match=r"plant p0 has two nutrient solutions: .* differ in"):
         growth.measure(read_all([table(tmp_path, change=True)]))

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import ttest_ind
 
 from rhizotwin.experiment.alignment import align
-from rhizotwin.experiment.compare import Seen, differences, means, relative_rates
-from rhizotwin.experiment.matching import Day, Followed, follow
+from rhizotwin.experiment.compare import Observation, differences, means, relative_rates
+from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.scenes import files, rsml, series
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.growth import grow
@@ -59,13 +59,13 @@ def plant() -> dict[float, list[Root]]:
     return {day: grow(replace(specimen, age_days=day)) for day in DAYS}
 
 
-def links(followed: Followed, shown: dict[float, tuple[Root, ...]]) -> tuple[float, float]:
+def links(tracked: TrackedPlant, shown: dict[float, tuple[Root, ...]]) -> tuple[float, float]:
     """Return precision and recall of the links between neighbouring days, by the labels that the simulator gave."""
     right = wrong = missed = 0
     days = list(shown)
     for k in range(1, len(days)):
-        before = dict(zip(followed.names[k - 1], (root.label for root in shown[days[k - 1]]), strict=True))
-        after = dict(zip(followed.names[k], (root.label for root in shown[days[k]]), strict=True))
+        before = dict(zip(tracked.names[k - 1], (root.label for root in shown[days[k - 1]]), strict=True))
+        after = dict(zip(tracked.names[k], (root.label for root in shown[days[k]]), strict=True))
         linked = [before[name] == label for name, label in after.items() if name in before]
         right, wrong = right + sum(linked), wrong + len(linked) - sum(linked)
         missed += len(set(before.values()) & set(after.values())) - sum(linked)
@@ -83,14 +83,14 @@ def test_a_moved_plant_is_brought_back(plant: dict[float, list[Root]]) -> None:
 def test_roots_keep_their_identity_through_noise_cuts_and_gaps(plant: dict[float, list[Root]]) -> None:
     rng = np.random.default_rng(8)
     shown = {day: seen_wrongly(roots, rng) for day, roots in plant.items()}
-    followed = follow([Day(day=day, roots=roots) for day, roots in shown.items()])
-    precision, recall = links(followed, shown)
+    tracked = track_roots([Day(day=day, roots=roots) for day, roots in shown.items()])
+    precision, recall = links(tracked, shown)
     assert precision >= 0.95
     assert recall >= 0.9
     true = {day: {root.label: length(root) for root in roots} for day, roots in plant.items()}
-    label = {name: root.label for k, day in enumerate(shown) for name, root in zip(followed.names[k], shown[day], strict=True)}
+    label = {name: root.label for k, day in enumerate(shown) for name, root in zip(tracked.names[k], shown[day], strict=True)}
     errors = []
-    for track in followed.tracks:
+    for track in tracked.tracks:
         of = label[track.name]
         for begin, end, rate in track.rates_mm_per_day:
             expected = (true[end][of] - true[begin][of]) / (end - begin) if of in true[begin] else 0.0
@@ -100,21 +100,23 @@ def test_roots_keep_their_identity_through_noise_cuts_and_gaps(plant: dict[float
 
 
 def test_without_errors_rates_and_days_of_emergence_are_true(plant: dict[float, list[Root]]) -> None:
-    followed = follow([Day(day=day, roots=tuple(roots)) for day, roots in plant.items()])
-    assert links(followed, {day: tuple(roots) for day, roots in plant.items()}) == (1.0, 1.0)
-    taproot = followed.tracks[0]
+    tracked = track_roots([Day(day=day, roots=tuple(roots)) for day, roots in plant.items()])
+    assert links(tracked, {day: tuple(roots) for day, roots in plant.items()}) == (1.0, 1.0)
+    taproot = tracked.tracks[0]
     assert taproot.rates_mm_per_day[0][2] == pytest.approx((length(plant[8.0][0]) - length(plant[5.0][0])) / 3.0)
-    assert all(track.absent_day <= track.emergence_day <= track.sights[0].day for track in followed.tracks)
+    assert all(track.absent_day <= track.emergence_day <= track.states[0].day for track in tracked.tracks)
 
 
-def curves(rng: np.random.Generator, *, effect: float, plants: int = 3) -> list[Seen]:
+def curves(rng: np.random.Generator, *, effect: float, plants: int = 3) -> list[Observation]:
     """Return plants that differ by 8 %, seen with an error of 3 %, of which half are larger by a factor."""
     seen = []
     for treatment, size in (("control", 1.0), ("treated", effect)):
         for k in range(plants):
             own = size * np.exp(rng.normal(0.0, 0.08))
             seen += [
-                Seen(plant=f"{treatment}{k}", treatment=treatment, day=day, value=float(own * 100.0 * day * np.exp(rng.normal(0.0, 0.03))))
+                Observation(
+                    plant=f"{treatment}{k}", treatment=treatment, day=day, value=own * 100.0 * day * float(np.exp(rng.normal(0.0, 0.03)))
+                )
                 for day in (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
             ]
     return seen
@@ -124,8 +126,8 @@ def test_treatments_that_differ_are_told_apart_and_equal_ones_are_not() -> None:
     pytest.importorskip("statsmodels")
     apart = [differences(curves(np.random.default_rng(seed), effect=1.6))[0] for seed in range(4)]
     same = [differences(curves(np.random.default_rng(seed), effect=1.0))[0] for seed in range(4)]
-    assert sum(one.told_apart for one in apart) == 4
-    assert sum(one.told_apart for one in same) <= 1
+    assert sum(one.is_significant for one in apart) == 4
+    assert sum(one.is_significant for one in same) <= 1
     assert np.mean([one.size for one in apart]) == pytest.approx(1.6, rel=0.1)
     assert sum(one.size_interval[0] <= 1.0 <= one.size_interval[1] for one in same) >= 2
 
@@ -140,7 +142,7 @@ def test_where_all_plants_are_seen_on_all_days_the_size_is_a_t_test_of_their_mea
 
 
 def test_means_have_intervals_and_rates_are_of_logarithms() -> None:
-    seen = [Seen(plant=p, treatment="a", day=day, value=v * day) for p, v in (("x", 1.0), ("y", 3.0)) for day in (1.0, 2.0)]
+    seen = [Observation(plant=p, treatment="a", day=day, value=v * day) for p, v in (("x", 1.0), ("y", 3.0)) for day in (1.0, 2.0)]
     first = means(seen)[0]
     assert (first.mean, first.plants) == (2.0, 2)
     assert first.high - first.mean == pytest.approx(6.3138 * 2.0**0.5 / 2.0**0.5, rel=1e-4)  # Student's t of one degree of freedom
@@ -162,7 +164,7 @@ def results(ball_result: Callable[..., Path], plant: dict[float, list[Root]], tm
 
 def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, command: Command, tmp_path: Path) -> None:
     out = tmp_path / "growth"
-    assert "volume: 'low N' is not told apart from 'control'" in command.works("growth", results, "-o", out).out
+    assert "volume: 'low N' does not differ significantly from 'control'" in command.works("growth", results, "-o", out).out
     rows = list(csv.DictReader((out / "roots.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["plant"] for row in rows} == {"P0", "P1", "P2", "P3"}
     taproot = [row for row in rows if (row["plant"], row["root"]) == ("P0", "1")]
@@ -187,9 +189,9 @@ def test_mistakes_are_one_sentence(ball_result: Callable[..., Path], tmp_path: P
     strips = [subject("P0", "control", day) | {"strip": {"columns": columns}} for day, columns in ((20.0, 31), (25.0, 29))]
     for more, named in (
         ([subject("P0", "control", None)], "plant P0 has no day"),
-        ([subject(None, None, 20.0)], "names no plant"),
-        ([subject("P0", "control", 8.0)], "plant P0 is there twice on day 8"),
-        ([subject("P0", "low N", 20.0)], "plant P0 is in two treatments"),
+        ([subject(None, None, 20.0)], "the name of the plant is missing"),
+        ([subject("P0", "control", 8.0)], "plant P0 occurs twice on day 8"),
+        ([subject("P0", "low N", 20.0)], "plant P0 has two treatments"),
         (strips, "more_0 and more_1 were scanned with different marker strips"),
     ):
         added = [ball_result(f"results/more_{k}", **changes) for k, changes in enumerate(more)]

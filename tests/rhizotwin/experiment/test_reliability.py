@@ -9,7 +9,7 @@ from rhizotwin.batches import overview
 from rhizotwin.batches.jobs import Job
 from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
-from rhizotwin.experiment.measured import left_out, read_all
+from rhizotwin.experiment.measured import exclusion_notes, read_all
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files, stored_traits
@@ -38,9 +38,9 @@ def table(folder: Path, *, unreliable: set[str] = frozenset(), trusted: str = "y
 def test_growth_compares_reliable_values_only(tmp_path: Path) -> None:
     found = growth.measure(read_all([table(tmp_path, unreliable={"p1"})]))
     assert {one.plant for one in found.seen["total_length"]} == {"p0", "p2", "p3", "p4", "p5"}
-    assert any(note.startswith("total_length: 2 of 12 values are left out") for note in found.notes)
+    assert any(note.startswith("total_length: 2 of 12 values are excluded") for note in found.notes)
     rows = [row.split(",") for row in growth.traits_csv(found).splitlines()]
-    assert {(row[7], row[8] == "") for row in rows if row[0] == "p1" and row[3] == "total_length"} == {("not reliable", True)}
+    assert {(row[7], row[9] == "") for row in rows if row[0] == "p1" and row[3] == "total_length_mm"} == {("not reliable", True)}
 
 
 def test_growth_without_a_reliable_value_is_no_comparison(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def masses(folder: Path) -> Path:
 def test_biomass_says_why_nothing_is_left(tmp_path: Path) -> None:
     measured = read_all([table(tmp_path, unreliable={f"p{k}" for k in range(6)}, trusted="no")])
     found, notes = biomass.pairs(measured, read_masses(masses(tmp_path), balance_g=1e-4))
-    with pytest.raises(UserError, match="volume: 6 of 6 values are left out, because they are not reliable"):
+    with pytest.raises(UserError, match="volume: 6 of 6 values are excluded, because they are not reliable"):
         biomass.fit(found, balance_g=1e-4, notes=notes)
 
 
@@ -86,7 +86,7 @@ def test_biomass_fits_reliable_traits_and_predictions_carry_the_verdict(tmp_path
 def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
     path = table(tmp_path)
     path.write_text(path.read_text(encoding="utf-8").replace(",reliable,", ",fine,", 1), encoding="utf-8")
-    with pytest.raises(UserError, match=r"line 2: total_length_verdict is 'fine', but must be one of reliable, not reliable, not assessed"):
+    with pytest.raises(UserError, match=r"line 2: the verdict on total_length is 'fine'; it must be one of reliable, not reliable, not"):
         read_all([path])
 
 
@@ -108,7 +108,7 @@ def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
     assert (low, high) == pytest.approx((1000.0 / 950.0 * 905.0 / traits.volume_mm3, 1000.0 / 850.0 * 905.0 / traits.volume_mm3), rel=0.02)
     text = stored_traits.spreadsheet([("one", summary, traits)]).splitlines()
     row = dict(zip(text[0].split(","), text[1].split(","), strict=True))
-    assert (row["volume_low (mm3)"], row["volume_verdict"], row["depth_verdict"]) == ("850", "reliable", "not assessed")
+    assert (row["volume_mm3_low"], row["volume_mm3_verdict"], row["depth_mm_verdict"]) == ("850", "reliable", "not assessed")
     assert [one.assessment("volume").interval for one in read_all([folder])] == [(850.0, 950.0)]
 
 
@@ -117,8 +117,8 @@ def test_a_scan_that_is_refused_refuses_what_has_no_verdict_of_its_own(ball_resu
     (one,) = read_all([folder])
     assert one.usable("volume") is None
     assert one.usable("depth") is None
-    assert left_out([one], ["depth"]) == [
-        "depth: 1 of 1 values are left out, because they are not reliable: the scan is not reliable: too dark"
+    assert exclusion_notes([one], ["depth"]) == [
+        "depth: 1 of 1 values are excluded, because they are not reliable: the scan is not reliable: too dark"
     ]
 
 

@@ -48,7 +48,7 @@ def test_tables_have_columns_of_shoots_and_what_is_not_known_is_empty(
     table = tmp_path / "traits.csv"
     command.works("traits", *sorted(results.iterdir()), "-o", table)
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
-    assert (rows[0]["leaf_area (mm2)"], rows[0]["leaves"], rows[0]["shoot_volume (mm3)"]) == ("200", "6", "")
+    assert (rows[0]["leaf_area_mm2"], rows[0]["leaves"], rows[0]["shoot_volume_mm3"]) == ("200", "6", "")
     again = {one.subject.plant: one.traits for one in read_all([table])}
     assert again["P7"]["leaf_area"] == pytest.approx(4000.0)
     assert "shoot_volume" not in again["P7"]

@@ -108,8 +108,8 @@ def test_only_pictures_that_were_not_used_count(tmp_path: Path) -> None:
     assert found.iou > 0.9
     assert found.edge_median_px < 0.3
     assert min(found.explained, found.seen) > 0.97
-    assert "6 that were not used, 6 more were used" in found.table()
-    with pytest.raises(UserError, match="made from"):
+    assert "6 unused, 6 used pictures are ignored" in found.table()
+    with pytest.raises(UserError, match="is the dataset of the result"):
         score_pictures(result, part, monitor=Monitor.of(None))
     with pytest.raises(UserError, match="all pictures"):
         score_pictures(result, write_scan(tmp_path / "same", range(0, 10, 2), made), monitor=Monitor.of(None))

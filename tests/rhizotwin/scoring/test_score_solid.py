@@ -53,7 +53,7 @@ def test_a_ball_that_lies_elsewhere_scores_as_where_it_was(scan) -> None:
     assert found.extents_error == pytest.approx((0.05, 0.05, 0.05), abs=2e-3)
     assert found.surface.median_mm == pytest.approx(0.3, abs=0.01)
     assert json.loads(json.dumps(found.to_dict()))["surface"]["median_mm"] == found.surface.median_mm
-    assert "laid onto it" in found.table()
+    assert "registered solid" in found.table()
 
 
 def test_a_measured_volume_says_whether_the_interval_holds(scan) -> None:
@@ -66,5 +66,5 @@ def test_a_measured_volume_says_whether_the_interval_holds(scan) -> None:
     assert beyond.volume_error == pytest.approx(summary["volume_mm3"] / (1.01 * high) - 1.0)
     assert "misses the truth" in beyond.table()
     for none in (0.0, float("nan")):
-        with pytest.raises(UserError, match="above 0"):
+        with pytest.raises(UserError, match="must be positive"):
             score_volume(made.result, none)

@@ -47,6 +47,6 @@ def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
     assert errors["canister relative to the marker strip: offset x"].error == pytest.approx(-0.004)
     assert "2.0 standard deviations" in errors["canister relative to the marker strip: offset x"].text
     assert errors["focal length over the given"].true == 1.0
-    assert errors["table angles, rms"].found == pytest.approx(0.01)
+    assert errors["table angles (rms)"].found == pytest.approx(0.01)
     assert "canister relative to the turntable: tilt x" not in errors
     assert "focal length over the given" not in {error.quantity for error in compare_rig(RIG, [], truth())}, "the truth does not know it"

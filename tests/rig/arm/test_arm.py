@@ -30,7 +30,7 @@ REFUSED = {
     "below": ((-90.01, 0, 0, 0, 0), r"base \(servo 6\) cannot go to -90\.01 deg"),
     "not a number": ((0, 0, float("nan"), 0, 0), "elbow .* cannot go to nan"),
     "counts": ((0, 0, 0, -118.5, 0), r"wrist pitch .* would be at -4 counts, outside 0 to 1000"),
-    "too few": ((0, 0, 0, 0), "4 joint angles were given but it has 5 joints"),
+    "too few": ((0, 0, 0, 0), "4 joint angles are given but the arm has 5 joints"),
 }
 
 
@@ -44,12 +44,12 @@ def test_refuses_before_anything_is_sent(joints_deg: tuple[float, ...], says: st
 
 def test_refuses_to_move_unprepared_or_relaxed() -> None:
     arm, bus = arm_and_bus(prepared=False)
-    with pytest.raises(LostError, match="prepare it"):
+    with pytest.raises(LostError, match="prepare the arm"):
         arm.move_to(MIDDLE)
     arm.prepare()
     arm.relax()
     assert not any(bus.on.values())
-    with pytest.raises(LostError, match="prepare it"):
+    with pytest.raises(LostError, match="prepare the arm"):
         arm.move_to(MIDDLE)
 
 
@@ -88,7 +88,7 @@ def test_sag_within_the_tolerance_counts_as_arrived() -> None:
     assert read[1] == pytest.approx(24.0 + 12 * 0.24)
     assert bus.names() == ["move"]
     bus.sag = {5: -13}
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was sent to 48\.0 deg but stands at 51\.1 deg"):
+    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was commanded to 48\.0 deg but is at 51\.1 deg"):
         arm.move_to((0.0, 48.0, 0.0, 0.0, 0.0))
 
 
@@ -96,7 +96,7 @@ def test_sag_within_the_tolerance_counts_as_arrived() -> None:
 def test_a_blocked_joint_stops_the_arm_and_is_named(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells)
     bus.blocked = {4: 560.0}
-    with pytest.raises(UnsafeError, match=r"elbow \(servo 4\) was sent to 60\.0 deg but stands at 14\.4 deg: it is blocked"):
+    with pytest.raises(UnsafeError, match=r"elbow \(servo 4\) was commanded to 60\.0 deg but is at 14\.4 deg: it is blocked"):
         arm.move_to((10.0, 0.0, 60.0, 0.0, 0.0))
     assert bus.names() == ["move", "stop"]
     assert arm.holds()
@@ -113,7 +113,7 @@ def test_a_lost_command_is_repeated_once_unless_it_is_within_the_dead_band(tells
     assert len(bus.moves) == 2
     bus.moves.clear()
     bus.lose_moves = 5
-    with pytest.raises(UnsafeError, match=r"base .* was sent to 30"):
+    with pytest.raises(UnsafeError, match=r"base .* was commanded to 30"):
         arm.move_to((30.0, 0.0, 0.0, 0.0, 0.0))
     assert len(bus.moves) == 2
     arm, bus = arm_and_bus(tells=tells)
@@ -138,7 +138,7 @@ def test_an_error_in_a_move_is_followed_by_one_attempt_to_stop(error: RigError |
 
 def test_torque_lost_on_the_way_is_named_and_rather_the_heat_that_caused_it() -> None:
     for celsius, error, says in (
-        (30, LostError, r"shoulder \(servo 5\) has lost its torque.*brown-out"),
+        (30, LostError, r"shoulder \(servo 5\) has lost its torque.*voltage drop"),
         (86, UnsafeError, r"shoulder \(servo 5\) is at 86 °C"),
     ):
         arm, bus = arm_and_bus()
@@ -248,5 +248,5 @@ def test_health_watches_temperature_supply_and_torque() -> None:
 
 def test_the_echo_of_the_rig_file_reaches_the_bus() -> None:
     line = ScriptedLine(*[("55 55 06 03 1c da", SILENT)] * 5)
-    with pytest.raises(NoAnswerError, match="not even the adapter's echo"):
+    with pytest.raises(NoAnswerError, match="the adapter sends no echo"):
         open_arm(line, replace(PART, protocol="lx", echo="yes"), line.clock).read_joints()

@@ -36,7 +36,7 @@ def test_positions_are_signed_in_any_order_and_among_frames_of_the_board_s_own()
 def test_a_reading_counts_when_the_next_agrees(answers: list[str], expected: int) -> None:
     with scripted(LscBoard, *[(ASK_12, answer) for answer in answers]) as board:
         assert board.positions([1, 2]) == {1: expected, 2: expected}
-    with pytest.raises(NoAnswerError, match="no two readings of the positions agree"):
+    with pytest.raises(NoAnswerError, match="repeated readings of the positions differ"):
         LscBoard(ScriptedLine(*[(ASK_12, BOTH_500), (ASK_12, FAR_OFF)] * 5)).positions([1, 2])
 
 
@@ -46,12 +46,12 @@ def test_what_arrived_before_the_question_is_no_answer() -> None:
 
 
 NO_ANSWER = {
-    "silent": (SILENT, "the board does not answer"),
+    "silent": (SILENT, "the board does not reply"),
     "one left out": ("55 55 06 15 01 01 f4 01", "no position for servo 2"),
-    "one twice": ("55 55 09 15 02 01 f4 01 01 f4 01", "cannot be understood"),
-    "wrong number": ("55 55 09 15 03 01 f4 01 02 f4 01", "cannot be understood"),
-    "unasked only": (DONE, "cannot be understood"),
-    "cut": (BOTH_500[:-3], "cannot be understood"),
+    "one twice": ("55 55 09 15 02 01 f4 01 01 f4 01", "replies of the board are invalid"),
+    "wrong number": ("55 55 09 15 03 01 f4 01 02 f4 01", "replies of the board are invalid"),
+    "unasked only": (DONE, "replies of the board are invalid"),
+    "cut": (BOTH_500[:-3], "replies of the board are invalid"),
 }
 
 
@@ -68,9 +68,9 @@ def test_voltage() -> None:
     damaged = "55 55 04 0f 4c 3d"
     with scripted(LscBoard, (ASK_VOLTS, damaged), (ASK_VOLTS, DONE + VOLTS_7_5), (ASK_VOLTS, "55 55 04 0f 60 1d")) as board:
         assert board.voltage_v([1, 2]) == pytest.approx(7.52)
-    with pytest.raises(NoAnswerError, match="the board does not answer"):
+    with pytest.raises(NoAnswerError, match="the board does not reply"):
         LscBoard(ScriptedLine(*[(ASK_VOLTS, SILENT), (REST, SILENT)] * 4)).voltage_v([1])
-    with pytest.raises(NoAnswerError, match="no two readings of the voltage agree"):
+    with pytest.raises(NoAnswerError, match="repeated readings of the voltage differ"):
         LscBoard(ScriptedLine(*[(ASK_VOLTS, VOLTS_7_5), (ASK_VOLTS, "55 55 04 0f 4c 2d")] * 5)).voltage_v([1])
 
 

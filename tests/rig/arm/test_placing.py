@@ -73,7 +73,7 @@ REFUSED = {
     "too near": (
         with_arm(links_mm=(61.0, 150.0, 50.0, 95.0)),
         Ring(distance_mm=530.0),
-        r"would have to be 25 mm from the shoulder, the links reach 100 to 200 mm",
+        r"must be 25 mm from the shoulder, the links reach 100 to 200 mm",
     ),
     "elbow": (RIG, Ring(distance_mm=450.0), r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"),
     "far aside": (
@@ -103,11 +103,11 @@ def test_corrections_that_cannot_be_are_refused() -> None:
     elbow = joints_for(RIG, wanted)[2]
     rig = with_arm(joints=limited(2, -88.0, elbow + 1.0), park_deg=(0.0, 0.0, 0.0, 0.0, 0.0))
     joints_deg = joints_for(rig, wanted)
-    with pytest.raises(UnsafeError, match=r"cannot be corrected within the joints' limits: elbow 81\.0 deg \(limits -88 to 77\.96"):
+    with pytest.raises(UnsafeError, match=r"cannot be corrected within the joint limits: elbow 81\.0 deg \(limits -88 to 77\.96"):
         corrected_joints(rig, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, -4, 0, 0))), wanted)
     with pytest.raises(UnsafeError, match=r"by the markers the .* more than a correction of 25 deg: check joints, links_mm"):
         corrected_joints(RIG, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, 0, 0, 40))), wanted)
-    with pytest.raises(UnsafeError, match=r"distance 300 mm, .* cannot be reached: the camera would stay \d+\.\d mm off"):
+    with pytest.raises(UnsafeError, match=r"distance 300 mm, .* cannot be reached: the camera would be \d+\.\d mm off"):
         corrected_joints(RIG, joints_deg, cam_from_rig(ARM, joints_deg), camera_wanted(Ring(distance_mm=300.0)))
     with pytest.raises(RigError, match=r"has no \[arm\]"):
         joints_for(RigFile(), wanted)
@@ -128,7 +128,7 @@ def test_what_five_joints_cannot_hold_is_said_with_the_nearest() -> None:
         joints_looking(RIG, (400.0, 30.0, -42.0), (-1.0, 0.5, 0.0))
     nearest = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(")").split(","))
     joints_looking(RIG, (400.0, 30.0, -42.0), nearest)  # which can be had
-    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest that can be reached is \((.*)\) mm") as refused:
+    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest reachable position is \((.*)\) mm") as refused:
         joints_looking(RIG, (100.0, 0.0, -42.0), (-1.0, 0.0, 0.0))
     place = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(") m").split(","))
     assert 100.0 < place[0] < 450.0

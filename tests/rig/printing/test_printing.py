@@ -175,6 +175,6 @@ def test_what_does_not_fit_is_refused_with_the_sizes(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"\.pdf or \.svg"):
         write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "strip.png", title="strip")
     (tmp_path / "strip.pdf").write_bytes(b"mine")
-    with pytest.raises(UserError, match="exists already"):
+    with pytest.raises(UserError, match="already exists"):
         write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "strip.pdf", title="strip")
     assert (tmp_path / "strip.pdf").read_bytes() == b"mine"

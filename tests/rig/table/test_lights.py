@@ -79,7 +79,7 @@ def test_off_reaches_a_board_that_is_not_heard(board: Any, lights: MarlinLights)
 
 def test_set_hides_neither_a_reset_nor_a_firmware_without_lamps(board: Any, lights: MarlinLights) -> None:
     board.unknown = ("M150",)
-    with pytest.raises(RigError, match='does not know "M150 S1 R255 U250 B240 P255"; build Marlin'):
+    with pytest.raises(RigError, match='does not support "M150 S1 R255 U250 B240 P255"; build Marlin'):
         lights.set(panel=1.0, front=1.0)
     board.resets = {len(board.sent): ""}
     with pytest.raises(LostError, match="was reset"):

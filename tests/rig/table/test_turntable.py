@@ -184,7 +184,7 @@ def test_no_answer_in_a_move_does_not_hang_and_the_next_one_is_approached_and_ve
     table.move_to(9.0)
     first, begin_s = len(board.sent) + 1, board.clock.now_s()
     board.request_faults = dict.fromkeys(range(first, first + 6), lambda _data: [(0.0, b"")])
-    with pytest.raises(NoAnswerError, match="did not answer after M400"):
+    with pytest.raises(NoAnswerError, match="did not reply after M400"):
         table.move_to(18.0)
     assert board.clock.now_s() - begin_s < 40.0
     assert table.move_to(18.0) == 18.0

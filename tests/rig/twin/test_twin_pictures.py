@@ -135,7 +135,7 @@ def test_a_scan_with_the_twin_has_a_truth(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mask, np.rint(coverage * 65535.0))
 
     later = Twin(scene, seed=3, profile_name="bench", samples=4)
-    with pytest.raises(UserError, match="not taken by this twin"):
+    with pytest.raises(UserError, match="not taken by this emulated rig"):
         later.write_truth(tmp_path, [made[0][0]])
     with (tmp_path / "record.jsonl").open("a") as file:
         file.write('{"pixels": "cut o')

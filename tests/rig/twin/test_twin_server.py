@@ -59,8 +59,8 @@ def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> Non
     for words in (
         rig.turntable.port,
         rig.camera.address,
-        "truly: table",
-        'there is no fault "rest"',
+        "true state: table",
+        'unknown fault "rest"',
         "reset on the table",
         "brown_out (arm)",
     ):

@@ -1,6 +1,6 @@
-"""The named benchmarks and their cases.
+"""The benchmarks and their cases.
 
-A name ends in its version: cases that change get a new name, so that numbers under one name can be compared for ever.
+A name ends with a version. Modified cases get a new name, so that numbers under one name remain comparable.
 """
 
 from __future__ import annotations
@@ -14,32 +14,33 @@ from rhizotwin.scenes.near import nearest
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 HELD_BACK = 1000
-"""Seeds from here on are the benchmarks': a method that is tuned on them is not measured by them."""
+"""First seed reserved for benchmarks; methods must not be tuned on these seeds."""
 PLANT_SEEDS_APART = 1_000_003
-"""Seed s grows the specimen of the scene's own seed + s times this (a prime): 0 is the library's plant, and no other
-seed is one of its plants."""
+"""Seed s grows the plant with the scene's own seed + s times this prime: 0 is the plant of the library, and no other
+seed coincides with one of its plants."""
 HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
-"""Second ring of a plant. From -42 mm its topmost 2.4 mm are seen before the dark net pot (8 % of the volume of
-radish_day05a); from 10 mm they stand before the backlight, and half of the hull's ghosts vanish."""
+"""Height and tilt of the second ring of a plant. From -42 mm, its topmost 2.4 mm (8 % of the volume of radish_day05a)
+are seen in front of the dark net pot; from 10 mm they are seen in front of the backlight, and half of the hull's
+artefacts disappear."""
 
 
 def rendered_scene(scene: Scene, profile: str, *, rings: int, views: int, image_wh: tuple[int, int], seed: int) -> Scene:
-    """Return a scene with another plant, other views and a profile's disturbances.
+    """Return a scene with another plant, other views and the disturbances of a profile.
 
     Parameters
     ----------
     scene : Scene
-        From the library.
+        Scene of the library.
     profile : str
-        Name of the disturbances.
+        Name of the profile.
     rings : int
-        1: the scene's own plan; 2: its first ring, and `HIGH_RING` at the same distance.
+        1: the capture plan of the scene; 2: its first ring, and `HIGH_RING` at the same distance.
     views : int
-        In each ring.
+        Number of views per ring.
     image_wh : tuple of int
-        Size of the pictures in px.
+        Picture size in px.
     seed : int
-        Of the plant, where the specimen is grown.
+        Seed of the plant, if the specimen is grown.
     """
     first = scene.plan.rings[0]
     chosen = scene.plan.rings if rings == 1 else (first, replace(HIGH_RING, distance_mm=first.distance_mm))
@@ -63,14 +64,14 @@ class Case:
     scene: str
     profile: str
     views: int
-    """In each ring."""
+    """Number of views per ring."""
     image_wh: tuple[int, int]
     rings: int = 1
     seed: int = HELD_BACK
-    """Of the plant, and of all disturbances."""
+    """Seed of the plant and of all disturbances."""
 
     def rendered_scene(self) -> Scene:
-        """Return the scene with this plant, these views and the profile's disturbances."""
+        """Return the scene with this plant, these views and the disturbances of the profile."""
         scene = rendered_scene(
             load_scene(self.scene), self.profile, rings=self.rings, views=self.views, image_wh=self.image_wh, seed=self.seed
         )
@@ -79,14 +80,14 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark:
-    """Cases under a name."""
+    """Named set of cases."""
 
     name: str
     description: str
     cases: tuple[Case, ...]
 
     def chosen(self, names: tuple[str, ...]) -> Benchmark:
-        """Return the benchmark with some of its cases, or all where none is named; UserError for an unknown one."""
+        """Return the benchmark with the given cases only, or all without names; raise UserError for an unknown name."""
         known = {case.name: case for case in self.cases}
         for name in names:
             if name not in known:
@@ -107,7 +108,7 @@ BENCHMARKS = {
     for one in (
         Benchmark(
             name="quick-1",
-            description="a ball, a printed root on a clean and on a good rig, a bean: small pictures, minutes",
+            description="a sphere, a printed root without and with rig errors, and a bean: small pictures, a few minutes",
             cases=(
                 _small("ball", "sphere_20mm", "clean", views=16),
                 _small("print", "printed_8ml", "clean"),
@@ -117,7 +118,7 @@ BENCHMARKS = {
         ),
         Benchmark(
             name="roots-1",
-            description="ten root systems of eight kinds on a good rig, two rings of 40 pictures of 800x600",
+            description="ten root systems of eight kinds on a well-built rig, two rings of 40 pictures of 800x600",
             cases=(
                 _plant("radish-05", "radish_day05a", "bench"),
                 _plant("radish-15", "radish_day15b", "bench"),
@@ -133,7 +134,7 @@ BENCHMARKS = {
         ),
         Benchmark(
             name="hard-1",
-            description="what real scans are like: glassy roots with hairs, sway, dirt, bubbles, JPEG, few pictures",
+            description="difficulties of real scans: translucent roots with root hairs, sway, dirt, bubbles, JPEG artefacts, few pictures",
             cases=(
                 _plant("radish-harsh", "radish_day15b", "harsh", seed=HELD_BACK + 1),
                 _plant("radish-real", "radish_day15b", "real", seed=HELD_BACK + 2),
@@ -149,8 +150,8 @@ BENCHMARKS = {
 
 
 def find(name: str) -> Benchmark:
-    """Return a benchmark by its name; UserError where there is none."""
+    """Return a benchmark by name; raise UserError if it is unknown."""
     if name not in BENCHMARKS:
         near = nearest(name, list(BENCHMARKS))
-        raise UserError(f"{name!r} is no benchmark{f'; did you mean {near}?' if near else ''}; there are {', '.join(BENCHMARKS)}")
+        raise UserError(f"unknown benchmark {name!r}{f'; did you mean {near}?' if near else ''}; available: {', '.join(BENCHMARKS)}")
     return BENCHMARKS[name]

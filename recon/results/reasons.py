@@ -1,0 +1,104 @@
+"""Reason codes: short, stable names for why a result is not reliable, for programs that read tables.
+
+They are derived from the numbers of a ``result.json``, not from its sentences, so that they do not depend on wording.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from rhizotwin.recon.results.parts import Json
+from rhizotwin.recon.settings import TrustSettings
+
+OF_CHECK = {
+    "scan": "incomplete_scan",
+    "exposure": "wrong_exposure",
+    "curve": "wrong_response_curve",
+    "sharpness": "blurred_pictures",
+    "markers": "poor_markers",
+    "canister": "canister_mismatch",
+    "motion": "moving_roots",
+    "dirt": "dirty_canister",
+    "views": "unusable_views",
+    "sight": "inconsistent_views",
+    "resolution": "coarse_pictures",
+    "corrections": "contradicted_corrections",
+}
+"""Code of each check of a scan, for the state ``bad``."""
+NO_UNCERTAINTY = "no_uncertainty"
+"""The method gives no uncertainty, as for the baselines."""
+FEW_VIEWS = "few_views"
+"""Fewer views than the setting ``trust.least_views``."""
+WIDE = "wide_interval"
+"""The 90 % interval extends farther to one side than the setting ``trust.widest``."""
+OTHER = "other"
+"""None of the other codes applies; see the sentence."""
+WIDEST_ESTIMATE = 0.25
+"""Maximum half-width of an interval relative to the value, as in `recon.uncertainty.root_uncertainty`."""
+MAX_SENTENCE = 280
+"""Maximum length of the sentences in a cell, in characters."""
+
+
+def reasons_for_volume(summary: Json) -> tuple[str, ...]:
+    """Return the codes of the reasons for which the volume is not reliable; empty if it is.
+
+    A wide interval is followed by its largest term, such as ``high_translucency`` or ``high_missing_roots``.
+
+    Parameters
+    ----------
+    summary : Json
+        ``result.json``.
+    """
+    if summary["volume_trusted"]:
+        return ()
+    terms = summary["volume_budget"]
+    if not terms:
+        return (NO_UNCERTAINTY,)
+    codes = [OF_CHECK[check["name"]] for check in summary.get("checks") or () if check["state"] == "bad" and check["name"] in OF_CHECK]
+    trust = summary["settings"].get("trust") or {}
+    if sum(bool(view["used"]) for view in summary["views"]) < trust.get("least_views", TrustSettings.least_views):
+        codes.append(FEW_VIEWS)
+    volume, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
+    most = trust.get("widest", TrustSettings.widest) * volume
+    under, over = volume - low > most, high - volume > most
+    if under or over:
+        worst = max(terms, key=lambda term: max(under * term["less_mm3"], over * term["more_mm3"]))
+        codes += [WIDE, f"high_{re.sub(r'[^a-z0-9]+', '_', str(worst['name']).lower()).strip('_')}"]
+    return tuple(dict.fromkeys(codes)) or (OTHER,)
+
+
+def reasons_for_estimate(summary: Json, estimate: Json) -> tuple[str, ...]:
+    """Return the codes of the reasons for which length, tips or mean diameter are not reliable; empty if they are.
+
+    Parameters
+    ----------
+    summary, estimate : Json
+        ``result.json``, and one of its ``estimates``.
+    """
+    if estimate["trusted"]:
+        return ()
+    value, (low, high) = float(estimate["value"]), estimate["interval"]
+    widest = WIDEST_ESTIMATE * value
+    codes = [*reasons_for_volume(summary), *([WIDE] if max(value - low, high - value) > widest else [])]
+    return tuple(dict.fromkeys(codes)) or ("thin_roots",)
+
+
+def shorten(sentences: Sequence[str], *, most: int = MAX_SENTENCE) -> str:
+    """Join sentences for a table cell; those that exceed the maximum length are replaced by their number.
+
+    Parameters
+    ----------
+    sentences : sequence of str
+        Sentences; the full texts are in ``result.json``.
+    most : int
+        Maximum length in characters.
+    """
+    kept: list[str] = []
+    for sentence in sentences:
+        text = sentence if len(sentence) <= most else f"{sentence[:most].rsplit(' ', 1)[0]} ..."
+        if len("; ".join([*kept, text])) > most + len(" ..."):
+            break
+        kept.append(text)
+    left = len(sentences) - len(kept)
+    return "; ".join([*kept, *([f"and {left} more in result.json"] if left else [])])
