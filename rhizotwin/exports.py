@@ -91,7 +91,7 @@ def export(
     if undistorted and suffix:
         raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
     if output.exists() and (suffix or not output.is_dir()):  # `new_folder` checks and recovers folders
-        raise UserError(f"{output} exists already; choose another name")
+        raise UserError(f"{output} already exists; choose another name")
     summary = result_files.read_summary(result_folder)
     if suffix in writers:
         return writers[suffix](result_folder, output)

@@ -141,7 +141,7 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
         if strange and finished:
             raise UserError(f"{goal}: is whole, although the run that made it was stopped; use it, or choose another name for another one")
         if strange:
-            beside = f"holds {strange[0]}" if replaces else "exists already and is not empty"
+            beside = f"holds {strange[0]}" if replaces else "already exists and is not empty"
             raise UserError(f"{goal}: {beside}; choose another name or remove it")
         before = _files(folder)
         building = folder / NEW

@@ -111,5 +111,5 @@ class Units:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise UserError(f'{self.path}: the {what} is "{text or ""}", which is no finite number')
+            raise UserError(f'{self.path}: the {what} is "{text or ""}", which is not a finite number')
         return value

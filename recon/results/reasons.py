@@ -56,7 +56,7 @@ def reasons_for_volume(summary: Json) -> tuple[str, ...]:
     if not terms:
         return (NO_UNCERTAINTY,)
     codes = [OF_CHECK[check["name"]] for check in summary.get("checks") or () if check["state"] == "bad" and check["name"] in OF_CHECK]
-    trust = summary["settings"].get("trust") or {}
+    trust = summary.get("settings", {}).get("trust") or {}
     if sum(bool(view["used"]) for view in summary["views"]) < trust.get("least_views", TrustSettings.least_views):
         codes.append(FEW_VIEWS)
     volume, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]

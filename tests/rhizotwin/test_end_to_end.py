@@ -36,7 +36,7 @@ def test_exports_open_elsewhere_and_say_the_same(made: Path, found: Reconstructe
     for name in ("root.stl", "root.glb", "root.ply", "root.nrrd", "cameras.json", "colmap"):
         words = ("export", found.folder, "-o", tmp_path / name, "--dataset", made)
         command.works(*words)
-        command.fails(*words, named=["exists already"])
+        command.fails(*words, named=["already exists"])
     volume = json.loads((found.folder / "result.json").read_text())["volume_mm3"]
     surface = trimesh.load_mesh(found.folder / "shape.ply")
     assert surface.volume == pytest.approx(volume, rel=0.02)  # and not inside out

@@ -67,7 +67,7 @@ def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> Non
     stored = (dataset.folder / dataset.frames[0].file).read_bytes()
     assert transfer.stated_in(stored) == transfer.LINEAR
     assert read_image(dataset, dataset.frames[0]) / 65535.0 == pytest.approx(light(), abs=4e-4)
-    assert any("they are light" in note for note in made.notes)
+    assert any("linear" in note for note in made.notes)
 
 
 def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

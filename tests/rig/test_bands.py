@@ -108,7 +108,7 @@ HAT = RIG.hat
 WRONG = {
     "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*needs \[arm.filter\]"),
     "beyond the wheel": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=1, max_deg=20.0))), "between arm.filter's -90 and 20 deg"),
-    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "none of the joints' servos"),
+    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "must differ from the servos of the joints"),
     "a pin in use": (
         replace(
             RIG,

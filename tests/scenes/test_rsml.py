@@ -202,7 +202,7 @@ def test_a_tip_was_seen_unless_the_file_says_no(write: Write) -> None:
 
 
 def test_impossible_diameters_and_points(write: Write) -> None:
-    for bad, says in (("-0.5", "diameters must be positive"), ("thick", "not a finite number"), ("nan", "not a finite number")):
+    for bad, says in (("-0.5", "diameters must be above 0"), ("thick", "not a finite number"), ("nan", "not a finite number")):
         with pytest.raises(UserError, match=says):
             read_rsml(write(f"<root>{LINE}{THICK.replace('0.4', bad)}</root>"))
     for bad in ('x="one"', 'x="inf"', 'x=""', ""):

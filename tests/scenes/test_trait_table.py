@@ -31,9 +31,9 @@ def test_csv_has_a_row_a_trait_and_a_row_a_bin():
     assert (by_name["total_length_mm"]["value"], by_name["total_length_mm"]["unit"]) == ("25", "mm")
     assert float(by_name["specific_root_length_m_per_g"]["value"]) == pytest.approx(5.0)
     assert by_name["angle_to_parent_deg"]["value"] == ""
-    depth = [(row["bin_from"], row["bin_to"], row["value"]) for row in rows if row["trait"] == "length_by_depth"]
+    depth = [(row["bin_from"], row["bin_to"], row["value"]) for row in rows if row["trait"] == "length_by_depth_mm"]
     assert depth == [("0", "10", "10"), ("10", "20", "10"), ("20", "30", "5")]
-    diameter = [row for row in rows if row["trait"] == "length_by_diameter"]
+    diameter = [row for row in rows if row["trait"] == "length_by_diameter_mm"]
     assert [float(row["value"]) for row in diameter] == [0.0, 0.0, 0.0, 25.0]
     assert (float(diameter[3]["bin_from"]), float(diameter[3]["bin_to"]), diameter[3]["bin_unit"]) == (0.3, 0.4, "mm")
 

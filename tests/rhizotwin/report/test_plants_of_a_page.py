@@ -38,6 +38,8 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
         "plants": plants,
         "volume_trusted": trusted,
         "volume_verdict": "",
+        "settings": {},
+        "views": [],
         "volume_budget": {"focal": 0.01},
         "volume_interval_mm3": (240.0, 260.0),
     }
