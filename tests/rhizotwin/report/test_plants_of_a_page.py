@@ -39,6 +39,7 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
         "volume_trusted": trusted,
         "volume_verdict": "",
         "settings": {},
+        "volume_mm3": 252.0,
         "views": [],
         "volume_budget": {"focal": 0.01},
         "volume_interval_mm3": (240.0, 260.0),
