@@ -1,4 +1,4 @@
-"""How far a trait can be relied on: its 90 % interval and a verdict."""
+"""Reliability of a trait: its 90 % interval and a verdict."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -13,29 +13,29 @@ class Assessment:
     """The reliability of one trait of one result."""
 
     verdict: Verdict = "not assessed"
-    """``not assessed``: the method states no uncertainty of this trait."""
+    """``not assessed``: no uncertainty is computed for this trait."""
     interval: tuple[float, float] | None = None
-    """90 % interval in the unit of the trait; None where it is not assessed."""
+    """90 % interval in the unit of the trait; None if it is not assessed."""
     reason: str = ""
-    """Why the trait is not reliable; empty otherwise."""
+    """Reason why the trait is not reliable; empty otherwise."""
 
 
 NOT_ASSESSED = Assessment()
 MOST_REASONS = 3
-"""More reasons make a sentence that nobody reads; each result states its own."""
+"""Maximum number of reasons in a sentence; each result contains its own in full."""
 
 
 def left_out(trait: str, reasons: Iterable[str], *, total: int) -> str:
-    """Return a sentence on the values of a trait that are not reliable and were left out; empty where none was.
+    """Return a sentence about the values of a trait that were left out as not reliable; empty if there are none.
 
     Parameters
     ----------
     trait : str
         Name of the trait.
     reasons : iterable of str
-        The reason of each value that was left out; the most frequent ones are named.
+        Reason for each value that was left out; the most frequent ones are listed.
     total : int
-        Number of values, with those that were left out.
+        Number of all values, including those that were left out.
     """
     counted = Counter(reasons)
     if not counted:

@@ -1,4 +1,4 @@
-"""Traits as tables: what each is called, its unit, its definition in words, and rows for spreadsheets."""
+"""Traits as tables: name, unit and definition of each trait, and rows for spreadsheets."""
 
 import csv
 import io
@@ -12,56 +12,58 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
 Assessments = Mapping[str, Assessment]
-"""By the field in `Traits`; a trait that is missing is not assessed."""
+"""Assessments by field of `Traits`; a missing trait is not assessed."""
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A trait that is one number."""
+    """Definition of a trait that is a single number."""
 
     field: str
-    """Of `Traits`."""
+    """Field of `Traits`."""
     name: str
-    """In tables; the unit stands beside it."""
+    """Name in tables, without the unit."""
     unit: str
-    """Empty for ratios and counts."""
+    """Unit; empty for ratios and counts."""
     meaning: str
 
     @property
     def heading(self) -> str:
-        """Return name and unit for the head of a column."""
+        """Return name and unit as a column heading."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """A trait that divides the length among bins."""
+    """Definition of a trait that is a histogram of length."""
 
     field: str
     name: str
     meaning: str
     bin_unit: str
     bin_width: float
-    """0: the bins are whole numbers by themselves."""
+    """Width of a bin; 0 if the bins are integers."""
 
     def edges(self, index: int) -> tuple[float, float]:
-        """Return where a bin begins and ends."""
+        """Return the limits of a bin."""
         return (index * self.bin_width, (index + 1) * self.bin_width) if self.bin_width else (index, index)
 
 
 DEFINITIONS = (
     Definition("total_length_mm", "total_length", "mm", "length of all centre lines"),
     Definition("volume_mm3", "volume", "mm3", "volume of the solid, overlaps counted once"),
-    Definition("surface_mm2", "surface", "mm2", "area of the outside"),
+    Definition("surface_mm2", "surface", "mm2", "surface area of the solid"),
     Definition("mean_diameter_mm", "mean_diameter", "mm", "mean over the length (GiA Roots: average root width)"),
     Definition("median_diameter_mm", "median_diameter", "mm", "half of the length is thinner"),
     Definition("max_diameter_mm", "max_diameter", "mm", "largest diameter of a centre line"),
     Definition("depth_mm", "depth", "mm", "highest to lowest point (GiA Roots: network depth)"),
-    Definition("width_mm", "width", "mm", "largest horizontal distance between any two points, at whatever heights"),
+    Definition("width_mm", "width", "mm", "largest horizontal distance between any two points, at any heights"),
     Definition("convex_hull_mm3", "convex_hull_volume", "mm3", "volume of the convex hull"),
     Definition("solidity", "solidity", "", "volume over the volume of the convex hull"),
-    Definition("max_root_count", "max_root_count", "", "84th percentile of the roots that horizontal planes 1 mm apart meet (GiA Roots)"),
-    Definition("median_root_count", "median_root_count", "", "median of the same (GiA Roots)"),
+    Definition(
+        "max_root_count", "max_root_count", "", "84th percentile of the number of roots crossing horizontal planes 1 mm apart (GiA Roots)"
+    ),
+    Definition("median_root_count", "median_root_count", "", "median number of roots crossing these planes (GiA Roots)"),
     Definition("bushiness", "bushiness", "", "max_root_count over median_root_count (GiA Roots)"),
     Definition(
         "lower_length_share",
@@ -70,10 +72,12 @@ DEFINITIONS = (
         "share of the length in the lower two thirds of the depth (GiA Roots: length distribution)",
     ),
     Definition("roots", "roots", "", "number of roots, taproots and laterals of every order"),
-    Definition("tips", "tips", "", "number of root ends; a root whose end others hide has none"),
-    Definition("branch_points", "branch_points", "", "places where laterals leave; several at one place count once"),
-    Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 grows straight down, 90 level"),
-    Definition("angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals, their first 5 mm against the parent there"),
+    Definition("tips", "tips", "", "number of visible root tips; tips hidden by other roots are not counted"),
+    Definition("branch_points", "branch_points", "", "number of points where laterals emerge; several at one point count once"),
+    Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 is straight down, 90 horizontal"),
+    Definition(
+        "angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals of the angle between their first 5 mm and the parent"
+    ),
     Definition("specific_root_length_m_per_g", "specific_root_length", "m/g", "total length over the given mass"),
     Definition("tissue_density_g_per_ml", "tissue_density", "g/ml", "given mass over the volume"),
 )
@@ -81,25 +85,28 @@ DEFINITIONS = (
 SHOOT = (
     Definition("height_mm", "shoot_height", "mm", "highest point above the net pot's top"),
     Definition("leaf_area_mm2", "leaf_area", "mm2", "one side of all blades"),
-    Definition("leaves", "leaves", "", "blades that stand by themselves; two that touch are one"),
+    Definition("leaves", "leaves", "", "number of separate blades; touching blades count once"),
     Definition("surface_area_mm2", "shoot_surface", "mm2", "one side of blades and half the surface of stalks"),
     Definition("projected_mean_mm2", "shoot_projected_area", "mm2", "mean over the pictures, at the scale of the canister's axis"),
-    Definition("volume_mm3", "shoot_volume", "mm3", "stalks, and leaf area times the thickness that was measured"),
+    Definition("volume_mm3", "shoot_volume", "mm3", "volume of stalks, and leaf area times measured thickness"),
     Definition("convex_mm3", "shoot_convex_volume", "mm3", "volume of the shoot's convex hull"),
 )
-"""Of what grows above the net pot; the fields are those of ``shoot`` in ``result.json``."""
+"""Traits of the shoot; the fields are those of ``shoot`` in ``result.json``."""
 
 COLOUR = (
     Definition("ndvi", "ndvi", "", "normalised difference of the leaves' reflectance in near infrared and red"),
-    Definition("ndre", "ndre", "", "the same of near infrared and red edge"),
+    Definition("ndre", "ndre", "", "normalised difference of the leaves' reflectance in near infrared and red edge"),
     *(
         Definition(
-            f"reflectance_{name}", f"reflectance_{name}", "", f"light of the leaves over that of white paper, {low:g} to {high:g} nm"
+            f"reflectance_{name}",
+            f"reflectance_{name}",
+            "",
+            f"light reflected by the leaves relative to white paper, {low:g} to {high:g} nm",
         )
         for name, (low, _, high) in RANGES_NM.items()
     ),
 )
-"""Of the leaves, where the camera has bands; the fields are those of ``shoot`` in ``result.json``."""
+"""Traits of the leaves for cameras with bands; the fields are those of ``shoot`` in ``result.json``."""
 COLOURS = tuple(d.field for d in COLOUR)
 
 HISTOGRAMS = (
@@ -110,20 +117,20 @@ HISTOGRAMS = (
 
 
 def to_csv(traits: Traits, assessed: Assessments) -> str:
-    """Return one row a trait, and one row a bin of each histogram; what is not known is empty.
+    """Return CSV text with one row per trait and per bin of each histogram; unknown values are empty.
 
     Parameters
     ----------
     traits : Traits
-        The values.
+        Values of the traits.
     assessed : dict of Assessment
-        Their 90 % intervals and verdicts.
+        90 % intervals and verdicts of the traits.
     """
     return csv_text([_HEAD, *_rows(traits, assessed)])
 
 
 def by_plant_csv(plants: Sequence[tuple[str, Traits, Assessments]]) -> str:
-    """Return the same with the plant before each row, one plant after the other; the whole has an empty name."""
+    """Return CSV text as `to_csv`, with the plant before each row; the name of the whole is empty."""
     return csv_text([("plant", *_HEAD), *((name, *row) for name, traits, assessed in plants for row in _rows(traits, assessed))])
 
 
@@ -143,21 +150,21 @@ def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
 
 
 def _assessed(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, str]]:
-    """Yield definition, value, ends of the interval and verdict of each trait."""
+    """Yield definition, value, interval limits and verdict of each trait."""
     for d in DEFINITIONS:
         one = assessed.get(d.field, NOT_ASSESSED)
         yield d, getattr(traits, d.field), *(one.interval or (None, None)), one.verdict
 
 
 def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
-    """Return the same for JSON: a list of traits and a list of histograms, None where a number is not known.
+    """Return the table for JSON: a list of traits and a list of histograms, with None for unknown values.
 
     Parameters
     ----------
     traits : Traits
-        The values.
+        Values of the traits.
     assessed : dict of Assessment
-        Their 90 % intervals and verdicts.
+        90 % intervals and verdicts of the traits.
     """
     return {
         "traits": [
@@ -181,14 +188,14 @@ def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
 
 
 def lines(traits: Traits, assessed: Assessments) -> list[str]:
-    """Return the traits that are one number as aligned lines with interval or verdict; a dash for an unknown number.
+    """Return the single-number traits as aligned lines with interval or verdict; unknown values are dashes.
 
     Parameters
     ----------
     traits : Traits
-        The values.
+        Values of the traits.
     assessed : dict of Assessment
-        Their 90 % intervals and verdicts.
+        90 % intervals and verdicts of the traits.
     """
     width, rows = max(len(d.name) for d in DEFINITIONS) + 2, []
     for d in DEFINITIONS:
@@ -199,7 +206,7 @@ def lines(traits: Traits, assessed: Assessments) -> list[str]:
 
 
 def said(one: Assessment) -> str:
-    """Return an interval or a verdict for people."""
+    """Return an interval or a verdict as text."""
     if one.interval is None:
         return one.verdict
     interval = f"{shown(one.interval[0])} to {shown(one.interval[1])}"
@@ -207,20 +214,20 @@ def said(one: Assessment) -> str:
 
 
 def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
-    """Return the traits of ``shoot`` in ``result.json`` by name, colours where it has them; None: not known."""
+    """Return the traits of ``shoot`` in ``result.json`` by name, including colours if present; None if unknown."""
     known = shoot or {}
     return {d.name: known.get(d.field) for d in (*SHOOT, *COLOUR) if d in SHOOT or d.field in known}
 
 
 def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
-    """Return a shoot's traits as aligned lines, as `lines` does a root's."""
+    """Return a shoot's traits as aligned lines, as `lines` does for roots."""
     width = max(len(d.name) for d in DEFINITIONS) + 2
     found = shoot_numbers(shoot)
     return [f"{d.name:<{width}}{shown(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip() for d in (*SHOOT, *COLOUR) if d.name in found]
 
 
 def shown(value: Number) -> str:
-    """Return a number for people: whole, or with four digits that count; a dash for None."""
+    """Return a number as text: an integer, or four significant digits; a dash for None."""
     if value is None:
         return "-"
     if isinstance(value, int):
@@ -229,12 +236,12 @@ def shown(value: Number) -> str:
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
-    """Return rows as CSV with commas, quoted where needed."""
+    """Return rows as CSV with commas, quoted if needed."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()
 
 
 def written(value: Number) -> str:
-    """Return a number for files, with seven digits that count; empty for None."""
+    """Return a number for files, with seven significant digits; empty for None."""
     return "" if value is None else str(value) if isinstance(value, int) else f"{value:.7g}"

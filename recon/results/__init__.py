@@ -1,1 +1,1 @@
-"""A result as a value in memory and as a folder: numbers, traits and files."""
+"""Results as objects in memory and as folders: numbers, traits and files."""

@@ -1,4 +1,4 @@
-"""The reliability of every trait of a result, from the intervals and verdicts in ``result.json``."""
+"""Reliability of every trait of a result, from the intervals and verdicts in ``result.json``."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ Pair = tuple[float, float]
 def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = None) -> dict[str, Assessment]:
     """Return the assessment of each trait, by its field in `Traits`.
 
-    Volume, length, tips and mean diameter have intervals of their own; specific root length and tissue density take
-    theirs from length and volume. The other traits are not assessed, and not reliable where the scan as a whole is not.
+    Volume, length, tips and mean diameter have their own intervals; those of specific root length and tissue density
+    follow from length and volume. Other traits are not assessed, or not reliable if the scan is not.
 
     Parameters
     ----------
     summary : Json
-        ``result.json``.
+        Content of ``result.json``.
     traits : Traits
-        Of the result, or of one of several plants in it.
+        Traits of the result, or of one of several plants in it.
     volume_interval_mm3 : (float, float), optional
-        Of the plant, where ``traits`` are those of one of several; only its volume is assessed then.
+        Interval of the plant's volume if ``traits`` are those of one of several plants; only its volume is then
+        assessed.
     """
     reason = str(summary["volume_verdict"]).removeprefix(NO_VOLUME)
     refused = Assessment(verdict="not reliable", reason=f"the scan is not reliable: {reason}")
@@ -54,7 +55,7 @@ def _judged(trusted: bool, interval: Pair, reason: str) -> Assessment:
 
 
 def _derived(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
-    """Return the assessment of a trait that is a known mass times a power of another trait."""
+    """Return the assessment of a trait that is the product of a known mass and a power of another trait."""
     if value is None or derived is None or base.interval is None or not base.interval[0] > 0.0:
         return replace(base, interval=None, verdict="not reliable" if base.verdict == "not reliable" else "not assessed")
     low, high = sorted(derived * (end / value) ** power for end in base.interval)

@@ -1,4 +1,4 @@
-"""What a result says of each of several plants in the canister."""
+"""Results for each of several plants in a canister."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class OfPlant:
-    """One of several plants of a result."""
+    """Result for one of several plants."""
 
     subject: Subject
-    """Whose roots they are."""
+    """Subject of the plant."""
     at_mm: Pair
-    """Where it hangs through the net pot's grid, as given."""
+    """Given attachment point in the net pot's grid."""
     volume_mm3: float
-    """Its share of the volume."""
+    """Volume of the plant's roots."""
     volume_interval_mm3: Pair
-    """90 % interval: the whole volume's, and what of its own may be another plant's and the other way round."""
+    """90 % interval of the volume, which combines that of the total volume with the volume of uncertain assignment."""
     open_mm: float
-    """Length of its roots that may as well be another plant's."""
+    """Length of its roots that may belong to another plant."""
     traits: Traits
 
     def plain(self) -> Json:
-        """Return it as JSON values."""
+        """Return the values as a JSON object."""
         plain: Json = to_plain(self)
         return plain
 
 
 def of_summary(summary: Json, where: str) -> tuple[OfPlant, ...]:
-    """Return the plants that a ``result.json`` tells; none where there is one plant, or in earlier versions.
+    """Return the plants of a ``result.json``; empty for a single plant and in results of earlier versions.
 
     Raises
     ------
     UserError
-        Where it is damaged.
+        If the entry is damaged.
     """
     place = Place(where).at("plants")
     found = from_plain(_Plants, {"plants": summary.get("plants") or []}, Place(where)).plants

@@ -1,4 +1,4 @@
-"""What a result's pictures told of its rig, for ``result.json``."""
+"""Calibration of the rig from a result's pictures, for ``result.json``."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from rhizotwin.recon.results.parts import Json
 
-if TYPE_CHECKING:  # the command line reads results without starting the engine
+if TYPE_CHECKING:  # results are read without loading the reconstruction
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 SWAY_AT_MM = 100.0
-"""Depth at which a sway is told: about that of a grown plant's tips."""
+"""Depth at which a sway is stated, about that of a grown plant's tips."""
 
 
 def of_cameras(cameras: Cameras) -> Json:
-    """Return what all views together told as JSON values, for the ``rig`` of a result.
+    """Return the parameters calibrated from all views as a JSON object, for the ``rig`` of a result.
 
-    Empty where the cameras were given and no more.
+    Empty if only given cameras were used.
     """
     found = {} if cameras.markers is None else _of_markers(cameras.markers)
     if found or cameras.roots is not None:
@@ -28,7 +28,7 @@ def of_cameras(cameras: Cameras) -> Json:
 
 
 def _of_markers(found: MarkerCalibration) -> Json:
-    """Return what the markers and the canister's edges told."""
+    """Return the parameters calibrated from markers and the canister's edges."""
     canister = found.canister
     return {
         "canister_from_strip": None if canister is None else canister.canister_from_strip.tolist(),
@@ -69,9 +69,9 @@ def _of_markers(found: MarkerCalibration) -> Json:
 
 
 def _of_roots(cameras: Cameras, focal_scale: float) -> Json:
-    """Return what the roots told; the index's sigma is None where no roots could be asked.
+    """Return the parameters calibrated from the roots; the index's sigma is None if roots were not used.
 
-    ``focal_scale`` is that of the markers; cameras that were corrected by the roots go with theirs.
+    ``focal_scale`` is that from the markers; cameras that were corrected by the roots have their own.
     """
     told, given = cameras.roots, cameras.optics.n_water
     if told is None:

@@ -1,4 +1,4 @@
-"""A shape divided among several plants."""
+"""Division of a shape among several plants."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """The whole solid, of which each plant has a part."""
+    """Shape of all plants together."""
 
     leaves: Leaves
     surface: Mesh
     finest_mm: float
-    """Edge of the voxels from which it was drawn."""
+    """Edge of the voxels from which the surface was extracted."""
     volume_mm3: float
     interval_mm3: Pair
 
 
 def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[OfPlant, ...]:
-    """Divide a shape among plants: every part of it is of the plant whose root's skin is nearest.
+    """Divide a shape among plants: every part is assigned to the plant with the nearest root surface.
 
     Parameters
     ----------
     shape : Shape
-        Voxels, surface and volume.
+        Shape with voxels, surface and volume.
     planted : Planted
         Roots with their plants.
     plants : sequence of Plant
-        In the scene.
+        Plants of the scene.
     whole : Subject
-        What the pot has in common.
+        Subject of the canister.
 
     Returns
     -------
     tuple of OfPlant
-        Of the plants that have roots, in the order given.
+        Results of the plants that have roots, in the given order.
     """
     names = [plant.plant for plant in plants if any(root.plant == plant.plant for root in planted.roots)]
     unsure = [root for root, is_open in zip(planted.roots, planted.open, strict=True) if is_open]
@@ -92,16 +92,16 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 
 
 def warnings(planted: PlantedRoots, found: Sequence[OfPlant]) -> tuple[str, ...]:
-    """Say which plants were not found, and how much may be of another."""
-    said = [f"no base of plant {name} was found near its place: its roots may be among another's" for name in planted.missing]
+    """Return warnings about plants that were not found, and about roots of uncertain assignment."""
+    said = [f"no base of plant {name} was found near its place; its roots may be assigned to another plant" for name in planted.missing]
     total, open_mm = rsml.length_mm(planted.roots), sum(one.open_mm for one in found)
     if open_mm > 0.0:
-        said.append(f"{100.0 * open_mm / total:.0f} % of the roots' length hangs on no plant for certain; it is given to the nearest")
+        said.append(f"{100.0 * open_mm / total:.0f} % of the roots' length has no certain plant and is assigned to the nearest")
     return tuple(said)
 
 
 def _height_mm(points_mm: Floats, roots: Sequence[Root]) -> Floats:
-    """Return how far points (P, 3) are above the skin of the nearest of some roots; infinite without any."""
+    """Return the distances of points (P, 3) from the nearest surface of some roots; infinite without roots."""
     if not roots:
         return np.full(len(points_mm), np.inf)
     tubes = tube_surface.stations(roots)

@@ -1,4 +1,4 @@
-"""What a result folder is made of: its shapes in memory and packed, the names of its pictures, its version."""
+"""Parts of a result folder: shapes in memory and compressed, names of pictures, and schema version."""
 
 import io
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 Json: TypeAlias = dict[str, Any]
-"""An object of JSON: what a key holds, its reader knows."""
+"""A JSON object."""
 SCHEMA_VERSION = 1
-"""Of ``result.json``; it grows when what a key means changes."""
+"""Version of ``result.json``, which increases when the meaning of a key changes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leaves:
-    """The octree's occupied leaves: one covers ``origin_mm + voxel_mm * [low, low + size]``."""
+    """Occupied leaves of the octree; one covers ``origin_mm + voxel_mm * [low, low + size]``."""
 
     low: NDArray[np.int32]
     """(N, 3) lowest voxel."""
     size: NDArray[np.int32]
     """(N,) edge in voxels."""
     occupancy: NDArray[np.float32]
-    """(N,) fraction of the leaf inside, 0..1."""
+    """(N,) occupied fraction of the leaf, 0..1."""
     origin_mm: Floats
     voxel_mm: float
 
@@ -38,13 +38,13 @@ class Mesh:
     """A triangle mesh in the canister frame."""
 
     vertices_mm: Floats
-    """(V, 3)"""
+    """(V, 3) vertices."""
     faces: NDArray[np.int64]
-    """(F, 3)"""
+    """(F, 3) vertex indices."""
 
     @staticmethod
     def of(mesh: "trimesh.Trimesh") -> "Mesh":
-        """Return vertices and faces of a mesh of trimesh's."""
+        """Return a mesh with the vertices and faces of a trimesh mesh."""
         vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
         return Mesh(vertices_mm=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3))
 
@@ -55,7 +55,7 @@ class Mesh:
 
     @property
     def areas_mm2(self) -> Floats:
-        """Of the faces (F,)."""
+        """Areas of the faces (F,)."""
         a, b, c = self.corners_mm
         return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
 
@@ -78,5 +78,5 @@ def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
 
 
 def picture_path(folder: Path, frame_file: str) -> Path:
-    """Return where a frame's picture of the same name lies in ``folder`` (silhouettes, seen, masks): always PNG."""
+    """Return the path of the PNG file in ``folder`` (silhouettes, seen, masks) that belongs to a frame."""
     return Path(folder) / f"{PurePosixPath(frame_file).stem}.png"

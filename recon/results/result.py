@@ -4,11 +4,11 @@
              shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the
                            untrimmed hull as hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
              shape.ply     surface, canister frame, mm
-             shoot.ply     surface of the shoot's visual hull, where there are pictures of a shoot
-             roots.rsml    centre lines and diameters of the roots, where some were found
+             shoot.ply     surface of the shoot's visual hull, if there are pictures of a shoot
+             roots.rsml    centre lines and diameters of the roots, if any were found
              traits.csv, traits.json   traits with units and definitions
              silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
-             seen/NAME.png          8 bit: 255 where the picture says something about the water
+             seen/NAME.png          8 bit: 255 for usable pixels
 
 NAME is the picture's name in the dataset.
 """
@@ -52,40 +52,40 @@ def triple(values: NDArray[np.float64]) -> Triple:
 
 
 POSES = ("cam_from_canister", "cam_from_tank")
-"""Poses of a camera in ``result.json`` ..."""
+"""Keys of a camera's poses in ``result.json``."""
 _OF_VIEW = ("file", "ring", "used", "reason", *POSES, "sway", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
-"""... and its fields, before those that are told of the table and the silhouette."""
+"""Keys of a view in ``result.json``, without those of table angle and silhouette."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solid:
-    """What stands in the water, and how large it is."""
+    """Reconstructed shape and its volume."""
 
     voxels: Leaves
     """Occupied cubes of one or more voxels; they do not overlap."""
     hull: Leaves
-    """The same before trimming."""
+    """Leaves of the hull before trimming."""
     finest_mm: float
-    """Edge of the nodes that were carved."""
+    """Edge of the carved nodes."""
     mesh: trimesh.Trimesh
-    """The surface, canister frame, mm."""
+    """Surface, canister frame, mm."""
     volume: Volume
     hull_mm3: float
     untrimmed_mm3: float
-    """Part of the volume that is hull still."""
+    """Part of the volume whose size is that of the hull."""
     blind_mm3: float
-    """Volume of the water that too few views see."""
+    """Volume of the water that too few views show."""
     extents_min_mm: Triple
     extents_max_mm: Triple
     mu_per_mm: float | None = None
-    """Attenuation of light in the roots; None for opaque ones, and where nobody asked."""
+    """Attenuation of light in the roots; None for opaque roots, and if it was not estimated."""
     mu_sigma_per_mm: float | None = None
-    """Its standard deviation, where thin roots told it."""
+    """Standard deviation of the attenuation, if it was estimated from thin roots."""
     roots: tuple[Root, ...] = ()
-    """Centre lines and diameters, parents before children; empty where there are none."""
+    """Centre lines and diameters, parents before children; empty if there are none."""
     warnings: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
-    """What views and shape say of each other."""
+    """Checks of the consistency of views and shape."""
 
     @property
     def voxel_mm(self) -> float:
@@ -94,7 +94,7 @@ class Solid:
 
     @property
     def surface(self) -> Mesh:
-        """The surface as vertices and faces."""
+        """Surface as vertices and faces."""
         return Mesh.of(self.mesh)
 
     @property
@@ -105,55 +105,56 @@ class Solid:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Everything a reconstruction found; `save` writes it, `rhizotwin.load_result` reads it back."""
+    """Complete result of a reconstruction; `save` writes it, and `rhizotwin.load_result` reads it."""
 
     dataset: str
     """Folder of the dataset."""
     dataset_sha256: str
-    """Of the dataset's manifest, which holds the hashes of its pictures."""
+    """SHA-256 of the dataset's manifest, which contains the hashes of its pictures."""
     scene: str
     solid: Solid
     subject: Subject = Subject()
-    """Whose roots they are, as the dataset tells."""
+    """Subject of the scan, from the dataset."""
     solution: Solution = field(default_factory=Solution)
-    """Nutrient solution in which they grew, as the dataset tells."""
+    """Nutrient solution, from the dataset."""
     plants: tuple[OfPlant, ...] = ()
-    """Of several plants in the canister, each with its part of the shape; empty: there is one, or no roots."""
+    """Results for several plants in the canister, each with its part of the shape; empty for a single plant, or without
+    roots."""
     strip: MarkerStrip | None = None
-    """The marker strip, which holds the canister's frame; None in results of earlier versions."""
+    """Marker strip, which defines the canister frame; None in results of earlier versions."""
     mass_g: float | None = None
-    """Of the roots, where they were weighed."""
+    """Mass of the roots, if it was measured."""
     cameras: tuple[Camera, ...]
-    """Of every picture of the root."""
+    """Cameras of all pictures of the roots."""
     shoot: Shoot | None = None
-    """What stands above the net pot; None where no picture shows it."""
+    """Shoot above the net pot; None without pictures of it."""
     bands: Mapping[str, float] = field(default_factory=dict)
-    """Signal-to-noise ratio of the roots in each band of the camera, the band that was used first; empty: the camera
-    has none, or the settings name the band."""
+    """Signal-to-noise ratio of the roots in each band of the camera, the selected band first; empty if the camera has
+    no bands, or the settings state the band."""
     fill: Mapping[str, float]
-    """Share of the seen water that roots cover, by the frame's file."""
+    """Fraction of the visible water that roots cover, by the frame's file."""
     rig: Json
-    """Cameras, canister and errors that all views together gave; empty where the poses were given."""
+    """Cameras, canister and errors calibrated from all views; empty if the poses were given."""
     warnings: tuple[str, ...]
     checks: tuple[Check, ...] = ()
-    """What the scan passed or failed before its volume is trusted."""
+    """Checks of the scan on which trust in the volume depends."""
     estimates: tuple[Estimate, ...] = ()
-    """Length, tips and mean diameter, each with an interval and a verdict of its own; empty without roots."""
+    """Length, tips and mean diameter, each with its own interval and verdict; empty without roots."""
     timings_s: dict[str, float]
-    """Seconds that each stage took."""
+    """Duration of each stage in seconds."""
     passes: Mapping[str, int] = field(default_factory=dict)
-    """Passes over all pictures by kind (`recon.passes`); empty in results of earlier versions."""
+    """Number of passes over all pictures by kind (`recon.passes`); empty in results of earlier versions."""
     peak_memory_mib: float
     settings: Json
     versions: dict[str, str]
     silhouettes: Mapping[str, Silhouette] = field(repr=False)
-    """By the frame's file; empty where a stored result holds none."""
+    """Silhouettes by the frame's file; empty if a stored result contains none."""
     notebook: Callable[[Result], str] | None = field(default=None, repr=False, compare=False)
-    """Gives the HTML that a notebook shows; who hands the result to a person sets it."""
+    """Function that returns the HTML shown in a notebook, set by the caller."""
 
     @property
     def volume_mm3(self) -> float:
-        """The volume."""
+        """Volume of the roots."""
         return self.solid.volume.mm3
 
     @property
@@ -163,22 +164,22 @@ class Result:
 
     @property
     def trusted(self) -> bool:
-        """Whether the scan can give a volume."""
+        """Whether the volume is reliable."""
         return self.solid.volume.trusted
 
     @property
     def verdict(self) -> str:
-        """What the volume is worth, in one sentence."""
+        """Reliability of the volume in one sentence."""
         return self.solid.volume.verdict
 
     @property
     def roots(self) -> tuple[Root, ...]:
-        """Centre lines and diameters, parents before children; empty where there are none."""
+        """Centre lines and diameters, parents before children; empty if there are none."""
         return self.solid.roots
 
     @cached_property
     def measured(self) -> Traits:
-        """The traits as numbers."""
+        """Traits as numbers."""
         solid = self.solid
         return result_traits.of_shape(
             solid.surface,
@@ -191,17 +192,14 @@ class Result:
 
     @property
     def traits(self) -> Any:
-        """The traits with units, 90 % intervals, verdicts and definitions.
-
-        A pandas frame, indexed by name.
-        """
+        """Traits with units, 90 % intervals, verdicts and definitions, as a pandas DataFrame indexed by name."""
         rows = trait_table.to_json(self.measured, assessments.assess(self.summary(), self.measured))["traits"]
         import pandas as pd
 
         return pd.DataFrame(rows).set_index("name")
 
     def _repr_html_(self) -> str | None:
-        """Return what a notebook shows; None: text."""
+        """Return the HTML shown in a notebook; None for the text representation."""
         return None if self.notebook is None else self.notebook(self)
 
     def summary(self) -> Json:
@@ -248,18 +246,18 @@ class Result:
         }
 
     def _view(self, camera: Camera) -> Json:
-        """Return what became of one picture as JSON values."""
+        """Return the entry of one picture as a JSON object."""
         plain = {name: getattr(camera, name) for name in (*_OF_VIEW, "markers", "table_deg")}
         poses = {name: None if (pose := plain[name]) is None else pose.tolist() for name in POSES}
         return plain | poses | {"fill": self.fill.get(camera.file)}
 
     def save(self, folder: Path | str) -> None:
-        """Write a result folder; ``result.json`` comes last, so that a folder with one is whole.
+        """Write a result folder; ``result.json`` is written last, so that a folder with one is complete.
 
         Raises
         ------
         OSError
-            Where it cannot be written.
+            If it cannot be written.
         """
         begin, folder, solid = time.perf_counter(), Path(folder), self.solid
         (folder / "result.json").unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Traits of a result: from its roots, its surface and its volume, as numbers, CSV and JSON."""
+"""Traits of a result, computed from its roots, surface and volume, as numbers, CSV and JSON."""
 
 import json
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from rhizotwin.scenes.traits import Traits, measure_traits
 Floats = NDArray[np.float64]
 
 THICK_CELLS = 3.0
-"""Roots of a larger radius, in finest voxels, are measured on the mesh; the mesh of thinner ones is eaten (-10 % of 0.3
-mm roots' area)."""
+"""Minimum radius, in finest voxels, of roots whose surface is measured on the mesh; meshes of thinner roots are too
+small (-10 % of the area of 0.3 mm roots)."""
 
 
 def of_shape(
@@ -39,13 +39,13 @@ def of_shape(
     Parameters
     ----------
     surface : Mesh
-        May be empty.
+        Surface of the shape; may be empty.
     roots : sequence of Root
-        May be empty; what needs centre lines is None then.
+        Centre lines; if empty, traits that require them are None.
     finest_mm : float
-        Edge of the voxels from which the surface was drawn.
+        Edge of the voxels from which the surface was extracted.
     extents_mm : tuple of (3,) sequences of float
-        Lowest and highest corner of the shape, for one whose surface is empty.
+        Lowest and highest corner of the shape, used if the surface is empty.
     """
     some = len(surface.vertices_mm) or roots
     points = np.concatenate([surface.vertices_mm, *(root.points_mm for root in roots)]) if some else np.array(extents_mm)
@@ -71,7 +71,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
 
 
 def _plant(one: OfPlant, summary: Json) -> Json:
-    """Return one of several plants for ``traits.json``."""
+    """Return the entry of one of several plants in ``traits.json``."""
     assessed = assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)
     return {
         "subject": to_plain(one.subject),
@@ -82,7 +82,7 @@ def _plant(one: OfPlant, summary: Json) -> Json:
 
 
 def edited(summary: Json) -> str:
-    """Return a person's corrections of a result in a few words; empty where there are none."""
+    """Return a short description of manual corrections of a result; empty if there are none."""
     edits = summary.get("edits")
     if not edits:
         return ""
@@ -93,25 +93,25 @@ def edited(summary: Json) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Own:
-    """The roots of one plant of a result."""
+    """Roots of one plant of a result."""
 
     subject: Subject
     traits: Traits
     assessed: dict[str, Assessment]
-    """By the field in `Traits`."""
+    """Assessments by the field in `Traits`."""
 
 
 def each(where: str, summary: Json, traits: Traits) -> list[Own]:
-    """Return subject, traits and assessments of a result: of each plant, where there are several.
+    """Return subject, traits and assessments of a result, or of each of several plants.
 
     Parameters
     ----------
     where : str
-        The result, for messages.
+        Name of the result, used in messages.
     summary : Json
-        ``result.json``.
+        Content of ``result.json``.
     traits : Traits
-        Of the whole result.
+        Traits of the whole result.
     """
     plants = [
         Own(
@@ -125,7 +125,7 @@ def each(where: str, summary: Json, traits: Traits) -> list[Own]:
 
 
 def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
-    """Return the texts of ``traits.csv`` and ``traits.json``."""
+    """Return the content of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
     table = trait_table.to_csv(traits, whole)
@@ -136,7 +136,7 @@ def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str,
 
 
 def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
-    """Return the outside's area: thin roots as tubes, the rest as meshed."""
+    """Return the surface area: thin roots as tubes, the rest from the mesh."""
     area = surface.areas_mm2
     if not roots:
         return float(area.sum())
@@ -149,7 +149,7 @@ def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
 
 
 def height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
-    """Return how far points (P, 3) are above the skin of the nearest of some stations; infinite without any."""
+    """Return the distances of points (P, 3) from the nearest surface of some stations; infinite without stations."""
     if not len(centre_mm):
         return np.full(len(points_mm), np.inf)
     away, near = cKDTree(centre_mm).query(points_mm, workers=-1)

@@ -202,7 +202,7 @@ def test_a_tip_was_seen_unless_the_file_says_no(write: Write) -> None:
 
 
 def test_impossible_diameters_and_points(write: Write) -> None:
-    for bad, says in (("-0.5", "diameters must be above 0"), ("thick", "no finite number"), ("nan", "no finite number")):
+    for bad, says in (("-0.5", "diameters must be above 0"), ("thick", "not a finite number"), ("nan", "not a finite number")):
         with pytest.raises(UserError, match=says):
             read_rsml(write(f"<root>{LINE}{THICK.replace('0.4', bad)}</root>"))
     for bad in ('x="one"', 'x="inf"', 'x=""', ""):
@@ -221,7 +221,7 @@ def test_what_is_no_rsml(tmp_path: Path) -> None:
         b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
     ):
         path.write_bytes(content)
-        with pytest.raises(UserError, match=r"wild\.rsml: is no RSML file"):
+        with pytest.raises(UserError, match=r"wild\.rsml: is not an RSML file"):
             read_rsml(path)
 
 
