@@ -1,4 +1,4 @@
-"""Signal-to-noise ratio of roots, or of a shoot, in each band of the camera, by which the band to use is chosen."""
+"""Signal-to-noise ratio of roots, or of a shoot, in each band of the camera, used to select the band."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 
 _VIEWS = 6
-"""Views that are compared, evenly over the scan."""
+"""Number of views compared, distributed evenly over the scan."""
 _WIDEST = 20
-"""Structures up to this fraction (one over it) of the picture's width are counted."""
+"""Inverse of the maximum width of structures that are counted, relative to the picture's width."""
 _SIGMAS = 4.0
-"""Structures count from this many standard deviations of the noise on, as for silhouettes."""
+"""Minimum strength of structures in standard deviations of the noise, as for silhouettes."""
 
 
 def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str, float]:
     """Return the signal-to-noise ratio of each band in which all views of a kind were taken with both lights on.
 
-    The signal is the Euclidean norm of what is darker than its surroundings and narrow, over all pixels: that of a
-    matched filter in white noise (Kay 1998, Detection Theory, section 4.3).
+    The signal is the Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in
+    white noise (Kay 1998, Detection Theory, section 4.3).
 
     Parameters
     ----------
     dataset : Dataset
-        Scene and frames.
+        Dataset with scene and frames.
     kind : {"root", "shoot"}
-        Of which the pictures are.
+        Subject of the pictures.
     monitor : Monitor
-        Hears how far the work is.
+        Receives the progress.
 
     Returns
     -------
     dict of float
-        By name, the best first; empty where the camera has no bands.
+        Signal-to-noise ratio by the band's name, in decreasing order; empty if the camera has no bands.
 
     Raises
     ------
     UserError
-        Where the camera has bands and none of them can be used.
+        If the camera has bands, but none of them is usable.
     """
     scene, listed = dataset.scene, [frame for frame in dataset.frames if frame.kind == kind]
     if not scene.camera.bands or not listed:
@@ -72,15 +72,15 @@ def _ratio(dataset: Dataset, frame: Frame) -> float:
     light = picture[_rows(dataset.scene, frame)].astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
     side = max(3, light.shape[1] // _WIDEST) | 1
     dark = cv2.morphologyEx(light, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)) - light
-    dark -= np.median(dark)  # closing takes the brightest of the noise nearby
+    dark -= np.median(dark)  # closing selects the maximum of the noise nearby
     step = np.diff(light, axis=1)
-    least = 2.0**-dataset.scene.camera.bits / 12.0**0.5  # of rounding
+    least = 2.0**-dataset.scene.camera.bits / 12.0**0.5  # rounding noise
     noise = max(MAD * float(np.median(np.abs(step - np.median(step)))) / 2.0**0.5, least)
     return float(np.linalg.norm(dark[dark > _SIGMAS * noise])) / noise
 
 
 def _rows(scene: Scene, frame: Frame) -> slice:
-    """Return the rows of a picture that show roots below the net pot, or the shoot above it, by the planned camera."""
+    """Return the rows of a picture of the roots below the net pot, or of the shoot above it, by the planned camera."""
     ring, pot = scene.plan.rings[frame.ring], scene.net_pot
     z_mm = pot.skirt_bottom_mm if frame.kind == "root" else pot.top_mm
     rim = np.array([[pot.outer_radius_mm, 0.0, z_mm], [-pot.outer_radius_mm, 0.0, z_mm]])

@@ -1,4 +1,4 @@
-"""The pictures that a reconstruction begins with."""
+"""Reading of the pictures for a reconstruction."""
 
 from __future__ import annotations
 
@@ -17,58 +17,58 @@ from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.transfer import Curve
 
 LeftOut = tuple[Frame, str]
-"""A frame whose picture is not read, and the reason."""
+"""A frame whose picture is excluded, and the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveFound:
-    """The curve that pictures are read by, and what the edges in them say of it."""
+    """Transfer curve with which pictures are decoded, and its agreement with the edges of the markers."""
 
     curve: Curve
     stated: Curve
     bend: float | None
-    """By how much half-way greys of the markers' edges are too bright, over the contrast, read by ``curve``; None: too
-    few measured."""
+    """Excess brightness of medium greys at the markers' edges, relative to the contrast, decoded by ``curve``; None if
+    too few were measured."""
     stated_bend: float | None
-    """The same read by ``stated``."""
+    """The same, decoded by ``stated``."""
     markers: int
 
     @property
     def is_known(self) -> bool:
-        """Tell whether the curve that is used was stated, or is one of the known ones."""
+        """Return whether the curve in use was stated, or is one of the known curves."""
         return self.curve.same(self.stated) or any(self.curve.same(known) for known in (transfer.LINEAR, transfer.SRGB))
 
     @property
     def warning(self) -> str | None:
-        """Say that the curve which is used is not the one that was stated; None where it is."""
+        """Return a warning if the curve in use differs from the stated one; otherwise None."""
         if self.curve.same(self.stated):
             return None
         off = 100.0 * (self.stated_bend or 0.0)
         return (
-            f"the markers' edges contradict the stated curve, {self.stated.name} (their greys are off by {off:.0f} % of the contrast): "
-            f"the pictures are read by {self.curve.name}"
+            f"the markers' edges contradict the stated curve, {self.stated.name} (their greys deviate by {off:.0f} % of the contrast): "
+            f"{self.curve.name} is used instead"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pictures:
-    """The pictures of the root in a dataset, or those of the shoot."""
+    """Pictures of the roots in a dataset, or those of the shoot."""
 
     dataset: Dataset
     frames: tuple[Frame, ...]
-    """(F,) all of one kind."""
+    """(F,) frames, all of one kind."""
     images: tuple[Grey, ...] = field(repr=False)
     """(F,) pictures (H, W), linear in light."""
     curve: CurveFound | None = None
-    """By what curve they were read; None: no edges were asked."""
+    """Transfer curve with which they were decoded; None if no edges were measured."""
     bands: Mapping[str, float] = field(default_factory=dict)
-    """Signal-to-noise ratio in each band of the camera, the band of these pictures first; empty: the camera has none,
-    or the settings name the band."""
+    """Signal-to-noise ratio in each band of the camera, the selected band first; empty if the camera has no bands, or
+    the settings state the band."""
     warnings: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
-    """Frames that the dataset lists and whose pictures are not read."""
+    """Frames of the dataset whose pictures are excluded."""
     measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
-    """`Markers` of some of the images, by their number, where finding the curve has measured them."""
+    """`Markers` of the images that were measured to determine the curve, by index."""
 
 
 def read_pictures(
@@ -78,25 +78,25 @@ def read_pictures(
     settings: PictureSettings = PictureSettings(),
     monitor: Monitor,
 ) -> Pictures:
-    """Read a dataset's pictures of the root, or of the shoot.
+    """Read a dataset's pictures of the roots, or of the shoot.
 
     Parameters
     ----------
     dataset : Dataset
-        Scene and frames.
+        Dataset with scene and frames.
     kind : {"root", "shoot"}
-        Of which the pictures are.
+        Subject of the pictures.
     settings : PictureSettings
-        Which pictures are left out, and the band of those of the root; without one it is the band with the largest
-        signal-to-noise ratio.
+        Pictures to exclude, and the band of those of the roots; by default the band with the largest signal-to-noise
+        ratio.
     monitor : Monitor
-        Hears how far the work is.
+        Receives the progress.
 
     Raises
     ------
     UserError
-        Where there are none, a picture to leave out is not listed, or one is missing or damaged and the settings are
-        not tolerant.
+        If there are no pictures, a picture to exclude is not in the dataset, or one is missing or damaged and the
+        settings are not tolerant.
     """
     given = settings.band if kind == "root" else ""
     ratios = {} if given else measure_bands(dataset, kind, monitor=monitor)
@@ -121,12 +121,12 @@ def read_pictures(
 
 
 def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:
-    """Return the files of the frames that are to be left out.
+    """Return the files of the frames to exclude.
 
     Raises
     ------
     UserError
-        Where a name fits no frame.
+        If a name matches no frame.
     """
     found: set[str] = set()
     for name in names:
@@ -139,7 +139,7 @@ def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:
 
 
 def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | str]:
-    """Read a picture; return the reason where it cannot be read and that is tolerated."""
+    """Read a picture; if it cannot be read and this is tolerated, return the reason."""
     try:
         return frame, read_image(dataset, frame)
     except UserError as error:
@@ -149,22 +149,22 @@ def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey |
 
 
 def content_of(dataset: Dataset, frame: Frame) -> str:
-    """Return the hash of a picture's file, as the dataset has it or else from the file."""
+    """Return the hash of a picture's file, from the dataset or else computed from the file."""
     return frame.sha256.lower() or sha256_of(dataset.folder / frame.file)
 
 
 def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:
-    """Return the curve that the first picture's file states, or else the scene."""
+    """Return the transfer curve stated in the first picture's file, or else by the scene."""
     return transfer.stated_in(dataset.folder / frames[0].file) or transfer.of_camera(dataset.scene.camera)
 
 
 def _contradictions(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, ...]:
-    """Say where the files' own words contradict each other or the scene."""
+    """Return a warning if the curves stated in the files differ from each other or from the scene's."""
     scene = transfer.of_camera(dataset.scene.camera)
     words = [transfer.stated_in(dataset.folder / frame.file) or scene for frame in frames]
     if not all(word.same(words[0]) for word in words):
         names = ", ".join(sorted({word.name for word in words}))
-        return (f"the pictures' files state different curves ({names}): each is read by its own",)
+        return (f"the picture files state different transfer curves ({names}); each is decoded by its own",)
     if words[0].same(scene):
         return ()
-    return (f"the pictures' files say that their curve is {words[0].name}, the scene's camera says {scene.name}: the files' word is taken",)
+    return (f"the picture files state the transfer curve {words[0].name}, the scene's camera {scene.name}; that of the files is used",)

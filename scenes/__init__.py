@@ -1,1 +1,1 @@
-"""What is on the rig: frozen, validated descriptions, and the files that carry them."""
+"""Frozen, validated descriptions of the rig, its contents and its scans, and the files that contain them."""

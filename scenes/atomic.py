@@ -1,7 +1,7 @@
-"""Files that appear whole or not at all: a temporary name beside the goal, flushed to the disk, then renamed.
+"""Atomic writing of files: to a temporary name in the same folder, flushed to the disk, then renamed.
 
-On any exit before the rename, Ctrl-C included, the temporary file is removed; what a kill left is removed by the next
-writer of the name.
+On any exit before the rename, including Ctrl-C, the temporary file is removed. A temporary file left by a killed
+process is removed by the next process that writes a file of that name.
 """
 
 import errno
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
-"""What the names of `beside` look like."""
+"""Regular expression of the names made by `beside`."""
 
 
 def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: bool = True) -> None:
     """Write a file atomically.
 
-    Missing parent folders are made, a device or pipe is written to as it is.
+    Missing parent folders are created. Devices and pipes are written to directly.
 
     Parameters
     ----------
     path : Path or str
-        The file; its folder is made where it is missing.
+        Path of the file; its folder is created if it is missing.
     data : bytes
-        Its whole content.
+        Complete content of the file.
     new : bool
-        Refuse to replace a file, also one that appears at this very moment.
+        Raise an error instead of replacing a file, including one created by another process at the same time.
     follow : bool
-        Follow a link, as for a name that a person gives; else it is replaced, as for a name in a folder that may come
-        from anybody, and so is a device or pipe.
+        Follow a link, as for a path given by the user. If False, links, devices and pipes are replaced, as for files in
+        a folder of unknown origin.
 
     Raises
     ------
     UserError
-        When the disk is full or the place cannot be written; a file that was there before is left as it was.
+        If the disk is full or the path cannot be written. An existing file is left unchanged.
     """
     asked = Path(path)
     path = Path(os.path.realpath(asked)) if follow else Path(os.path.realpath(asked.parent), asked.name)
@@ -58,13 +58,13 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
         _remove_left(path)
         temporary, descriptor = _open_beside(path)
         try:
-            with open(descriptor, "wb") as stream:  # noqa: PTH123 - of a descriptor
+            with open(descriptor, "wb") as stream:  # noqa: PTH123 - opens a descriptor
                 stream.write(data)
                 stream.flush()
                 os.fsync(descriptor)
                 if sys.platform != "win32":
                     _put(temporary, path, new=new)
-            if sys.platform == "win32":  # which renames no open file
+            if sys.platform == "win32":  # Windows cannot rename open files
                 _put(temporary, path, new=new)
             sync_folder(path.parent)
         finally:
@@ -82,33 +82,33 @@ def write_text(path: Path | str, text: str, *, new: bool = False) -> None:
     Parameters
     ----------
     path : Path or str
-        The file; its folder is made where it is missing.
+        Path of the file; its folder is created if it is missing.
     text : str
-        Its whole content.
+        Complete content of the file.
     new : bool
-        Refuse to replace a file that is there.
+        Raise an error if the file exists.
     """
-    write_bytes(path, text.encode("utf-8", "backslashreplace"), new=new)  # names of files may be no UTF-8
+    write_bytes(path, text.encode("utf-8", "backslashreplace"), new=new)  # file names may not be valid UTF-8
 
 
 def write_json(path: Path | str, value: Any) -> None:
-    """Write a JSON file atomically; floats survive exactly; see `write_bytes`.
+    """Write a JSON file atomically, see `write_bytes`; floats are preserved exactly.
 
     Raises
     ------
     ValueError
-        When the value holds NaN or infinity, which JSON does not have.
+        If the value contains NaN or infinity, which JSON does not support.
     TypeError
-        When the value holds something that is not JSON.
+        If the value contains an object that JSON does not support.
     """
     write_bytes(path, json_bytes(value))
 
 
 def json_bytes(value: Any) -> bytes:
-    """Return what `write_json` writes."""
+    """Return the bytes that `write_json` writes."""
     try:
         return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
-    except UnicodeEncodeError:  # a path that is no UTF-8: escaped, it reads back as it was
+    except UnicodeEncodeError:  # a path that is not UTF-8 is escaped, and reads back unchanged
         return (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()
 
 
@@ -118,13 +118,13 @@ def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | 
     Parameters
     ----------
     path : path
-        Where to.
+        Path of the file.
     image : array
         uint8 or uint16 array (H, W) grey or (H, W, 3) RGB.
     jpeg_quality : int or None
-        From 1 to 100, for JPG; None: OpenCV's own (95).
+        Quality from 1 to 100 for JPG; None for OpenCV's default (95).
     """
-    import cv2  # here, because it takes half a second to load and much of the command line writes no picture
+    import cv2  # imported here: loading takes half a second, and most commands write no picture
     import numpy as np
 
     path = Path(path)
@@ -139,12 +139,12 @@ def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | 
 
 
 def beside(path: Path) -> Path:
-    """Return a hidden name in the same folder that nobody else uses; it matches `TEMPORARY`."""
+    """Return an unused hidden name in the same folder; it matches `TEMPORARY`."""
     return path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a rename to the disk, where the system can (Windows cannot open folders)."""
+    """Flush a rename to the disk, if the system supports it (Windows cannot open folders)."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -158,30 +158,30 @@ def sync_folder(folder: Path) -> None:
 
 
 def is_full(error: OSError) -> bool:
-    """Tell whether nothing more fits on the disk."""
+    """Return whether an error means that the disk is full."""
     return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def explained(error: OSError, path: Path | str) -> UserError:
-    """Turn a failed write into one sentence."""
+    """Return a failed write as an error with a one-sentence explanation."""
     if is_full(error):
         return UserError(f"{path}: the disk is full; nothing was written under this name; free some space and run again")
     reason = error.strerror or str(error)
-    return UserError(f"{path}: cannot be written ({reason}); choose a place where you may write")
+    return UserError(f"{path}: cannot be written ({reason}); choose a folder with write permission")
 
 
 def _open_beside(path: Path) -> tuple[Path, int]:
-    """Open a new file beside a path, locked, so that others see that it is in use."""
+    """Open a new file beside a path, locked, so that other processes recognise it as in use."""
     while True:
         temporary = beside(path)
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, 0o666)
         if try_lock(descriptor) is not False and os.fstat(descriptor).st_nlink:
             return temporary, descriptor
-        os.close(descriptor)  # another writer took it for one that was left, before it was locked
+        os.close(descriptor)  # another process removed it as abandoned before it was locked
 
 
 def _remove_left(path: Path) -> None:
-    """Remove what killed writers of a file left beside it: what nobody holds the lock of."""
+    """Remove temporary files of killed processes, which are those without a lock."""
     begin = f".{path.name[:100]}."
     for name in os.listdir(path.parent):  # noqa: PTH208 - names are enough
         if name.startswith(begin) and re.fullmatch(TEMPORARY, name):
@@ -194,7 +194,7 @@ def _remove_left(path: Path) -> None:
 
 
 def _put(temporary: Path, path: Path, *, new: bool) -> None:
-    """Give a file its name; ``new``: unless that is taken."""
+    """Rename a file to its final name; with ``new``, only if that name is free."""
     if new:
         _link(temporary, path)
     else:
@@ -202,12 +202,12 @@ def _put(temporary: Path, path: Path, *, new: bool) -> None:
 
 
 def _link(temporary: Path, path: Path) -> None:
-    """Give a file its name unless that is taken."""
+    """Give a file its name, if that name is free."""
     try:
         path.hardlink_to(temporary)
     except FileExistsError:
         raise
-    except OSError:  # a file system without links
+    except OSError:  # file system without hard links
         if os.path.lexists(path):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         temporary.replace(path)

@@ -1,6 +1,6 @@
-"""Bands of a camera: each view of a scene as several pictures, one for each range of wavelengths.
+"""Bands of a camera: a view may consist of several pictures, one per range of wavelengths.
 
-A band is chosen by a filter, by coloured lamps or by a channel of a colour camera; `rig.rig_file.BandPart` says how.
+A band is selected by a filter, by coloured lamps or by a channel of a colour camera, see `rig.rig_file.BandPart`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,8 +15,8 @@ RANGES_NM = {
     "red_edge": (700.0, 720.0, 760.0),
     "nir": (760.0, 850.0, 1100.0),
 }
-"""Lowest, usual and highest centre of each range in nm: those of multispectral cameras for plants (Sentinel-2's bands
-B2 to B8 lie in them)."""
+"""Minimum, typical and maximum centre of each range in nm, those of multispectral cameras for plants (they include
+bands B2 to B8 of Sentinel-2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,19 +24,20 @@ class Band:
     """One band of a camera."""
 
     name: str = ""
-    """One lower-case word; it ends the names of the band's pictures."""
+    """One lower-case word, the suffix of the names of the band's pictures."""
     wavelength_nm: float = bounded(550.0, 300.0, 2500.0)
-    """Centre of the band; it decides which index the band is used for, and what the twin renders."""
+    """Centre of the band; it determines the vegetation index for which the band is used, and the rendering in the twin.
+    """
     panel_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Fraction of full scale that the bare panel reaches in this band; 0: it is off. None: as in ``[lights]``."""
+    """Brightness of the bare panel in this band as a fraction of full scale; 0: off. None: as in ``[lights]``."""
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Fraction of full scale that white paper on the strip reaches in this band. None: as in ``[lights]``."""
+    """Brightness of white paper on the strip in this band as a fraction of full scale. None: as in ``[lights]``."""
 
 
 def by_range(bands: Sequence[Band]) -> dict[str, str]:
-    """Return the name of the band that stands for each range of `RANGES_NM` which has one, by the range's name.
+    """Return the names of the bands by the range of `RANGES_NM` in which they lie.
 
-    Of several in one range it is the nearest to the usual wavelength.
+    If several bands lie in one range, the band nearest to the typical wavelength is used.
     """
     found = {}
     for name, (low, usual, high) in RANGES_NM.items():
@@ -49,14 +50,14 @@ def by_range(bands: Sequence[Band]) -> dict[str, str]:
 def normalised_difference(one: float, other: float) -> float:
     """Return ``(one - other) / (one + other)``.
 
-    Of near infrared and red it is the NDVI (Rouse et al. 1974, NASA SP-351), of near infrared and red edge the NDRE
+    For near infrared and red this is the NDVI (Rouse et al. 1974, NASA SP-351), for near infrared and red edge the NDRE
     (Barnes et al. 2000, Proc. 5th Int. Conf. Precision Agriculture).
     """
     return (one - other) / max(one + other, 1e-12)
 
 
 def vegetation_indices(reflectances: Mapping[str, float]) -> dict[str, float]:
-    """Return ``ndvi`` and ``ndre`` as far as the reflectances, by range, allow."""
+    """Return ``ndvi`` and ``ndre`` if the reflectances of the required ranges are known."""
     pairs = {"ndvi": "red", "ndre": "red_edge"}
     return {
         name: normalised_difference(reflectances["nir"], reflectances[other])

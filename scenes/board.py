@@ -1,6 +1,6 @@
-"""The calibration board, the same for printer, twin and calibration.
+"""ChArUco calibration board, as printed, as rendered in the twin, and as detected by the calibration.
 
-It is a chessboard with ArUco markers in its white squares (ChArUco).
+It is a chessboard with ArUco markers in its white squares.
 """
 
 from dataclasses import dataclass
@@ -19,24 +19,26 @@ from rhizotwin.scenes.markers import black_rectangles, dictionary_named
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 MARKER_SHARE = 11.0 / 15.0
-"""Side of a marker over that of its square, where nothing else is said."""
+"""Default ratio of a marker's side to that of its square."""
 LEAST_GAP = 0.05
-"""White between a marker and the edge of its square, in squares: less, and the corners cannot be measured."""
+"""Minimum white margin between a marker and the edge of its square, as a fraction of the square; with less, corners
+cannot be measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CharucoBoard:
-    """A ChArUco board in OpenCV's present pattern: the top left square is black, ids rise along the rows.
+    """ChArUco board in OpenCV's current pattern: the top left square is black, ids increase along the rows.
 
-    The board's frame has its origin at the pattern's top left corner, x to the right, y down, z away from the viewer.
+    The origin of the board's frame is the pattern's top left corner, with x to the right, y down and z away from the
+    viewer.
     """
 
     squares_xy: tuple[int, int] = bounded((7, 5), 3, 60)
-    """Squares to the right and down."""
+    """Number of squares in x and y."""
     square_mm: float = bounded(30.0, 1.0, 1000.0)
     marker_mm: float = bounded(22.0, 0.5, 1000.0)
     dictionary: str = "5X5_100"
-    """One that the strip does not use, so that neither is taken for the other."""
+    """ArUco dictionary; it must differ from that of the strip."""
 
     @property
     def size_mm(self) -> tuple[float, float]:
@@ -45,25 +47,25 @@ class CharucoBoard:
 
     @property
     def markers(self) -> int:
-        """How many markers it has: one in every white square."""
+        """Number of markers, one in every white square."""
         return self.squares_xy[0] * self.squares_xy[1] // 2
 
     @property
     def corners_mm(self) -> Array:
-        """Inner corners of the chessboard (N, 3) in the board's frame, along the rows; the index is the corner's id."""
+        """Inner corners of the chessboard (N, 3) in the board's frame, row by row; the index is the corner's id."""
         x, y = np.meshgrid(np.arange(1, self.squares_xy[0]), np.arange(1, self.squares_xy[1]))
         return np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
 
 def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
-    """Return the board as OpenCV has it, in mm."""
+    """Return the board as an OpenCV object, in mm."""
     return cv2.aruco.CharucoBoard(board.squares_xy, board.square_mm, board.marker_mm, dictionary_named(board.dictionary))
 
 
 def black_parts(board: CharucoBoard) -> Array:
-    """Return the black squares and black parts of the markers as rectangles (N, 4), mm.
+    """Return the black squares and the black parts of the markers as rectangles (N, 4), mm.
 
-    Left, top, right, bottom in the board's frame.
+    The columns are left, top, right and bottom in the board's frame.
     """
     columns, rows = board.squares_xy
     gap_mm = (board.square_mm - board.marker_mm) / 2.0
@@ -81,16 +83,16 @@ def black_parts(board: CharucoBoard) -> Array:
 
 
 def check_board(board: CharucoBoard, *, where: str = "board", text: str = "") -> CharucoBoard:
-    """Return the board if it can be drawn and found again.
+    """Check that a board can be drawn and detected, and return it.
 
     Parameters
     ----------
     board : CharucoBoard
-        What is to be drawn.
+        Board to check.
     where : str
-        What messages call it.
+        Name used in messages.
     text : str
-        The file it is from, to name the line that is wrong.
+        Text of the file, used to find the number of the invalid line.
 
     Returns
     -------
@@ -111,18 +113,18 @@ def check_board(board: CharucoBoard, *, where: str = "board", text: str = "") ->
     except UserError as error:
         raise place.at("board", "dictionary").error(str(error)) from error
     if board.markers > size:
-        must = f"needs {board.markers} markers, but {board.dictionary} has {size}: use fewer squares or a larger dictionary"
+        must = f"requires {board.markers} markers, but {board.dictionary} has {size}: use fewer squares or a larger dictionary"
         raise place.at("board", "squares_xy").error(must, list(board.squares_xy))
     return board
 
 
 def load_board(path: Path | str) -> CharucoBoard:
-    """Load a board file: TOML with one section ``[board]``; what is left out takes the default.
+    """Load a board file, a TOML file with one section ``[board]``; missing keys take their defaults.
 
     Raises
     ------
     UserError
-        For an unreadable file, or anything wrong in it, with line, key, value and limit.
+        If the file cannot be read or is invalid; the message states line, key, value and limit.
     """
     path = Path(path)
     table, text = read_toml(path)
@@ -134,9 +136,9 @@ def load_board(path: Path | str) -> CharucoBoard:
 
 
 def save_board(board: CharucoBoard, path: Path | str) -> None:
-    """Write a board file that `load_board` reads back to an equal board."""
+    """Write a board file from which `load_board` reads an equal board."""
     write_text(
         path,
-        "# The calibration board, as drawn: rhizotwin calibrate camera PICTURES --board THIS_FILE\n"
+        "# Calibration board, as drawn: rhizotwin calibrate camera PICTURES --board THIS_FILE\n"
         + toml_text.dumps({"board": to_plain(board)}),
     )

@@ -1,4 +1,4 @@
-"""What must hold between the values of a scene: the parts fit into each other and into the camera's model."""
+"""Checks of the values of a scene against each other: the parts must fit together and match the camera model."""
 
 import math
 from itertools import pairwise
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TELECENTRIC_TILT_DEG = 1.5
-"""Up to here the pinhole that stands for a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single
+"""Maximum tilt up to which the pinhole model of a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single
 precision."""
 
 
@@ -27,16 +27,16 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     Parameters
     ----------
     scene : Scene
-        To be checked; its single values are taken to be within their own limits.
+        Scene to check; its single values are assumed to be within their own limits.
     where : str
-        File or other origin, for the message.
+        File or other origin, used in the message.
     text : str
-        The file's TOML text, to name the line.
+        TOML text of the file, used to find the number of the line.
 
     Raises
     ------
     UserError
-        For the first thing that cannot stand on a rig.
+        For the first inconsistent value.
     """
     place = Place(where, text)
     check_subject(scene.subject, place.at("subject"))
@@ -49,17 +49,14 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     _check_plan(scene, place)
     check_plants(scene.plants, scene.subject, radius_mm=scene.canister.inner_radius_mm, place=place)
     if scene.specimen is not None and scene.plants:
-        raise place.at("specimen").error("must be left out where [[plants]] say what grows; each has its own [plants.specimen]")
+        raise place.at("specimen").error("must be omitted if there are [[plants]]; each has its own [plants.specimen]")
     _check_specimen(scene.specimen, scene, place.at("specimen"))
     for number, plant in enumerate(scene.plants):
         _check_specimen(plant.placed(), scene, place.at("plants", number, "specimen"))
 
 
 def marker_capacity(dictionary: str) -> int | None:
-    """Return how many markers an OpenCV dictionary has, named without ``DICT_``.
-
-    None when there is none of that name.
-    """
+    """Return the number of markers in an OpenCV dictionary, named without ``DICT_``; None for an unknown name."""
     aruco = _aruco()
     if not hasattr(aruco, f"DICT_{dictionary}"):
         return None
@@ -67,7 +64,7 @@ def marker_capacity(dictionary: str) -> int | None:
 
 
 def _aruco() -> ModuleType:
-    import cv2  # here, because it takes half a second to load, and not all who know scenes check one
+    import cv2  # imported here: loading takes half a second, and many users of scenes check none
 
     aruco: ModuleType = cv2.aruco
     return aruco
@@ -87,7 +84,7 @@ def _check_canister(scene: Scene, place: Place) -> None:
         must = f"must lie above the floor of the canister at z = base_mm - height_mm = {canister.floor_z_mm:g}"
         raise place.at("water", "level_mm").error(must, water.level_mm)
     if pot.outer_radius_mm <= canister.outer_radius_mm:
-        must = f"must be above the canister's outer_radius_mm, {canister.outer_radius_mm:g}: the skirt goes over it"
+        must = f"must be above the canister's outer_radius_mm, {canister.outer_radius_mm:g}: the skirt encloses it"
         raise place.at("net_pot", "outer_radius_mm").error(must, pot.outer_radius_mm)
     if pot.top_mm <= max(pot.skirt_bottom_mm, 0.0):
         must = f"must lie above skirt_bottom_mm, {pot.skirt_bottom_mm:g}, and the canister's rim at 0"
@@ -107,7 +104,7 @@ def _check_canister(scene: Scene, place: Place) -> None:
         must = f"must keep the true canister within the net pot's skirt of {pot.outer_radius_mm:g} mm; it reaches {reach_mm:g} mm"
         raise place.at("disturbances", "canister_radius_error_mm").error(must, wrong.canister_radius_error_mm)
     if wrong.root_n is not None and wrong.root_mu_per_mm is None:
-        raise place.at("disturbances", "root_n").error("needs root_mu_per_mm: light that is refracted goes through", wrong.root_n)
+        raise place.at("disturbances", "root_n").error("requires root_mu_per_mm: refracting roots transmit light", wrong.root_n)
     true_index = water.n_water + scene.disturbances.n_water_error
     if true_index < 1.0:
         must = f"must keep the water's true index at 1 or above; with n_water {water.n_water:g} it is {true_index:g}"
@@ -124,37 +121,37 @@ def _check_tank(scene: Scene, place: Place) -> None:
     for name in ("front_mm", "half_width_mm"):
         if getattr(tank, name) - tank.wall_mm <= reach_mm:
             raise here.at(name).error(
-                f"must leave the canister room to turn: above {reach_mm + tank.wall_mm:.4g} with its walls", getattr(tank, name)
+                f"must leave room for the canister to rotate: above {reach_mm + tank.wall_mm:.4g} with its walls", getattr(tank, name)
             )
     if tank.level_mm >= pot.skirt_bottom_mm:
         raise here.at("level_mm").error(
-            f"must lie below the net pot's skirt_bottom_mm, {pot.skirt_bottom_mm:g}: the strip stays dry", tank.level_mm
+            f"must lie below the net pot's skirt_bottom_mm, {pot.skirt_bottom_mm:g}: the strip must be above the liquid", tank.level_mm
         )
     if tank.level_mm <= scene.canister.floor_z_mm:
         raise here.at("level_mm").error(f"must lie above the canister's floor at z = {scene.canister.floor_z_mm:g}", tank.level_mm)
     turn = math.radians(abs(tank.turn_deg))
     if tank.front_mm * math.cos(turn) + tank.half_width_mm * math.sin(turn) >= scene.lights.backlight_distance_mm:
-        must = f"must be below lights.backlight_distance_mm, {scene.lights.backlight_distance_mm:g}: the panel stands behind the tank"
+        must = f"must be below lights.backlight_distance_mm, {scene.lights.backlight_distance_mm:g}: the panel is behind the tank"
         raise here.at("front_mm").error(must, tank.front_mm)
     for i, ring in enumerate(scene.plan.rings):
         if ring.distance_mm <= tank.front_mm:
-            must = f"must be above tank.front_mm, {tank.front_mm:g}: the camera stands before the tank"
+            must = f"must be above tank.front_mm, {tank.front_mm:g}: the camera is in front of the tank"
             raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
         _check_strip_above(scene, tank, ring, place.at("plan", "rings", i, "height_mm"))
     if scene.surroundings.n > 1.0 or scene.camera.kind != "pinhole":
-        raise here.at("front_mm").error("stands in air before a pinhole camera: leave surroundings.n at 1 and camera.kind at pinhole")
+        raise here.at("front_mm").error("requires a pinhole camera in air: leave surroundings.n at 1 and camera.kind at pinhole")
     if wrong.seam_opacity or wrong.dust_specks or wrong.scratches or wrong.highlight:
         raise here.at("front_mm").error(
-            "has no dirty canister: set dust_specks, scratches, seam_opacity and highlight of disturbances to 0"
+            "cannot be combined with a dirty canister: set dust_specks, scratches, seam_opacity and highlight of disturbances to 0"
         )
 
 
 def _check_strip_above(scene: Scene, tank: Tank, ring: Ring, here: Place) -> None:
-    """Refuse a camera so low that it sees the strip through the tank's liquid: markers are read in air."""
+    """Reject a camera position from which the strip is seen through the tank's liquid instead of air."""
     strip_mm, low_mm = scene.net_pot.outer_radius_mm, scene.strip.bottom_mm
     least_mm = low_mm + (tank.level_mm - low_mm) * (ring.distance_mm - strip_mm) / (tank.front_mm - strip_mm)
     if scene.strip.rows and tank.front_mm > strip_mm and ring.height_mm < least_mm:
-        must = f"must be above {least_mm:.4g}: from below, the strip's lower edge is seen through the tank's liquid (level_mm)"
+        must = f"must be above {least_mm:.4g}: from a lower position, the strip's lower edge is seen through the tank's liquid (level_mm)"
         raise here.error(must, ring.height_mm)
 
 
@@ -167,14 +164,14 @@ def _check_strip(scene: Scene, place: Place) -> None:
     if capacity is None:
         known = [name.removeprefix("DICT_") for name in _dictionaries()]
         near = suggestion(strip.dictionary, known) or f"; known are {', '.join(known)}"
-        raise here.at("dictionary").error(f"is no marker dictionary of OpenCV{near}", strip.dictionary)
+        raise here.at("dictionary").error(f"is not a marker dictionary of OpenCV{near}", strip.dictionary)
     needed = strip.first_id + strip.rows * strip.columns
     if needed > capacity:
         must = f"has {capacity} markers, but first_id + rows * columns needs {needed}; use fewer columns or a larger dictionary"
         raise here.at("dictionary").error(must, strip.dictionary)
     pitch_mm = 2.0 * math.pi * pot.outer_radius_mm / strip.columns
     if strip.marker_mm >= pitch_mm:
-        must = f"must be below the {pitch_mm:.4g} mm that each of the {strip.columns} columns has on the net pot's circumference"
+        must = f"must be below {pitch_mm:.4g} mm, the width of each of the {strip.columns} columns on the net pot's circumference"
         raise here.at("marker_mm").error(must, strip.marker_mm)
     if strip.rows > 1 and strip.row_pitch_mm <= strip.marker_mm:
         raise here.at("row_pitch_mm").error(f"must be above marker_mm, {strip.marker_mm:g}", strip.row_pitch_mm)
@@ -191,12 +188,12 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
     table = camera.transfer_table
     if (camera.transfer == "table") != bool(table):
         raise place.at("camera", "transfer").error(
-            'and transfer_table belong together: "table" needs one, and no other has one', camera.transfer
+            'and transfer_table must agree: the table is required for "table", and not allowed otherwise', camera.transfer
         )
     if table and (len(table) < 2 or any(b < a for a, b in pairwise(table)) or not table[0] < table[-1]):
-        raise place.at("camera", "transfer_table").error("must have two numbers or more that rise from dark to bright")
+        raise place.at("camera", "transfer_table").error("must have two or more numbers that increase from dark to bright")
     if camera.kind == "pinhole" and scene.surroundings.n > 1.0:
-        must = 'must be 1 (air) for a pinhole camera (only parallel rays pass a flat window unbent), or give camera.kind = "telecentric"'
+        must = 'must be 1 (air), or camera.kind must be "telecentric": only parallel rays pass a flat window without refraction'
         raise place.at("surroundings", "n").error(must, scene.surroundings.n)
     for index, ring in enumerate(scene.plan.rings):
         if camera.kind == "telecentric" and abs(ring.tilt_deg) > TELECENTRIC_TILT_DEG:
@@ -215,20 +212,20 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
 
 
 def _check_bands(scene: Scene, place: Place) -> None:
-    """Check the names of bands, and that each ring has one with both lights on."""
+    """Check the names of bands, and that each ring has a band with both lights on."""
     names = [band.name for band in scene.camera.bands]
     for i, name in enumerate(names):
         if not (name.isascii() and name.isidentifier() and name == name.lower()) or name in names[:i]:
-            raise place.at("camera", "bands", i, "name").error("must be one lower-case word, no two the same", name)
+            raise place.at("camera", "bands", i, "name").error("must be one lower-case word, different for each band", name)
     lit = {name for name in names if scene.is_lit(name)}
     for i, ring in enumerate(scene.plan.rings):
         here = place.at("plan", "rings", i, "bands")
         for j, name in enumerate(ring.bands):
             if name not in names or name in ring.bands[:j]:
-                must = f"must be bands of the camera, no two the same; it has {', '.join(names)}" if names else "needs [[camera.bands]]"
+                must = f"must be different bands of the camera; it has {', '.join(names)}" if names else "requires [[camera.bands]]"
                 raise here.error(must, name)
         if names and not lit & set(ring.bands or names):
-            raise here.error("needs a band in which panel and front light are on: it shows outlines and markers", list(ring.bands))
+            raise here.error("requires a band in which panel and front light are on, to show outlines and markers", list(ring.bands))
     if scene.shoot is not None:
         _check_spectrum(scene.shoot.spectrum, place.at("shoot", "spectrum"))
 
@@ -237,11 +234,11 @@ def _check_spectrum(spectrum: tuple[tuple[float, float], ...], place: Place) -> 
     if not spectrum or any(not 0.0 <= share <= 1.0 for _, share in spectrum):
         raise place.error("must be pairs of a wavelength in nm and a reflectance from 0 to 1", spectrum)
     if any(low[0] >= high[0] for low, high in pairwise(spectrum)):
-        raise place.error("must have wavelengths that rise", spectrum)
+        raise place.error("must have increasing wavelengths", spectrum)
 
 
 def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: Place) -> None:
-    """Refuse a radial distortion that folds the picture over itself before its corners are reached."""
+    """Reject a radial distortion that is not monotonic up to the corners of the picture."""
     import numpy as np
 
     k1, k2, _, _, k3 = distortion
@@ -252,7 +249,7 @@ def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: 
     falling = np.flatnonzero(np.diff(bent) <= 0.0)
     reached = bent.max() if not falling.size else bent[falling[0]]
     if reached < corner:
-        must = "folds the picture over itself before its corners are reached; check the signs and that k1, k2, p1, p2, k3 are in this order"
+        must = "is not monotonic up to the corners of the picture; check the signs and that k1, k2, p1, p2, k3 are in this order"
         raise place.error(must, [float(v) for v in distortion])
 
 
@@ -263,10 +260,10 @@ def _check_plan(scene: Scene, place: Place) -> None:
     for i, ring in enumerate(scene.plan.rings):
         if ring.distance_mm - 5.0 * ring.jitter_mm <= around_mm:
             spread = " less five times jitter_mm" if ring.jitter_mm else ""
-            must = f"must{spread} be above {around_mm:g}: the camera stands outside the canister and the net pot"
+            must = f"must{spread} be above {around_mm:g}: the camera must be outside the canister and the net pot"
             raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
     if scene.lights.backlight_distance_mm <= around_mm:
-        must = f"must be above {around_mm:g}: the panel stands outside the canister and the net pot"
+        must = f"must be above {around_mm:g}: the panel must be outside the canister and the net pot"
         raise place.at("lights", "backlight_distance_mm").error(must, scene.lights.backlight_distance_mm)
     front_x_mm, front_z_mm = scene.lights.front_xz_mm
     if abs(front_x_mm) <= around_mm and -scene.canister.height_mm <= front_z_mm <= scene.net_pot.top_mm:
@@ -282,7 +279,7 @@ def _check_specimen(specimen: Specimen | None, scene: Scene, here: Place) -> Non
         reach = math.hypot(x, y) + radius
         if reach >= canister.inner_radius_mm or z - radius <= canister.floor_z_mm or z + radius >= top_mm:
             must = (
-                f"with diameter_mm {specimen.diameter_mm:g} must stay in the water: within {canister.inner_radius_mm:g} mm of the axis, "
+                f"with diameter_mm {specimen.diameter_mm:g} must be within the water: within {canister.inner_radius_mm:g} mm of the axis, "
                 f"between z = {canister.floor_z_mm:g} (floor) and {top_mm:g} (grid or water level)"
             )
             raise here.at("centre_mm").error(must, list(specimen.centre_mm))
@@ -292,7 +289,7 @@ def _check_specimen(specimen: Specimen | None, scene: Scene, here: Place) -> Non
         x, y, z = specimen.origin_mm
         if math.hypot(x, y) >= canister.inner_radius_mm or not canister.floor_z_mm < z < top_mm:
             must = (
-                f"must lie in the water: within {canister.inner_radius_mm:g} mm of the axis, "
+                f"must be within the water: within {canister.inner_radius_mm:g} mm of the axis, "
                 f"between z = {canister.floor_z_mm:g} (floor) and {top_mm:g} (grid or water level)"
             )
             raise here.at("origin_mm").error(must, list(specimen.origin_mm))

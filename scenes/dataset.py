@@ -1,7 +1,7 @@
-"""The dataset folder: the only contract between what makes pictures (sim, rig, import) and what reads them (recon).
+"""Dataset folder: the only interface between producers of pictures (sim, rig, import) and their reader (recon).
 
 DATASET/  dataset.json   this module's `Dataset`
-          images/*       PNG, JPEG or TIFF as they came, one a frame, named by the frame
+          images/*       original PNG, JPEG or TIFF files, one per frame, named by the frame
           truth/         only from sim and the rendered twin; see `scenes.truth`
 """
 
@@ -32,55 +32,56 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One picture with what was commanded and read back when it was taken."""
+    """One picture with the commanded and measured positions at its exposure."""
 
     file: str
     """Path relative to the dataset folder, with forward slashes."""
     sha256: str
-    """Of the file, in hexadecimal; empty: not recorded."""
+    """SHA-256 of the file, in hexadecimal; empty if not recorded."""
     kind: str = "root"
     band: str = ""
-    """Name of the camera's band; empty: the camera has none."""
+    """Name of the camera's band; empty if the camera has no bands."""
     view: int | None = None
-    """Number of the view, which pictures in several bands share; None: the picture is a view of its own."""
+    """Number of the view, shared by its pictures in several bands; None if each picture is a view of its own."""
     ring: int = 0
     table_deg: float | None = None
-    """Commanded table angle; None when nobody commanded one (imported pictures)."""
+    """Commanded table angle; None if unknown (imported pictures)."""
     table_read_deg: float | None = None
-    """What the turntable answered after its move."""
+    """Table angle reported by the turntable after its move."""
     placement: int = 0
-    """Counts how often in this ring the camera was placed anew, or the table's zero found anew: within one, the camera
-    stood still."""
+    """Number of the camera's placement in this ring, which increases whenever the camera is placed, or the table's zero
+    is found, anew; within one placement the camera is static."""
     joints_deg: tuple[float, ...] | None = None
-    """Commanded joint angles of the arm, base to wrist roll."""
+    """Commanded joint angles of the arm, from base to wrist roll."""
     joints_read_deg: tuple[float, ...] | None = None
     exposure_s: float | None = None
     gain: float | None = None
     time_s: float | None = None
-    """Seconds since the scan began."""
+    """Seconds since the start of the scan."""
     cam_from_canister: tuple[tuple[float, ...], ...] | None = None
-    """Given pose, 4 rows of 4, OpenCV axes; None: to be found from the markers."""
+    """Known pose, 4 rows of 4, OpenCV axes; None if it is to be computed from the markers."""
 
     @property
     def station(self) -> tuple[int, int]:
-        """Ring and placement: frames of one station were taken by a camera that stood still."""
+        """Ring and placement; frames of one station were taken by a static camera."""
         return self.ring, self.placement
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """A capture: the scene as given, its frames, and how it was made."""
+    """Scan: the scene as given, its frames, and their origin."""
 
     folder: Path
     scene: Scene
     frames: tuple[Frame, ...]
     seed: int | None = None
     masks: bool = False
-    """The pictures are silhouettes already: white is root."""
+    """Whether the pictures are masks, in which white is root."""
     origin: dict[str, Any] = field(default_factory=dict)
-    """Program, versions, settings and profile that made the pictures."""
+    """Program, versions, settings and profile with which the pictures were made."""
     sha256: str = field(default="", compare=False)
-    """Of the bytes of dataset.json that were read or written, in hexadecimal; empty: there is no such file yet."""
+    """SHA-256 of the bytes of dataset.json that were read or written, in hexadecimal; empty if the file does not exist
+    yet."""
 
     def summary(self) -> dict[str, str]:
         """Return name, pictures and origin as texts."""
@@ -129,7 +130,7 @@ class Dataset:
 
 @dataclass(frozen=True, kw_only=True)
 class _Manifest:
-    """What dataset.json holds."""
+    """Content of dataset.json."""
 
     schema_version: int
     scene: Scene
@@ -140,21 +141,21 @@ class _Manifest:
 
 
 def load_dataset(folder: Path | str) -> Dataset:
-    """Load and check the manifest of a dataset; the pictures are read by `read_image`.
+    """Load and check the manifest of a dataset; `read_image` reads the pictures.
 
     Raises
     ------
     UserError
-        When the folder or its dataset.json is missing or damaged, has another version, or holds anything wrong.
+        If the folder or its dataset.json is missing, damaged, of another version or invalid.
     """
     folder = Path(folder)
     path = folder / "dataset.json"
     if not folder.is_dir():
-        raise UserError(f"{folder}: there is no such folder; a dataset is made by `rhizotwin simulate` or `rhizotwin import`")
+        raise UserError(f"{folder}: there is no such folder; create a dataset with `rhizotwin simulate` or `rhizotwin import`")
     if not path.is_file():
         check_readable(folder, deep=False)
         raise UserError(
-            f"{folder}: has no dataset.json, so it is no dataset (unfinished?); make one with `rhizotwin simulate` or `rhizotwin import`"
+            f"{folder}: is not a dataset, or unfinished: it has no dataset.json; create one with `rhizotwin simulate` or `rhizotwin import`"
         )
     check_readable(folder)
     data = read_file(path)
@@ -163,7 +164,7 @@ def load_dataset(folder: Path | str) -> Dataset:
     manifest = from_plain(_Manifest, mapping, place)
     check_scene(manifest.scene, where=f"{path}, scene")
     if not manifest.frames:
-        raise place.at("frames").error("has no frames; a dataset needs at least one picture")
+        raise place.at("frames").error("must have at least one frame")
     for i, frame in enumerate(manifest.frames):
         _check_frame(frame, len(manifest.scene.plan.rings), place.at("frames", i))
         _check_band(frame, manifest, place.at("frames", i))
@@ -182,17 +183,17 @@ def load_dataset(folder: Path | str) -> Dataset:
 
 
 def save_dataset(dataset: Dataset) -> Dataset:
-    """Write dataset.json of ``dataset.folder`` atomically; `load_dataset` gives an equal dataset back.
+    """Write dataset.json of ``dataset.folder`` atomically; `load_dataset` returns an equal dataset.
 
     Returns
     -------
     Dataset
-        The same with the hash of what was written.
+        The same dataset with the hash of the written file.
 
     Raises
     ------
     UserError
-        When it cannot be written.
+        If the file cannot be written.
     """
     manifest = _Manifest(
         schema_version=SCHEMA_VERSION,
@@ -208,32 +209,32 @@ def save_dataset(dataset: Dataset) -> Dataset:
 
 
 def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) -> Grey:
-    """Read a frame's picture as grey levels, linear in light.
+    """Read a frame's picture as grey levels that are linear in light.
 
     Parameters
     ----------
     dataset : Dataset
-        Folder and scene.
+        Dataset that contains the frame.
     frame : Frame
-        Which picture.
+        Frame to read.
     curve : Curve or None
-        From numbers to light; None: the file's own word, or where it says none what the scene's camera states.
+        Transfer curve from pixel values to light; None for the one stated in the file, or else by the scene's camera.
 
     Returns
     -------
     ndarray
-        (H, W), uint8 or uint16 as in the file where its numbers are linear in light, else uint16; see
-        `scenes.pictures.decode_light`.
+        (H, W), uint8 or uint16 as in the file if its values are linear in light, else uint16; see
+        `scenes.decode_pictures.decode_light`.
 
     Raises
     ------
     UserError
-        When the picture is missing, truncated, no picture, of another size than the scene's camera, or not the recorded
-        one.
+        If the file is missing, truncated, not a picture, of another size than the scene's camera, or differs from the
+        recorded one.
     """
     path = dataset.folder / frame.file
     if not path.exists():
-        raise UserError(f"{path}: the picture is missing; restore it or take it out of dataset.json")
+        raise UserError(f"{path}: the picture is missing; restore it or remove it from dataset.json")
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     if dataset.masks:
         curve = LINEAR
@@ -241,7 +242,7 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     image = decode_light(data, stated, where=str(path), image_wh=dataset.scene.camera.image_wh)
     if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256.lower():
         raise UserError(
-            f"{path}: is not the picture that was recorded (its sha256 differs from dataset.json); restore it or record it again"
+            f"{path}: differs from the recorded picture (its sha256 is not that in dataset.json); restore it or record it again"
         )
     return image
 
@@ -258,38 +259,38 @@ def sha256_of(path: Path | str) -> str:
 
 
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
-    """Read a JSON object with a ``schema_version``; refuse other versions and damaged files by name."""
+    """Read a JSON object with a ``schema_version``; reject other versions and damaged files."""
     return parse_versioned_json(read_file(path), path, version)
 
 
 def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:
-    """Return the JSON object with a ``schema_version`` that a file's bytes hold; see `read_versioned_json`.
+    """Parse the bytes of a JSON file with a ``schema_version``; see `read_versioned_json`.
 
     Parameters
     ----------
     data : bytes
         Content of the file.
     path : Path
-        For messages.
+        Path, used in messages.
     version : int
-        The one that can be read.
+        Supported version.
 
     Returns
     -------
     dict
-        The whole object.
+        The complete object.
     """
     try:
         mapping = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: is damaged, it is not valid JSON ({parsers_words(error)}); restore it or make it again") from error
+        raise UserError(f"{path}: is damaged: not valid JSON ({parsers_words(error)}); restore it or create it again") from error
     if not isinstance(mapping, Mapping):
-        raise UserError(f"{path}: is damaged, it holds no JSON object; restore it or make it again")
+        raise UserError(f"{path}: is damaged: not a JSON object; restore it or create it again")
     found = mapping.get("schema_version")
     if type(found) is not int or found != version:
         known = f"has version {found}" if "schema_version" in mapping else "has no schema_version"
         raise UserError(
-            f"{path.name} {known}; this program reads {version}; use the program version that made it, or make it again ({path})"
+            f"{path.name} {known}; this program reads {version}; use the version of the program that wrote it, or create it again ({path})"
         )
     return dict(mapping)
 
@@ -298,7 +299,7 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
     """Check one frame's values against each other and the plan."""
     file = PurePosixPath(frame.file)
     if not frame.file.isprintable() or not _is_utf8(frame.file):
-        raise place.at("file").error("must be a name of letters that can be shown, in UTF-8", ascii(frame.file))
+        raise place.at("file").error("must consist of printable characters, in UTF-8", ascii(frame.file))
     if not frame.file or "\\" in frame.file or ":" in frame.file or file.is_absolute() or ".." in file.parts:
         raise place.at("file").error("must be a path inside the dataset folder, with forward slashes", frame.file)
     if frame.sha256 and not re.fullmatch(r"[0-9a-fA-F]{64}", frame.sha256):
@@ -314,15 +315,15 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
 
 
 def _check_band(frame: Frame, manifest: _Manifest, place: Place) -> None:
-    """Check that a frame has one of the camera's bands where it has any."""
+    """Check that a frame has one of the camera's bands, if there are any."""
     names = [band.name for band in manifest.scene.camera.bands]
     if frame.band not in (names or [""]):
-        known = f"must be one of the camera's bands, {', '.join(names)}" if names else "must be left out: the scene's camera has no bands"
+        known = f"must be one of the camera's bands, {', '.join(names)}" if names else "must be omitted: the scene's camera has no bands"
         raise place.at("band").error(known, frame.band)
     if names and frame.view is None:
-        raise place.at("view").error("is missing; it tells which pictures of different bands show the same view")
+        raise place.at("view").error("is missing; it identifies the pictures of one view in different bands")
     if names and manifest.masks:
-        raise place.at("band").error("must be left out: silhouettes have no bands", frame.band)
+        raise place.at("band").error("must be omitted: silhouettes have no bands", frame.band)
 
 
 def _is_utf8(text: str) -> bool:
@@ -334,20 +335,20 @@ def _is_utf8(text: str) -> bool:
 
 
 def _check_names(frames: tuple[Frame, ...], place: Place) -> None:
-    """Refuse pictures whose names differ in folder or suffix only: what is made of a picture is named by its stem."""
+    """Reject pictures whose names differ in folder or suffix only: results are named by the stem of the picture."""
     by_stem: dict[str, str] = {}
     for i, frame in enumerate(frames):
         stem = PurePosixPath(frame.file).stem
         if by_stem.get(stem) == frame.file:
-            raise place.at("frames", i, "file").error("stands in the list twice", frame.file)
+            raise place.at("frames", i, "file").error("is listed twice", frame.file)
         if stem in by_stem:
-            must = f"differs from {by_stem[stem]} in folder or suffix only, so that their results would have one name; rename one"
+            must = f"differs from {by_stem[stem]} in folder or suffix only, so that their results would have the same name; rename one"
             raise place.at("frames", i, "file").error(must, frame.file)
         by_stem[stem] = frame.file
 
 
 def _check_views(frames: tuple[Frame, ...], place: Place) -> None:
-    """Refuse two pictures of one view in the same band."""
+    """Reject two pictures of one view in the same band."""
     known: dict[tuple[int, str], str] = {}
     for i, frame in enumerate(frames):
         if frame.view is None:
@@ -358,7 +359,7 @@ def _check_views(frames: tuple[Frame, ...], place: Place) -> None:
 
 
 def _check_poses(frames: tuple[Frame, ...], place: Place) -> None:
-    """Refuse a dataset of which some frames have a given pose and others not."""
+    """Reject a dataset in which only some frames have a known pose."""
     without = [i for i, frame in enumerate(frames) if frame.cam_from_canister is None]
     if 0 < len(without) < len(frames):
         given = next(frame.file for frame in frames if frame.cam_from_canister is not None)
@@ -367,12 +368,12 @@ def _check_poses(frames: tuple[Frame, ...], place: Place) -> None:
 
 
 def check_rigid(rows: tuple[tuple[float, ...], ...], place: Place) -> None:
-    """Refuse what is no rigid 4x4 transform (rotation orthonormal within 1e-4, no mirror image)."""
+    """Reject a matrix that is not a rigid 4x4 transform (rotation orthonormal within 1e-4, no mirror image)."""
     if len(rows) != 4 or any(len(row) != 4 for row in rows):
         raise place.error("must have 4 rows of 4 numbers")
     a_from_b = np.array(rows)
     rotation = a_from_b[:3, :3]
     if not np.allclose(a_from_b[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9) or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4:
-        raise place.error("must be a rotation and a shift, with 0 0 0 1 as the last row")
+        raise place.error("must be a rotation and a translation, with 0 0 0 1 as the last row")
     if np.linalg.det(rotation) < 0.0:
         raise place.error("is a mirror image; the axes must be OpenCV's: x right, y down, z forward")

@@ -1,16 +1,16 @@
-"""The one exception type whose message is meant for the person at the keyboard."""
+"""Exception whose message is shown to the user."""
 
 
 class UserError(Exception):
-    """A mistake in the input, or a limit of the machine, that the user can act on.
+    """An invalid input, or a limit of the machine, that the user can correct.
 
-    The message is one sentence: what is wrong, where (file, key, value, limit) and what to do. The command line prints
-    it without a traceback and exits with a code other than 0.
+    The message is one sentence that states the problem, its place (file, key, value, limit) and a remedy. The command
+    line prints it without a traceback and exits with a nonzero code.
     """
 
 
 def parsers_words(error: ValueError | RecursionError) -> str:
-    """Say why Python's parser of JSON or TOML gave up, without its advice to programmers."""
+    """Return the message of Python's JSON or TOML parser, without its advice to programmers."""
     if isinstance(error, RecursionError):
-        return "brackets within brackets, too deep"
+        return "brackets are nested too deeply"
     return str(error).partition("; use sys.")[0]

@@ -1,7 +1,4 @@
-"""What every key of a scene file means.
-
-Its unit, its range and one line of why, from the descriptions in the model itself.
-"""
+"""Descriptions of all keys of a scene file: unit, range and meaning, from the docstrings of the data model."""
 
 from __future__ import annotations
 
@@ -20,8 +17,8 @@ from rhizotwin.scenes.schema import kind_of
 
 UNITS = {
     "per_mm": "per mm",
-    "mm_per_day": "mm a day",
-    "mm_per_px": "mm a pixel",
+    "mm_per_day": "mm per day",
+    "mm_per_px": "mm per pixel",
     "mm": "mm",
     "deg": "degrees",
     "px": "pixels",
@@ -30,11 +27,11 @@ UNITS = {
     "days": "days",
     "e": "electrons",
 }
-"""Unit by the end of a key's name; the longest that fits counts."""
+"""Unit by suffix of a key; the longest matching suffix applies."""
 _ELSEWHERE = "plants.specimen"
-"""Section whose keys are told where ``specimen`` is."""
+"""Section whose keys are documented under ``specimen``."""
 WIDTH = 120
-"""Characters of a line of comment."""
+"""Maximum length of a comment line."""
 
 
 @dataclass(frozen=True)
@@ -42,30 +39,30 @@ class Key:
     """A key of a scene file."""
 
     path: str
-    """With dots: ``canister.wall_mm``; of a specimen with its kind: ``specimen.sphere.diameter_mm``."""
+    """Path with dots: ``canister.wall_mm``; for a specimen with its kind: ``specimen.sphere.diameter_mm``."""
     default: Any
-    """None where there is none."""
+    """Default; None if there is none."""
     unit: str
     limits: str
-    """Range or choices."""
+    """Range or allowed values."""
     why: str
 
     def line(self) -> str:
-        """Return what is said of it: what it means, its unit and range."""
+        """Return the description of the key with unit and range."""
         about = " ".join(part for part in (self.limits, self.unit) if part)
         return f"{self.why} [{about}]" if about else self.why
 
 
 def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
-    """Return every key in the order of the file, those of sections after their section.
+    """Yield every key in the order of the file, keys of subsections after those of their section.
 
-    A plant's specimen is one key: its own are those of ``specimen``.
+    The specimen of a plant is one key; its keys are those of ``specimen``.
     """
     said, hints = _said(of), get_type_hints(of)
     for one in fields(of):
         here = f"{path}.{one.name}" if path else one.name
         parts = [] if here == _ELSEWHERE else _parts(hints[one.name])
-        if not parts or get_origin(hints[one.name]) is tuple:  # a list of sections may be empty, and is a key then
+        if not parts or get_origin(hints[one.name]) is tuple:  # a list of sections may be empty, and is then a key
             yield Key(here, _default(one), _unit(one.name), _limits(one, hints[one.name]), said.get(one.name, ""))
         for part in parts:
             kind = kind_of(part)
@@ -73,7 +70,7 @@ def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
 
 
 def sections(of: type = Scene, path: str = "") -> Iterator[tuple[str, str]]:
-    """Return the path and the description of every section."""
+    """Yield path and description of every section."""
     hints = get_type_hints(of)
     for one in fields(of):
         if f"{path}.{one.name}" == _ELSEWHERE:
@@ -93,18 +90,18 @@ def commented(plain: Mapping[str, Any]) -> str:
     table, kind = "", ""
     for line in toml_text.dumps(plain).splitlines():
         if header := re.fullmatch(r"\[\[?([\w.]+)\]?\]", line):
-            table = header[1].removeprefix("plants.") + "."  # a plant's specimen has the keys of any
+            table = header[1].removeprefix("plants.") + "."  # a plant's specimen has the keys of any specimen
             if table == "specimen.":
                 kind = next(kinds)
             if table.startswith("specimen."):
                 table = table.replace("specimen.", f"specimen.{kind}.", 1)
-            if why := said.get(header[1]):  # a table whose keys are free
+            if why := said.get(header[1]):  # a table with free keys
                 lines += _comment(why)
         elif (key := re.match(r"(\w+) = ", line)) and (why := said.get(table + key[1])):
             lines += _comment(why)
         lines.append(line)
-    head = ["# A scene of rhizotwin, every key with what it means [range, unit]. What is left out takes its default."]
-    head.append("# Lengths are in the canister frame: origin on the canister's axis in the plane of its rim, z up; roots have z < 0.")
+    head = ["# Scene of rhizotwin; a comment above each key states its meaning, range and unit. Missing keys take their defaults."]
+    head.append("# Coordinates are in the canister frame: origin on the canister's axis in the plane of its rim, z up; roots have z < 0.")
     return "\n".join([*head, "", *lines]) + "\n"
 
 
@@ -118,7 +115,7 @@ def page() -> str:
     lines = [
         "# Keys of scene files",
         "",
-        "Made from the program's own descriptions by `rhizotwin scenes --keys`. What a file leaves out takes the default.",
+        "Generated by `rhizotwin scenes --keys`. Missing keys take their defaults.",
     ]
     groups: dict[str, list[Key]] = {}
     for key in found:
@@ -137,7 +134,7 @@ def page() -> str:
 
 def _title(group: str) -> str:
     if not group:
-        return "At the top"
+        return "Top level"
     first, _, rest = group.partition(".")
     if first == "specimen":
         kind, _, deeper = rest.partition(".")
@@ -146,12 +143,12 @@ def _title(group: str) -> str:
 
 
 def _said(of: type) -> dict[str, str]:
-    """Return the text under each field of a class and of those that it comes from."""
+    """Return the docstrings of the fields of a class and its base classes."""
     return {name: why for one in reversed(of.__mro__) if is_dataclass(one) for name, why in _said_in(one).items()}
 
 
 def _said_in(of: type) -> dict[str, str]:
-    """Return the text under each field that a class adds."""
+    """Return the docstrings of the fields that a class adds to its base classes."""
     body = ast.parse(textwrap.dedent(inspect.getsource(of))).body[0]
     found: dict[str, str] = {}
     name = ""
@@ -167,12 +164,12 @@ def _said_in(of: type) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Return a description on one line, as a file's comment can hold it."""
+    """Return a description on one line, as a comment in a file."""
     return " ".join(text.replace("``", "`").split())
 
 
 def _choices(hint: Any) -> list[Any]:
-    """Return the types that a value may have, None left out; of a list those of its items."""
+    """Return the types of a value, without None; for a list, those of its items."""
     if get_origin(hint) in (Union, types.UnionType):
         return [choice for one in get_args(hint) if one is not types.NoneType for choice in _choices(one)]
     if get_origin(hint) is tuple and (arguments := get_args(hint)) and is_dataclass(arguments[0]):
@@ -181,7 +178,7 @@ def _choices(hint: Any) -> list[Any]:
 
 
 def _parts(hint: Any) -> list[type]:
-    """Return the dataclasses that a value may be of."""
+    """Return the dataclasses among the types of a value."""
     return [choice for choice in _choices(hint) if isinstance(choice, type) and is_dataclass(choice)]
 
 

@@ -1,4 +1,4 @@
-"""Figures that are drawn without a screen, and share nothing with others; matplotlib is loaded when one is."""
+"""Figures without a display or shared state; matplotlib is only loaded when a figure is created."""
 
 import io
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 
 def png(drawn: "Figure", *, dpi: int) -> bytes:
-    """Return a figure as PNG: drawn once, where matplotlib's own way of saving would lay it out in a drawing before."""
+    """Render a figure as PNG in one pass; matplotlib's own saving would render it twice for its layout."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     stored = io.BytesIO()

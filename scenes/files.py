@@ -1,8 +1,8 @@
 """Scene and profile files (TOML), the library of named scenes, and scenes as plain dicts for JSON.
 
 A scene file has the sections of `scenes.model.Scene`: ``[subject] [solution] [canister] [water] [net_pot] [strip]
-[camera] [lights] [turntable] [[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. What is
-left out takes the default.
+[camera] [lights] [turntable] [[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. Missing
+keys take their defaults.
 """
 
 import tomllib
@@ -30,17 +30,18 @@ def load_scene(name_or_path: str | Path) -> Scene:
     Parameters
     ----------
     name_or_path : path
-        A name as `library` lists them (``radish_day15`` is short for ``radish_day15a``), or a path to a TOML file.
+        A name listed by `library` (``radish_day15`` is short for ``radish_day15a``), or the path of a TOML file.
 
     Returns
     -------
     Scene
-        Checked; a specimen's file is resolved against the scene file's folder; the name defaults to the file's.
+        Validated scene. The path of a specimen is resolved relative to the scene file's folder; the name defaults to
+        that of the file.
 
     Raises
     ------
     UserError
-        For an unknown name, an unreadable file, or anything wrong in it, with file, line, key, value and limit.
+        For an unknown name, an unreadable or an invalid file; the message states file, line, key, value and limit.
     """
     path = _found(name_or_path)
     table, text = read_toml(path)
@@ -52,37 +53,37 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
-    """Write a scene as a TOML file that `load_scene` reads back to an equal scene, every key explained.
+    """Write a scene as a TOML file with a comment above each key; `load_scene` returns an equal scene.
 
-    Specimen files are absolute paths.
+    Paths of specimens are absolute.
 
     Parameters
     ----------
     scene : Scene
-        Any scene.
+        Scene to write.
     path : str or Path
-        TOML file to write.
+        Path of the TOML file.
     new : bool
-        Refuse to replace a file that is there.
+        Raise an error if the file exists.
     """
     here = Path()
     plants = tuple(replace(plant, specimen=_resolved(plant.specimen, here)) for plant in scene.plants)
     scene = replace(scene, specimen=_resolved(scene.specimen, here), plants=plants)
     plain = scene_to_dict(scene)
     if not plants:
-        del plain["plants"]  # written as an empty list, nobody could add a [[plants]] section
+        del plain["plants"]  # with an empty list, users could not add a [[plants]] section
     write_text(path, explained.commented(_without_none(plain)), new=new)
 
 
 def _resolved(specimen: Specimen | None, folder: Path) -> Specimen | None:
-    """Return a specimen whose file, if it has one, is told by its whole path."""
+    """Return a specimen with an absolute path, if it is a file."""
     if not isinstance(specimen, MeshSpecimen | RsmlSpecimen):
         return specimen
     return replace(specimen, file=str((folder / specimen.file).resolve()))
 
 
 def scene_to_dict(scene: Scene) -> dict[str, Any]:
-    """Return a scene as plain dicts, lists and scalars for JSON; `scene_from_dict` gives an equal scene back."""
+    """Return a scene as plain dicts, lists and scalars for JSON; `scene_from_dict` returns an equal scene."""
     plain: dict[str, Any] = to_plain(scene)
     return plain
 
@@ -93,14 +94,14 @@ def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
     Parameters
     ----------
     mapping : mapping of object
-        As `scene_to_dict` makes it; missing keys take the defaults.
+        Mapping as returned by `scene_to_dict`; missing keys take their defaults.
     where : str
-        File or other origin, for messages.
+        File or other origin, used in messages.
 
     Raises
     ------
     UserError
-        For an unknown key, a wrong type, a value beyond its limits, or parts that do not fit each other.
+        For an unknown key, a wrong type, a value beyond its limits, or inconsistent parts.
     """
     scene = from_plain(Scene, mapping, Place(where))
     check_scene(scene, where=where)
@@ -108,12 +109,12 @@ def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
 
 
 def library() -> list[tuple[str, str]]:
-    """Return name and description of every scene that comes with the program, sorted by name."""
+    """Return name and description of every scene in the library, sorted by name."""
     return _listed(_LIBRARY)
 
 
 def profiles() -> list[tuple[str, str]]:
-    """Return name and description of every disturbance profile that comes with the program, mildest first."""
+    """Return name and description of every built-in disturbance profile, mildest first."""
     order = {"clean": 0, "bench": 1, "camera": 2, "harsh": 3, "real": 4}
     return sorted(_listed(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
 
@@ -124,7 +125,7 @@ def load_profile(name: str) -> Disturbances:
     Raises
     ------
     UserError
-        For an unknown name or anything wrong in the file.
+        For an unknown name or an invalid file.
     """
     path = _PROFILES / f"{name}.toml"
     if _looks_like_path(name):
@@ -136,12 +137,12 @@ def load_profile(name: str) -> Disturbances:
     allowed = ["name", "description", "disturbances"]
     for key in table:
         if key not in allowed:
-            raise place.at(key).error(f"unknown key{suggestion(key, allowed)}; a profile has {', '.join(allowed)}")
+            raise place.at(key).error(f"unknown key{suggestion(key, allowed)}; known keys are {', '.join(allowed)}")
     return from_plain(Disturbances, table.get("disturbances", {}), place.at("disturbances"))
 
 
 def _found(name_or_path: str | Path) -> Path:
-    """Tell library names from paths."""
+    """Return the path of a scene given by library name or path."""
     name = str(name_or_path)
     if isinstance(name_or_path, Path) or _looks_like_path(name):
         return Path(name_or_path)
@@ -151,7 +152,7 @@ def _found(name_or_path: str | Path) -> Path:
     if Path(name).is_file():
         return Path(name)
     near = suggestion(name, [row.stem for row in _LIBRARY.glob("*.toml")])
-    raise UserError(f'there is no scene "{name}"{near}; `rhizotwin scenes` lists the library, and a scene file ends in .toml')
+    raise UserError(f'there is no scene "{name}"{near}; `rhizotwin scenes` lists the library; scene files end in .toml')
 
 
 def _looks_like_path(name: str) -> bool:
@@ -159,16 +160,16 @@ def _looks_like_path(name: str) -> bool:
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    """Read a TOML file; return its table and text."""
+    """Read a TOML file; return its table and its text."""
     if path.is_dir():
-        raise UserError(f"{path}: is a folder, but a TOML file is needed")
+        raise UserError(f"{path}: is a folder, but a TOML file is required")
     try:
         text = read_file(path).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     try:
         return tomllib.loads(text), text
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers of thousands of digits
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers with thousands of digits
         raise UserError(f"{path}: is not valid TOML: {parsers_words(error)}") from error
 
 
@@ -177,7 +178,7 @@ def _listed(folder: Path) -> list[tuple[str, str]]:
 
 
 def _without_none(value: Any) -> Any:
-    """Drop None, which TOML does not have; it is the default wherever the model allows it."""
+    """Remove None, which TOML does not support; it is the default wherever the model allows it."""
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None}
     if isinstance(value, list):

@@ -1,20 +1,19 @@
-"""Folders that commands make.
+"""Output folders of commands: locked during a run, built inside the target, and recovered after a kill.
 
-Held against others from the start, built inside, put in place at the end, recovered after a kill.
+While a folder is being written, it may contain, beside visible files,
 
-A folder that is being made may hold, beside what people see,
+.rhizotwin-lock   process that holds the folder (`scenes.lock`)
+.rhizotwin-new    new content, while `new_folder` builds it
+.rhizotwin-old    replaced content, while it is moved away
+.rhizotwin-whole  `.rhizotwin-new`, renamed when nothing remains but to move its files
 
-    .rhizotwin-lock   who works in it (`scenes.lock`)
-    .rhizotwin-new    what `new_folder` is building
-    .rhizotwin-old    what it replaces, while that is moved away
-    .rhizotwin-whole  `.rhizotwin-new` under the name that it gets when nothing but moving its files is left to do
-
-Everything lies inside the goal, so that a mount point, a linked folder and the current folder can be goals, and a place
-that cannot be written is reported before the work. The names of the marks are all that is known of a killed run: where
-there is a `.rhizotwin-whole`, its files are moved into the folder, else those of `.rhizotwin-old` are moved back, and
-the rest is removed (`_settle`). A folder may come from anybody: only a command that writes a folder recovers it,
-nothing in a mark is parsed, no link is followed, and nothing is moved or removed but what lies in the marks. `HEADS`
-leave first and come last, so that who only reads knows by them that all files are there (`check_readable`).
+All of these are inside the target, so that a mount point, a linked folder and the current folder can be targets, and a
+target without write permission is reported before the work starts. Recovery after a kill depends only on the names of
+these marks: if there is a `.rhizotwin-whole`, its files are moved into the folder; otherwise those of `.rhizotwin-old`
+are moved back; the rest is removed (`_settle`). Folders may be of unknown origin: they are only recovered by a command
+that writes them, nothing in a mark is parsed, no link is followed, and only the contents of the marks are moved or
+removed. The files in `HEADS` are removed first and added last, so that a reader can conclude from them that all files
+are present (`check_readable`).
 """
 
 import errno
@@ -33,20 +32,20 @@ from rhizotwin.scenes.said import printable
 
 LOCK, NEW, OLD, WHOLE = ".rhizotwin-lock", ".rhizotwin-new", ".rhizotwin-old", ".rhizotwin-whole"
 HEADS = ("dataset.json", "result.json")
-"""What a folder is known by."""
+"""Files that identify a folder as a dataset or result."""
 LEAST_FREE_MIB = 1
-"""No dataset or result is smaller: a full disk is reported before the work, not when its first file is written."""
+"""Minimum free disk space; no dataset or result is smaller. A full disk is thus reported before the work starts."""
 _OWN = ".rhizotwin-"
 _SYSTEM = ("lost+found", "System Volume Information")
-"""What an empty disk holds."""
+"""Folders that an empty disk contains."""
 
 Stamp = tuple[int, int, int]
 
 
 def contents(folder: Path) -> list[str]:
-    """Return the sorted names in a folder that are neither this program's own marks nor the system's.
+    """Return the sorted names in a folder, without this program's marks and the system's folders.
 
-    None where there is no folder.
+    None if the folder does not exist.
     """
     if not folder.is_dir():
         return []
@@ -54,58 +53,58 @@ def contents(folder: Path) -> list[str]:
 
 
 def check_readable(folder: Path, *, deep: bool = True) -> None:
-    """Refuse to read a folder whose files are not all in place, or (``deep``) lie elsewhere.
+    """Raise an error if files of a folder are missing, or (``deep``) if it contains links.
 
     Nothing is written, locked or recovered.
 
     Raises
     ------
     UserError
-        When a run was killed while it moved its files into the folder, or the folder holds links, pipes or devices.
+        If a run was killed while it moved its files into the folder, or the folder contains links, pipes or devices.
     """
     marks = [name for name in (OLD, WHOLE) if os.path.lexists(folder / name)]
     if marks and not any((folder / head).is_file() for head in HEADS):
         raise UserError(
-            f"{folder}: holds {marks[0]}, so that the run that wrote it was stopped while it put its files in place; "
-            "run that command again (rhizotwin reconstruct, edit or import), which brings them back"
+            f"{folder}: contains {marks[0]}: the run that wrote it was stopped while it moved its files into place; "
+            "run that command again (rhizotwin reconstruct, edit or import) to recover them"
         )
     if deep:
         refuse_links(folder)
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuse a dataset or result through which something else would be read or written.
+    """Raise an error if a dataset or result contains links, through which other files could be read or written.
 
     Raises
     ------
     UserError
-        When a link, pipe or device lies in it, or folders are nested deeper than the system can name.
+        If it contains a link, pipe or device, or folders are nested too deeply for the system.
     """
     try:
         for entry in _entries(folder):
             if entry.is_symlink():
-                raise UserError(f"{entry.path}: is a link, and what it leads to is left alone; put the file or folder itself in its place")
+                raise UserError(f"{entry.path}: is a link, and links are not followed; replace it by the file or folder itself")
             if not entry.is_dir() and not entry.is_file():
-                raise UserError(f"{entry.path}: is no file but a pipe or device; remove it")
+                raise UserError(f"{entry.path}: is a pipe or device; remove it")
     except OSError as error:
-        raise UserError(f"{folder}: cannot be read ({error.strerror}); check your rights to it and what it holds") from error
+        raise UserError(f"{folder}: cannot be read ({error.strerror}); check the permissions of its contents") from error
 
 
 @contextmanager
 def held(folder: Path | str) -> Iterator[Path]:
-    """Work in a folder alone; it is made where it is missing, and removed again if it stays empty.
+    """Lock a folder for exclusive use; it is created if it is missing, and removed again if it remains empty.
 
-    What a killed run left there is put in place, put back or removed first.
+    Files left by a killed run are first moved into place, moved back or removed.
 
     Yields
     ------
     Path
-        The folder itself, where ``folder`` is a link to it.
+        The folder; if ``folder`` is a link, its target.
 
     Raises
     ------
     UserError
-        When another process works in it, it is a file, it holds links, or it cannot be written.
+        If another process uses it, it is a file, it contains links, or it cannot be written.
     """
     with _held(folder) as (goal, _):
         refuse_links(goal)
@@ -114,32 +113,31 @@ def held(folder: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[Path]:
-    """Build a folder that appears whole or not at all.
+    """Build a folder atomically: it appears complete or not at all.
 
     Parameters
     ----------
     goal : path
-        New, empty, or with nothing in it but what may be replaced.
+        Target folder: new, empty, or with no other files than those in ``replaces``.
     replaces : collection of str
-        Names that the goal may hold and that are replaced. What is there stays until the new is whole; what was not
-        there at the start, or is changed meanwhile, stays for good.
+        Names of files in the target that are replaced. They remain until the new folder is complete; files that are
+        added or changed by others in the meantime are kept.
 
     Yields
     ------
     Path
-        The folder inside the goal to write into.
+        Folder inside the target to write into.
 
     Raises
     ------
     UserError
-        When the goal holds anything else, another process works in it, the disk is full, or the place cannot be
-        written; when something that others put there meanwhile has the name of something new, which is then kept under
-        another name.
+        If the target contains other files, another process uses it, the disk is full, or it cannot be written; or if
+        others added a file with the name of a new one, which is then kept under another name.
     """
     with _held(goal) as (folder, finished):
         strange = [name for name in contents(folder) if name not in replaces]
         if strange and finished:
-            raise UserError(f"{goal}: is whole, although the run that made it was stopped; use it, or choose another name for another one")
+            raise UserError(f"{goal}: is complete, although the run that wrote it was stopped; use it, or choose another name")
         if strange:
             beside = f"holds {strange[0]}" if replaces else "already exists and is not empty"
             raise UserError(f"{goal}: {beside}; choose another name or remove it")
@@ -149,7 +147,7 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
             building.mkdir()
             try:
                 yield building
-            except UserError as error:  # named as it would be in the end
+            except UserError as error:  # state the final name in the message
                 raise UserError(str(error).replace(str(building), str(goal))) from error
             except OSError as error:
                 if is_full(error) or str(building) in str(error.filename):
@@ -168,12 +166,12 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
 
 
 def recover(folder: Path) -> None:
-    """Put in place, put back or remove what a killed run left in a folder that is to be written.
+    """Move into place, move back or remove files that a killed run left in a folder that is to be written.
 
     Raises
     ------
     UserError
-        When another process works in it, or it cannot be done.
+        If another process uses the folder, or recovery fails.
     """
     if any(os.path.lexists(folder / name) for name in (LOCK, NEW, OLD, WHOLE)):
         with _held(folder):
@@ -182,10 +180,10 @@ def recover(folder: Path) -> None:
 
 @contextmanager
 def _held(folder: Path | str) -> Iterator[tuple[Path, bool]]:
-    """Do what `held` says; also yield whether a killed run had finished what it made."""
+    """Implement `held`; also yield whether a killed run had completed its output."""
     goal = Path(os.path.realpath(folder))
     if os.path.lexists(goal) and not goal.is_dir():
-        raise UserError(f"{folder}: is a file, but a folder of this name is to be written; choose another name")
+        raise UserError(f"{folder}: is a file, but the output is a folder; choose another name")
     new = not goal.exists()
     try:
         with ExitStack() as stack:
@@ -201,7 +199,7 @@ def _held(folder: Path | str) -> Iterator[tuple[Path, bool]]:
                 raise explained(error, folder) from error
             except RecursionError:
                 raise UserError(
-                    f"{folder}: a killed run left folders that are nested too deep to be removed; remove them yourself"
+                    f"{folder}: a killed run left folders that are nested too deeply to be removed; remove them manually"
                 ) from None
             yield goal, finished
     finally:
@@ -211,7 +209,7 @@ def _held(folder: Path | str) -> Iterator[tuple[Path, bool]]:
 
 
 def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None:
-    """Replace what was there before by what was built, unless others changed it meanwhile."""
+    """Replace previous files by new ones, unless others changed them in the meantime."""
     building, now = folder / NEW, _files(folder)
     made = list(_files(building))
     theirs = [path for path in now if before.get(path) != now[path]]
@@ -220,11 +218,13 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
         number = next(k for k in range(1, 1000) if not os.path.lexists(folder / f"made-{k}"))
         building.rename(folder / f"made-{number}")
         raise UserError(
-            f"{goal}: {in_the_way[0]} was put there or changed while the work went on, and is left as it is; what was made is in "
+            f"{goal}: {in_the_way[0]} was added or changed by others during the run, and is left unchanged; the output is in "
             f"{goal}/made-{number}"
         )
     for path in theirs:
-        logging.getLogger(__name__).warning("%s: %s was put there or changed meanwhile and stays", printable(goal), printable(str(path)))
+        logging.getLogger(__name__).warning(
+            "%s: %s was added or changed by others during the run, and is kept", printable(goal), printable(str(path))
+        )
     replaced = [path for path in now if path not in theirs]
     if replaced:
         (folder / OLD).mkdir()
@@ -232,7 +232,7 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
         _move(path, folder, folder / OLD)
     for place in sorted({parent for path in replaced for parent in path.parents}, key=lambda path: -len(path.parts)):
         if place.parts:
-            with suppress(OSError):  # somebody's file is in it
+            with suppress(OSError):  # a file of another user is in it
                 (folder / place).rmdir()
     for place in [building, *(path for path in building.rglob("*") if path.is_dir()), folder]:
         sync_folder(place)
@@ -242,21 +242,21 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
 
 
 def _settle(folder: Path) -> bool:
-    """Go on from wherever a run stopped, forwards or back; return whether what it made is in place now.
+    """Complete or revert an interrupted run; return whether its output is now in place.
 
-    Each step may be done again.
+    Every step can be repeated.
     """
     marks = [folder / name for name in (OLD, NEW, WHOLE) if os.path.lexists(folder / name)]
     for mark in marks:
         if mark.is_symlink() or not mark.is_dir():
-            raise UserError(f"{mark}: is no folder that this program made; remove it and run again")
+            raise UserError(f"{mark}: was not created by this program; remove it and run again")
     whole = folder / WHOLE in marks
     moved = folder / (WHOLE if whole else OLD)
     if moved in marks:
         for path in sorted(_files(moved), key=lambda path: (path.name in HEADS, path)):
             _move(path, moved, folder)
         sync_folder(folder)
-    for mark in marks:  # that which says what to do is the last
+    for mark in marks:  # the mark that determines the action is the last
         shutil.rmtree(mark)
     if marks:
         sync_folder(folder)
@@ -264,27 +264,27 @@ def _settle(folder: Path) -> bool:
 
 
 def _move(path: Path, source: Path, goal: Path) -> None:
-    """Move a file or link from a folder to the same place in another one, through no link and over nothing.
+    """Move a file or link to the same relative path in another folder, without following links or replacing files.
 
     Raises
     ------
     UserError
-        When something is in the way.
+        If there is another file of that name.
     """
     place = goal
     for name in path.parts[:-1]:
         place /= name
         if place.is_symlink() or not place.is_dir():
             if os.path.lexists(place):
-                raise UserError(f"{place}: is in the way of the folder of the same name in {source}; move it away and run again")
+                raise UserError(f"{place}: has the same name as a folder in {source}; move it away and run again")
             place.mkdir()
     if os.path.lexists(goal / path):
-        raise UserError(f"{goal / path}: is in the way of the file of the same name in {source}; move it away and run again")
+        raise UserError(f"{goal / path}: has the same name as a file in {source}; move it away and run again")
     (source / path).rename(goal / path)
 
 
 def _clear(folder: Path) -> None:
-    """Remove the temporary files that a killed run was writing."""
+    """Remove temporary files of a killed run."""
     for entry in [entry for entry in _entries(folder) if re.fullmatch(TEMPORARY, entry.name)]:
         if entry.is_dir(follow_symlinks=False):
             shutil.rmtree(entry.path, ignore_errors=True)
@@ -293,7 +293,7 @@ def _clear(folder: Path) -> None:
 
 
 def _files(folder: Path) -> dict[Path, Stamp]:
-    """Return everything in a folder that is no folder, by relative path, with what changes when it is written anew."""
+    """Return all files in a folder by relative path, with a stamp that changes when they are written."""
     found = {}
     for entry in _entries(folder):
         if not entry.is_dir(follow_symlinks=False) and not _is_own(entry.name):
@@ -303,7 +303,7 @@ def _files(folder: Path) -> dict[Path, Stamp]:
 
 
 def _entries(folder: Path) -> Iterator["os.DirEntry[str]"]:
-    """Return what lies in a folder, at any depth, this program's own marks and the system's folders left out.
+    """Yield the entries of a folder at any depth, without this program's marks and the system's folders.
 
     Links are not followed.
     """

@@ -6,8 +6,8 @@ radians.
 Frames
 ------
 canister : origin on the cylinder's axis in the plane of its rim, +z up, +x through the strip's seam; roots have z < 0.
-table    : turns with the turntable; equals ``canister`` when the canister stands perfectly centred and upright.
-rig      : fixed; equals ``table`` at table angle 0. The camera stands on the +x side, the backlight on the -x side.
+table    : rotates with the turntable; equals ``canister`` if the canister is perfectly centred and upright.
+rig      : static; equals ``table`` at table angle 0. The camera is on the +x side, the backlight on the -x side.
 cam      : OpenCV axes, x right, y down, z forward.
 """
 
@@ -26,12 +26,12 @@ def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
 
 
 def translation(x_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return the transform that shifts by (x, y, z) mm.
+    """Return the translation by (x, y, z) mm.
 
     Parameters
     ----------
     x_mm, y_mm, z_mm : float
-        Along the axes.
+        Components along the axes.
 
     Returns
     -------
@@ -70,21 +70,21 @@ def apply(a_from_b: Array, points_b: Array) -> Array:
 
 
 def twisted(points: Array, share: Array, twist_deg: float) -> Array:
-    """Turn points (N, 3) about the z axis, each by its share (N,) of an angle.
+    """Rotate points (N, 3) about the z axis, each by a fraction (N,) of an angle.
 
     Parameters
     ----------
     points : (N, 3) array
-        Points.
+        Points to rotate.
     share : (N,) array
-        Of the angle, for each of them.
+        Fraction of the angle for each point.
     twist_deg : float
-        The angle, counter-clockwise seen from above.
+        Angle, counter-clockwise seen from above.
 
     Returns
     -------
     (N, 3) array
-        Turned points.
+        Rotated points.
     """
     angle_rad = np.deg2rad(twist_deg) * share
     c, s = np.cos(angle_rad), np.sin(angle_rad)
@@ -97,14 +97,14 @@ def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Ar
     Parameters
     ----------
     distance_mm, height_mm : float
-        Of the camera's centre, from the table's axis and along z.
+        Distance of the camera's centre from the table's axis, and its z.
     tilt_deg : float
-        How far the optical axis points below the horizon.
+        Angle of the optical axis below the horizon.
 
     Returns
     -------
     (4, 4) array
-        The pose.
+        Pose of the camera.
     """
     tilt = np.deg2rad(tilt_deg)
     forward = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
@@ -123,6 +123,6 @@ def pose_error(cam_from_x: Array, cam_from_x_true: Array) -> tuple[float, float]
 
 
 def _rotation(rotvec_rad: Array | list[float]) -> Array:
-    from scipy.spatial.transform import Rotation  # a third of a second, which programs that only move points need not wait
+    from scipy.spatial.transform import Rotation  # imported here: loading takes a third of a second
 
     return np.asarray(Rotation.from_rotvec(rotvec_rad).as_matrix())

@@ -1,4 +1,4 @@
-"""How a description states the limits of a numeric field; `scenes.schema` enforces them."""
+"""Declaration of the limits of numeric fields; `scenes.schema` enforces them."""
 
 from dataclasses import field
 from typing import Any
@@ -10,13 +10,13 @@ def bounded(default: Any, low: float, high: float) -> Any:
     Parameters
     ----------
     default : Any
-        Its value where a file has none.
+        Value used if a file has none.
     low, high : float
-        Least and greatest value.
+        Minimum and maximum.
 
     Returns
     -------
     Field
-        With the limits in its metadata.
+        Field with the limits in its metadata.
     """
     return field(default=default, metadata={"limits": (low, high)})

@@ -1,6 +1,6 @@
-"""A file that says who works here, locked by the kernel.
+"""Lock file that states the process which holds a folder; the lock itself is held by the operating system.
 
-A run that was killed holds nothing, whatever its file still says.
+A killed process holds no lock, even if its file remains.
 """
 
 import errno
@@ -25,48 +25,48 @@ else:
     import fcntl
 
 MOST_TRIES = 100
-"""Each try ends by another process that takes or leaves the same lock at the same moment."""
+"""Maximum number of attempts; an attempt fails if another process acquires or releases the lock at the same moment."""
 MOST_LETTERS = 64
-"""Of each of a holder's words; names of computers have at most 64 on Linux."""
+"""Maximum length of each word in a lock file; names of computers have at most 64 characters on Linux."""
 BYTES = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-"""Opens a file for its bytes as they are (Windows translates line ends otherwise) and for this program alone."""
+"""Flags to open a file as raw bytes (Windows otherwise translates line ends) and only for this process."""
 NO_WAIT = getattr(os, "O_NONBLOCK", 0) | BYTES
-"""Opens what may be a pipe, and waits for nobody."""
+"""Flags to open a possible pipe without waiting."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | NO_WAIT
-"""Opens a file in a folder that may come from anybody."""
+"""Flags to open a file in a folder of unknown origin."""
 _WINDOWS_LOCK_AT = 2**30
-"""Windows locks bytes against reading, too: one far behind the words of the holder."""
-_NO_LOCK = "{path}: is a link or no plain file, so that this program did not make it; remove it and run again"
+"""Offset of the locked byte; Windows also locks against reading, so it is far beyond the content."""
+_NO_LOCK = "{path}: is a link or not a regular file, so it was not created by this program; remove it and run again"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 @contextmanager
 def locked(path: Path, *, what: str) -> Iterator[bool]:
-    """Hold a lock file; its folder is made where it is missing, and the file is removed at the end.
+    """Hold a lock file; its folder is created if it is missing, and the file is removed at the end.
 
     Parameters
     ----------
     path : path
-        Of the file; it gets process, computer and time as JSON.
+        Path of the file, which contains process, computer and time as JSON.
     what : str
-        What is locked, for messages.
+        Name of the locked object, used in messages.
 
     Yields
     ------
     bool
-        Whether the file was left by a run that ended without tidying up; it is taken over with a word.
+        Whether the file was left by a run that was killed; it is taken over with a warning.
 
     Raises
     ------
     UserError
-        When another process holds it; the message names process and computer. When it is a link or no plain file.
+        If another process holds it (the message states process and computer), or if it is a link or not a regular file.
     OSError
-        When the file cannot be made.
+        If the file cannot be created.
     """
     descriptor, left = _take(path, what)
     try:
         if left is not None:
-            logging.getLogger(__name__).warning("%s: %s left it unfinished; taken over", printable(what), _holder(left))
+            logging.getLogger(__name__).warning("%s: %s left it unfinished; continuing", printable(what), _holder(left))
         said = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
@@ -77,7 +77,7 @@ def locked(path: Path, *, what: str) -> Iterator[bool]:
 
 
 def try_lock(descriptor: int) -> bool | None:
-    """Lock an open file without waiting; False where another holds it, None where this file system has no locks."""
+    """Lock an open file without waiting; False if another process holds it, None if this file system has no locks."""
     if sys.platform == "win32":
         os.lseek(descriptor, _WINDOWS_LOCK_AT, os.SEEK_SET)
         try:
@@ -99,7 +99,7 @@ def try_lock(descriptor: int) -> bool | None:
 
 
 def remove_open(path: Path, descriptor: int) -> None:
-    """Remove a file and close it; Windows removes no open file, so that there it is closed first."""
+    """Remove a file and close it; on Windows it is closed first, as open files cannot be removed."""
     if sys.platform == "win32":
         os.close(descriptor)
     with suppress(OSError):
@@ -109,7 +109,7 @@ def remove_open(path: Path, descriptor: int) -> None:
 
 
 def _take(path: Path, what: str) -> tuple[int, bytes | None]:
-    """Return the locked file, and what a run that is over had written into it; None where it is new."""
+    """Return the locked file, and the content left by a previous process; None if the file is new."""
     for _ in range(MOST_TRIES):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -117,13 +117,13 @@ def _take(path: Path, what: str) -> tuple[int, bytes | None]:
         except FileExistsError:
             try:
                 descriptor, new = os.open(path, os.O_RDWR | NO_LINK), False
-            except FileNotFoundError:  # given back meanwhile
+            except FileNotFoundError:  # released by its holder
                 continue
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
                     raise UserError(_NO_LOCK.format(path=path)) from None
                 raise
-        except FileNotFoundError:  # its folder was removed meanwhile
+        except FileNotFoundError:  # its folder was removed
             continue
         try:
             status = os.fstat(descriptor)
@@ -135,14 +135,14 @@ def _take(path: Path, what: str) -> tuple[int, bytes | None]:
             if free is None:
                 free = new or _is_over(said)
             if not free:
-                raise UserError(f"{what}: {_holder(said)} works in it; wait until that ends or choose another ({path.name} says so)")
+                raise UserError(f"{what}: {_holder(said)} is using it; wait until it ends or choose another (see {path.name})")
             if os.fstat(descriptor).st_nlink:
                 return descriptor, None if new else said
         except BaseException:
             os.close(descriptor)
             raise
-        os.close(descriptor)  # given back and removed between our opening and locking it
-    raise UserError(f"{what}: is taken and given back by other processes all the time; try again")
+        os.close(descriptor)  # released and removed between opening and locking
+    raise UserError(f"{what}: is repeatedly locked by other processes; try again")
 
 
 def _words(said: bytes) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def _holder(said: bytes) -> str:
 
 
 def _is_over(said: bytes) -> bool:
-    """Tell by a file's words whether its process is over, where the file system has no locks."""
+    """Return whether the process recorded in a lock file has ended, for file systems without locks."""
     words = _words(said)
     if words.get("host") != socket.gethostname() or not isinstance(words.get("pid"), int) or sys.platform == "win32":
         return False

@@ -1,4 +1,4 @@
-"""ArUco markers as cells and as black rectangles: what is printed and what is painted come from here."""
+"""ArUco markers as cells and as black rectangles, for printing and rendering."""
 
 import cv2
 import numpy as np
@@ -9,29 +9,29 @@ from rhizotwin.scenes.frames import Array
 
 
 def dictionary_named(name: str) -> cv2.aruco.Dictionary:
-    """Return OpenCV's ArUco dictionary of a name without ``DICT_``.
+    """Return OpenCV's ArUco dictionary by its name without ``DICT_``.
 
     Raises
     ------
     UserError
-        When OpenCV has no such dictionary.
+        If OpenCV has no such dictionary.
     """
     if not hasattr(cv2.aruco, f"DICT_{name}"):
-        raise UserError(f"{name!r} is not one of OpenCV's ArUco dictionaries; use for example APRILTAG_36h11 or 5X5_100")
+        raise UserError(f"{name!r} is not an ArUco dictionary of OpenCV; use for example APRILTAG_36h11 or 5X5_100")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
 
 
 def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
-    """Return a marker's cells (n, n), True where white, row 0 at the top, its black border included.
+    """Return a marker's cells (n, n), True for white, row 0 at the top, including its black border.
 
     Raises
     ------
     UserError
-        When the dictionary is unknown or has no such marker.
+        If the dictionary is unknown or has no such marker.
     """
     known = dictionary_named(dictionary)
     if not 0 <= marker_id < len(known.bytesList):
-        raise UserError(f"marker {marker_id} is asked for, but {dictionary} has the markers 0 to {len(known.bytesList) - 1}")
+        raise UserError(f"marker {marker_id} does not exist: {dictionary} has the markers 0 to {len(known.bytesList) - 1}")
     return np.asarray(known.generateImageMarker(marker_id, known.markerSize + 2)) > 127
 
 
@@ -41,16 +41,16 @@ def black_rectangles(dictionary: str, marker_id: int, *, left_mm: float, top_mm:
     Parameters
     ----------
     dictionary, marker_id : str, int
-        OpenCV's name of the dictionary, and which of its markers.
+        OpenCV's name of the dictionary, and number of the marker.
     left_mm, top_mm : float
-        Upper left corner.
+        Position of the upper left corner.
     side_mm : float
-        Edge of the marker.
+        Side of the marker.
 
     Returns
     -------
     (N, 4) array
-        mm.
+        Rectangles in mm.
     """
     cells = marker_cells(dictionary, marker_id)
     cell_mm = side_mm / len(cells)

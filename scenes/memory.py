@@ -1,4 +1,4 @@
-"""How much memory the computer has, how much of it is free, and how much this process took at most."""
+"""Total and available memory of the computer, and peak memory of this process."""
 
 import ctypes
 import os
@@ -16,7 +16,7 @@ def total_mib() -> float:
 
 
 def available_mib() -> float:
-    """Return the memory that is free in MiB, by the system and by the group that this process is confined to."""
+    """Return the available memory in MiB, within the limits of the system and of this process's control group."""
     if sys.platform == "win32":
         return _windows_memory().free_bytes / MIB
     free = total_mib()
@@ -30,7 +30,7 @@ def available_mib() -> float:
 
 
 def peak_mib() -> float:
-    """Return the largest resident memory of this process so far in MiB; 0 where Windows does not tell."""
+    """Return the peak resident memory of this process in MiB; 0 if Windows does not report it."""
     if sys.platform == "win32":
         return _windows_peak_bytes() / MIB
     import resource

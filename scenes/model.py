@@ -1,6 +1,7 @@
-"""What stands on the rig: typed, frozen descriptions. The defaults are the rig of the thesis (section 3.2).
+"""Data model of the rig: typed, frozen descriptions. The defaults are the rig of the thesis (section 3.2).
 
-A field's unit is in its name. ``limits`` in a field's metadata are inclusive bounds that `scenes.schema` enforces.
+The unit of a field is part of its name. ``limits`` in the metadata of a field are inclusive bounds that `scenes.schema`
+enforces.
 """
 
 from dataclasses import dataclass, field, replace
@@ -23,15 +24,16 @@ class Canister:
     """Round acrylic canister, 6 in wide and tall as in the thesis; its rim lies in the plane z = 0."""
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
-    """Outside of the wall; with the indices it decides how much the water magnifies, so measure it with calipers."""
+    """Outer radius of the wall; together with the refractive indices it determines the magnification by the water.
+    Measure it with calipers."""
     wall_mm: float = bounded(3.175, 0.2, 50.0)
     """Thickness of the wall."""
     height_mm: float = bounded(152.4, 10.0, 2000.0)
-    """Rim to the underside of the base."""
+    """Height from the underside of the base to the rim."""
     base_mm: float = bounded(6.0, 0.5, 100.0)
-    """Thickness of the base; its inner face, opaque and matt, is the water's floor."""
+    """Thickness of the base; its inner face, opaque and matt, is the floor of the water."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
-    """Refractive index of the wall: acrylic 1.49, glass 1.52, polycarbonate 1.58."""
+    """Refractive index of the wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
 
     @property
     def inner_radius_mm(self) -> float:
@@ -40,7 +42,7 @@ class Canister:
 
     @property
     def floor_z_mm(self) -> float:
-        """Height of the water's floor in the canister frame."""
+        """Height (z) of the water's floor in the canister frame."""
         return self.base_mm - self.height_mm
 
 
@@ -49,11 +51,12 @@ class Water:
     """Nutrient solution in the canister."""
 
     level_mm: float = bounded(-4.0, -2000.0, 0.0)
-    """z of the surface; above the net pot's grid."""
+    """z of the water surface; must be above the net pot's grid."""
     n_water: float = bounded(1.333, 1.0, 2.0)
-    """Refractive index of what the roots stand in: water 1.333; an error of 0.001 moves a root by 0.03 mm at 40 mm."""
+    """Refractive index of the water, 1.333 for pure water; an error of 0.001 moves a root by 0.03 mm at a depth of 40
+    mm."""
     absorption_per_mm: float = bounded(0.0, 0.0, 0.1)
-    """Light that the water absorbs; next to nothing in the visible, 0.004 per mm at 850 nm."""
+    """Absorption coefficient of the water; negligible in visible light, 0.004 per mm at 850 nm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,112 +64,116 @@ class NetPot:
     """Net pot over the rim; an opaque skirt outside the canister carries the marker strip."""
 
     outer_radius_mm: float = bounded(79.6, 5.0, 600.0)
-    """Radius on which the marker strip lies; it gives every picture its scale, so measure it with the strip on."""
+    """Radius at which the marker strip lies; it determines the scale of the reconstruction, so measure it with the
+    strip attached."""
     skirt_bottom_mm: float = bounded(-6.0, -1000.0, 500.0)
     """z of the skirt's lower edge; the canister is hidden above it."""
     top_mm: float = bounded(31.0, -1000.0, 500.0)
     """z of the net pot's upper edge."""
     grid_z_mm: float = bounded(-8.0, -1000.0, 0.0)
-    """Underside of the opaque grid and felt inside the canister: roots are seen below it."""
+    """z of the underside of the opaque grid and felt inside the canister: roots are visible below it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerStrip:
-    """Strip of ArUco markers round the net pot, rows from the top, columns counter-clockwise seen from above.
+    """Strip of ArUco markers around the net pot, rows from the top, columns counter-clockwise seen from above.
 
     Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x); the marker in row j, column k has the
-    id ``first_id + j * columns + k``. From outside, ids rise to the right.
+    id ``first_id + j * columns + k``. Seen from outside, ids increase to the right.
     """
 
     dictionary: str = "APRILTAG_36h11"
-    """Dictionary of the markers as OpenCV names it."""
+    """ArUco dictionary of the markers, by its name in OpenCV."""
     columns: int = bounded(31, 4, 500)
-    """Markers in a row, evenly round the net pot."""
+    """Number of markers in a row, evenly spaced around the net pot."""
     rows: int = bounded(2, 0, 10)
-    """0: there is no strip; cameras are found from the canister's edges and the roots."""
+    """Number of rows; 0 if there is no strip, in which case cameras are found from the canister's edges and the roots.
+    """
     marker_mm: float = bounded(13.0, 1.0, 200.0)
-    """Edge of a marker's black square, measured on the print: a printer that scales by 1 % makes every length 1 %
-    wrong."""
+    """Side of a marker's black square, measured on the print: if the printer scales by 1 %, every length is wrong by 1
+    %."""
     row_pitch_mm: float = bounded(16.5, 1.0, 300.0)
-    """From a row's lower edge to that of the row above it."""
+    """Distance from the lower edge of a row to that of the row above."""
     bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
     """z of the lower edge of the lowest row's markers."""
     first_id: int = bounded(0, 0, 10000)
-    """Number of the first marker in its dictionary: strips with other numbers tell plants apart."""
+    """Id of the first marker; strips with different ids identify different plants."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """What stands between the camera and the canister."""
+    """Medium between the camera and the canister."""
 
     n: float = bounded(1.0, 1.0, 2.0)
-    """Index: 1 is air. The liquid of a tank about the canister (near the water's index, so that the wall bends little)
-    for a telecentric camera that looks squarely through the tank's flat window: parallel rays pass such a window
-    unbent."""
+    """Refractive index, 1 for air. Otherwise that of the liquid in a tank about the canister (close to that of the
+    water, to reduce refraction by the wall), for a telecentric camera perpendicular to the tank's flat window: parallel
+    rays pass such a window without refraction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tank:
-    """Rectangular tank of liquid in which the canister turns (T5.3), filled to its rim.
+    """Rectangular tank of liquid in which the canister rotates (T5.3), filled to its rim.
 
-    It stands still in the rig, one wall towards the camera, which sees the roots through it and the marker strip in air
-    above it.
+    It is static in the rig, with one wall towards the camera, which sees the roots through that wall and the marker
+    strip in air above it.
     """
 
     front_mm: float = bounded(100.0, 10.0, 2000.0)
-    """Outside of the front wall at x = front_mm, of the back wall at x = -front_mm."""
+    """x of the outside of the front wall; the back wall is at -front_mm."""
     half_width_mm: float = bounded(130.0, 10.0, 2000.0)
-    """Outside of the side walls at y = +-half_width_mm."""
+    """y of the outside of the side walls, at +half_width_mm and -half_width_mm."""
     wall_mm: float = bounded(5.0, 0.2, 50.0)
-    """Thickness of its walls."""
+    """Thickness of the tank's walls."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
-    """Index of its walls."""
+    """Refractive index of the tank's walls."""
     n_liquid: float = bounded(1.333, 1.0, 2.0)
-    """Water does; what has the water's own index hides the canister's wall most."""
+    """Refractive index of the liquid; water is sufficient, and an index equal to that of the canister's water reduces
+    refraction most."""
     level_mm: float = bounded(-8.0, -2000.0, 0.0)
-    """z of its surface, below the marker strip; so high are its walls."""
+    """z of the liquid's surface and of the tank's rim, below the marker strip."""
     turn_deg: float = bounded(0.0, -10.0, 10.0)
-    """How it is turned from square to the rig, counter-clockwise from above; the canister's edges tell it better than
-    an eye does, where they are seen."""
+    """Rotation of the tank from square to the rig, counter-clockwise seen from above; it is measured from the
+    canister's edges if they are visible."""
 
 
 FAR_MM = 1.5e5
-"""Distance of the pinhole that stands for a telecentric camera.
+"""Distance of the pinhole that approximates a telecentric camera.
 
-What is 50 mm nearer than the axis is seen 1/3000 larger through it, by 0.08 px at 250 px from the axis. Much farther,
-single precision no longer tells heights to 1e-4 mm for a camera that is tilted by a degree.
+An object 50 mm nearer than the axis is magnified by an additional 1/3000, which is 0.08 px at 250 px from the axis. At
+a much larger distance, single precision no longer resolves heights to 1e-4 mm for a camera that is tilted by a degree.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """Camera with OpenCV distortion; pixel centres are at integers."""
+    """Camera with OpenCV distortion; pixel centres have integer coordinates."""
 
     kind: Literal["pinhole", "telecentric"] = "pinhole"
     """``telecentric``: parallel rays, ``mm_per_px`` apart; ``focal_px`` and ``distortion`` are not used."""
     mm_per_px: float = bounded(0.1, 1e-5, 100.0)
-    """Size of a pixel on the specimen; only for a telecentric camera."""
+    """Size of a pixel at the specimen; only for a telecentric camera."""
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
-    """Width and height of the pictures in pixels; a root should be three pixels wide or more."""
+    """Width and height of the pictures in pixels; roots should be at least three pixels wide."""
     focal_px: tuple[float, float] = bounded((1300.0, 1300.0), 1.0, 1e6)
-    """Focal lengths in x and y, in pixels, as `rhizotwin calibrate camera` measures them."""
+    """Focal lengths in x and y in pixels, as measured by `rhizotwin calibrate camera`."""
     principal_px: tuple[float, float] = bounded((399.5, 299.5), -1e6, 1e6)
-    """Where the optical axis meets the picture; pixel centres are at whole numbers."""
+    """Principal point, where the optical axis meets the picture; pixel centres have integer coordinates."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
-    """k1, k2, p1, p2, k3 of the OpenCV model."""
+    """Distortion coefficients k1, k2, p1, p2, k3 of the OpenCV model."""
     bits: int = bounded(12, 8, 16)
-    """Depth of the converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG."""
+    """Bit depth of the analog-to-digital converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG.
+    """
     transfer: Literal["linear", "srgb", "table"] = "linear"
-    """How light becomes a picture's numbers where the file does not say it: in proportion, by sRGB's curve, or by
+    """Transfer curve from light to pixel values, used if the file does not state one: linear, sRGB, or
     ``transfer_table``."""
     transfer_table: tuple[float, ...] = bounded((), 0.0, 1.0)
-    """Light, of full scale, at equal steps of the number from 0 to full scale (`rhizotwin calibrate transfer` writes
-    it)."""
+    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale (written by `rhizotwin
+    calibrate transfer`)."""
     bands: tuple[Band, ...] = ()
-    """Bands in which every view is taken, in this order; none: one picture a view, of all light."""
+    """Bands in which every view is taken, in this order; none for one picture per view with all light."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
-        """Return the same lens on a sensor with ``image_wh`` pixels over the same field of view (horizontally)."""
+        """Return the same camera with ``image_wh`` pixels over the same horizontal field of view."""
         scale = image_wh[0] / self.image_wh[0]
         cx, cy = self.principal_px
         margin_y = (image_wh[1] - scale * self.image_wh[1]) / 2.0
@@ -179,7 +186,7 @@ class Camera:
         )
 
     def as_pinhole(self) -> "Camera":
-        """Return the camera itself; for a telecentric one the pinhole at `FAR_MM` that sees the same."""
+        """Return the camera itself, or for a telecentric camera the pinhole at `FAR_MM` that approximates it."""
         if self.kind == "pinhole":
             return self
         focal = FAR_MM / self.mm_per_px
@@ -188,7 +195,7 @@ class Camera:
     def pinhole_pose(self, cam_from_canister: "Array") -> "Array":
         """Return the pose (4, 4) of `as_pinhole`.
 
-        For a telecentric camera moved back along its axis, which nobody can see.
+        For a telecentric camera this is the pose moved back along the optical axis, which does not change the picture.
         """
         if self.kind == "pinhole":
             return cam_from_canister
@@ -197,67 +204,68 @@ class Camera:
         return pose
 
     def focused(self, scale: float) -> "Camera":
-        """Return the same camera with focal lengths ``scale`` times as long (lenses breathe when they are focused)."""
+        """Return the camera with focal lengths multiplied by ``scale``, as focusing changes them."""
         return replace(self, focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale), mm_per_px=self.mm_per_px / scale)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lights:
-    """A diffused backlight panel and a strip light above the front, both in the rig frame.
+    """A diffuse backlight panel and a strip light above the front, both in the rig frame.
 
-    The panel stands at x = -backlight_distance_mm.
+    The panel is at x = -backlight_distance_mm.
     """
 
     backlight_distance_mm: float = bounded(160.0, 10.0, 5000.0)
-    """From the table's axis to the panel behind the canister."""
+    """Distance from the table's axis to the panel behind the canister."""
     backlight_wh_mm: tuple[float, float] = bounded((700.0, 500.0), 1.0, 10000.0)
-    """Width and height of the lit panel: it must fill the picture behind the canister, or its edge is taken for a
-    root."""
+    """Width and height of the illuminated panel; it must fill the picture behind the canister, otherwise its edge is
+    mistaken for a root."""
     backlight_z_mm: float = bounded(-60.0, -5000.0, 5000.0)
-    """z of the panel's middle."""
+    """z of the panel's centre."""
     backlight_level: float = bounded(0.75, 0.0, 1.0)
-    """Fraction of the camera's full scale that the bare panel reaches."""
+    """Brightness of the bare panel as a fraction of the camera's full scale."""
     front_xz_mm: tuple[float, float] = bounded((260.0, 260.0), -5000.0, 5000.0)
-    """Where the front light stands, x and z: above the camera, so that the canister does not mirror it."""
+    """x and z of the front light; it should be above the camera, so that the canister does not reflect it."""
     front_wh_mm: tuple[float, float] = bounded((300.0, 60.0), 1.0, 10000.0)
     """Width and height of the front light."""
     front_level: float = bounded(0.5, 0.0, 1.0)
-    """Fraction of full scale that white paper on the strip reaches, facing the camera."""
+    """Brightness of white paper on the strip, facing the camera, as a fraction of full scale."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Turntable:
-    """Turntable under the canister."""
+    """Turntable that rotates the canister."""
 
     direction: Literal[1, -1] = 1
-    """+1: positive angles turn the canister counter-clockwise seen from above."""
+    """+1 if positive angles rotate the canister counter-clockwise seen from above, else -1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """One turn of the table, or a part of one, before a camera at rest."""
+    """One turn of the table, or a part of one, with a static camera."""
 
     views: int = bounded(40, 1, 10000)
-    """Pictures in the turn; an odd number tells about as much as twice as many, since opposite pictures see nearly the
-    same outline."""
+    """Number of pictures in the turn; an odd number gives about as much information as twice as many, since opposite
+    pictures show nearly the same outline."""
     height_mm: float = bounded(-42.0, -2000.0, 2000.0)
     """z of the camera in the rig frame."""
     distance_mm: float = bounded(400.0, 20.0, 10000.0)
-    """Camera to the table's axis, horizontally."""
+    """Horizontal distance from the camera to the table's axis."""
     tilt_deg: float = bounded(0.0, -89.0, 89.0)
-    """Optical axis below the horizon."""
+    """Angle of the optical axis below the horizon."""
     first_deg: float = bounded(0.0, -360.0, 360.0)
-    """Table angle of the first view; the others follow evenly over `span_deg`."""
+    """Table angle of the first view; the others are spaced evenly over `span_deg`."""
     span_deg: float = bounded(360.0, 1.0, 360.0)
-    """How far the table turns: a part of a turn is a patch of close pictures beside a ring that goes round."""
+    """Rotation of the table during the ring; a part of a turn adds closely spaced views to another ring that is a full
+    turn."""
     jitter_mm: float = bounded(0.0, 0.0, 50.0)
-    """Standard deviation of a commanded per-view change of the camera's position, each axis."""
+    """Standard deviation of a commanded change of the camera's position per view and axis."""
     jitter_deg: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation of a commanded per-view change of the camera's orientation, each axis."""
+    """Standard deviation of a commanded change of the camera's orientation per view and axis."""
     kind: Literal["root", "shoot"] = "root"
-    """What the ring looks at: the roots through the water, or the shoot in the air."""
+    """Subject of the ring: the roots through the water, or the shoot in air."""
     bands: tuple[str, ...] = ()
-    """Names of the camera's bands in which its views are taken; none: in all of them."""
+    """Names of the camera's bands in which the views are taken; none for all bands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,93 +273,98 @@ class CapturePlan:
     """The rings of a scan, in order."""
 
     rings: tuple[Ring, ...] = (Ring(),)
-    """One turn of the table each; a second height cures what one height cannot see of level roots."""
+    """Rings, each with one turn of the table; a second height resolves horizontal roots that one height cannot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """What a real rig gets wrong. Every zero (or None) means perfect; profiles are files of these with reasons."""
+    """Errors of a real rig. Zero (or None) stands for no error; profiles are files of these values with reasons."""
 
     full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
-    """Electrons at full scale: photon noise is Poisson in these. None: no photon noise."""
+    """Full-well capacity in electrons, at full scale, of Poisson photon noise. None for no photon noise."""
     read_noise_e: float = bounded(0.0, 0.0, 1000.0)
-    """Standard deviation of the noise of reading a pixel, in electrons."""
+    """Standard deviation of the read noise of a pixel, in electrons."""
     aperture_mm: float = bounded(0.0, 0.0, 50.0)
-    """Diameter of the lens opening; 0 is a pinhole, otherwise what is off the focus distance blurs."""
+    """Diameter of the lens aperture; 0 is a pinhole, otherwise objects outside the focus distance are blurred."""
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
-    """Focus distance minus the distance from camera to the table's axis."""
+    """Focus distance minus the distance from the camera to the table's axis."""
     focal_error: float = bounded(0.0, -0.05, 0.05)
-    """True over given focal length, less 1: the lens was focused anew after it was calibrated; unknown to the
-    reconstruction."""
+    """Relative error of the focal length (true over given, minus 1), as after refocusing a calibrated lens; unknown to
+    the reconstruction."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
-    """Lens distortion added to the camera's, known to the reconstruction (a calibrated lens)."""
+    """Lens distortion added to that of the camera; known to the reconstruction (calibrated lens)."""
     arm_deg: float = bounded(0.0, 0.0, 10.0)
-    """Standard deviation of the camera's orientation about each axis, drawn once a ring, unknown to the
+    """Standard deviation of the camera's orientation about each axis, drawn once per ring; unknown to the
     reconstruction."""
     arm_mm: float = bounded(0.0, 0.0, 50.0)
-    """Standard deviation of the camera's position on each axis, drawn once a ring, unknown to the reconstruction."""
+    """Standard deviation of the camera's position along each axis, drawn once per ring; unknown to the reconstruction.
+    """
     table_deg: float = bounded(0.0, 0.0, 10.0)
-    """Standard deviation of the table angle, drawn for each view, unknown to the reconstruction."""
+    """Standard deviation of the table angle, drawn per view; unknown to the reconstruction."""
     canister_offset_mm: float = bounded(0.0, 0.0, 20.0)
-    """How far the canister (with pot, strip and plant) stands from the table's axis, in a drawn direction."""
+    """Distance of the canister (with net pot, strip and plant) from the table's axis, in a random direction."""
     canister_tilt_deg: float = bounded(0.0, 0.0, 10.0)
-    """How far the canister leans, in a drawn direction."""
+    """Tilt of the canister, in a random direction."""
     strip_offset_mm: float = bounded(0.0, 0.0, 10.0)
-    """How far the net pot with its strip sits off the canister's axis, in a drawn direction."""
+    """Distance of the net pot with its strip from the canister's axis, in a random direction."""
     strip_tilt_deg: float = bounded(0.0, 0.0, 5.0)
-    """How far the net pot with its strip leans against the canister's axis, in a drawn direction."""
+    """Tilt of the net pot with its strip relative to the canister's axis, in a random direction."""
     backlight_unevenness: float = bounded(0.0, 0.0, 0.9)
-    """Peak-to-peak relative change of the backlight over the panel (smooth, drawn)."""
+    """Peak-to-peak relative variation of the backlight over the panel (smooth, random)."""
     n_water_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal index of the water."""
+    """True minus nominal refractive index of the water."""
     transfer: Literal["linear", "srgb"] = "linear"
-    """The camera's curve from light to numbers, known to the reconstruction (a camera whose settings are known)."""
+    """Transfer curve of the camera from light to pixel values; known to the reconstruction (camera with known
+    settings)."""
     stored_bits: int | None = field(default=None, metadata={"limits": (8, 16)})
-    """Depth of the stored pictures; None: the camera's ``bits``."""
+    """Bit depth of the stored pictures; None for the camera's ``bits``."""
     jpeg_quality: int | None = field(default=None, metadata={"limits": (1, 100)})
-    """Quality of the JPEG files that pictures are stored in; None: PNG."""
+    """Quality of the JPEG files in which pictures are stored; None for PNG."""
     exposure_wander: float = bounded(0.0, 0.0, 0.9)
-    """Each picture's exposure is drawn evenly from 1 - this to 1 + this; unknown to the reconstruction."""
+    """Exposure variation: the exposure of each picture is drawn uniformly from 1 - this to 1 + this; unknown to the
+    reconstruction."""
     white_balance_wander: float = bounded(0.0, 0.0, 0.9)
-    """The same for the gains of red and blue, each by itself; above 0 the pictures are in colour."""
+    """Variation of the gains of red and blue, drawn separately in the same way; above 0 the pictures are in colour."""
     vignetting: float = bounded(0.0, 0.0, 0.95)
-    """Share of the light that the lens loses in the picture's corners, growing with the square of the distance from the
-    middle."""
+    """Fraction of the light that the lens loses in the corners of the picture, proportional to the squared distance
+    from the centre."""
     root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
-    """Attenuation of root tissue per mm of chord. None: opaque roots."""
+    """Attenuation of root tissue per mm of path. None for opaque roots."""
     root_n: float | None = field(default=None, metadata={"limits": (1.0, 2.0)})
-    """Index of root tissue, which refracts and attenuates by ``root_mu_per_mm``. None: roots only attenuate."""
+    """Refractive index of root tissue, which then refracts and attenuates by ``root_mu_per_mm``. None if roots only
+    attenuate."""
     root_hair_mm: float = bounded(0.0, 0.0, 10.0)
-    """Length of the root hairs that stand out from every root as a grey sleeve."""
+    """Length of the root hairs, which surround every root as a grey sleeve."""
     root_hair_mu_per_mm: float = bounded(0.0, 0.0, 100.0)
-    """Attenuation in that sleeve."""
+    """Attenuation in the sleeve of root hairs."""
     sway_mm: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation, each way, of where the lowest tip hangs in a view; what is higher moves the less, and the top
-    not at all."""
+    """Standard deviation, in each direction, of the displacement of the lowest tip in a view; it decreases towards the
+    top, which does not move."""
     canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
-    """True minus nominal outer radius of the canister; unknown to the reconstruction, as the next three are."""
+    """True minus nominal outer radius of the canister; unknown to the reconstruction, as are the next three."""
     canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
-    """Half the difference between the canister's largest and smallest outer radius: it is an oval that turns with
-    it."""
+    """Half the difference between the largest and smallest outer radius of the canister, whose cross-section is an oval
+    that rotates with it."""
     wall_error: float = bounded(0.0, -0.5, 0.5)
-    """True over nominal thickness of the canister's wall, less 1."""
+    """Relative error of the thickness of the canister's wall (true over nominal, minus 1)."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal index of the wall."""
+    """True minus nominal refractive index of the wall."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Light that the seam of a rolled tube absorbs, 1 mm wide, in a drawn direction; it turns with the canister."""
+    """Fraction of light absorbed by the seam of a rolled tube, 1 mm wide, in a random direction; it rotates with the
+    canister."""
     dust_specks: int = bounded(0, 0, 100000)
-    """Number of opaque specks on the canister's outside."""
+    """Number of opaque specks on the outside of the canister."""
     scratches: int = bounded(0, 0, 10000)
-    """Number of scratches on the canister's outside, which absorb half of the light."""
+    """Number of scratches on the outside of the canister, which absorb half of the light."""
     highlight: float = bounded(0.0, 0.0, 1.0)
-    """Light, of full scale, that a lamp's reflection in the wall adds, in a streak that stands still while the canister
-    turns."""
+    """Light added by the reflection of a lamp in the wall, as a fraction of full scale, in a streak that is static
+    while the canister rotates."""
     algae_patches: int = bounded(0, 0, 1000)
-    """Number of algae films on the inner wall (they turn with the canister)."""
+    """Number of algae films on the inner wall; they rotate with the canister."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Light that the middle of an algae film absorbs."""
+    """Fraction of light absorbed in the middle of an algae film."""
     turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
-    """Extinction of the water per mm."""
+    """Extinction coefficient of the water per mm."""
     felt_fibres: int = bounded(0, 0, 10000)
     """Number of black fibres that hang from the net pot into the water."""
     bubbles: int = bounded(0, 0, 10000)
@@ -360,12 +373,12 @@ class Disturbances:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A whole rig with a specimen and a capture plan."""
+    """Complete rig with a specimen and a capture plan."""
 
     name: str = "scene"
-    """Shown in lists and reports; default: the file's name."""
+    """Name shown in lists and reports; by default that of the file."""
     description: str = ""
-    """One line for lists and reports."""
+    """One-line description for lists and reports."""
     subject: Subject = Subject()
     solution: Solution = field(default_factory=Solution)
     canister: Canister = Canister()
@@ -374,21 +387,21 @@ class Scene:
     strip: MarkerStrip = MarkerStrip()
     surroundings: Surroundings = Surroundings()
     tank: Tank | None = None
-    """None: the canister stands in the open."""
+    """Tank about the canister; None for a canister in air."""
     camera: Camera = Camera()
     lights: Lights = Lights()
     turntable: Turntable = Turntable()
     plan: CapturePlan = CapturePlan()
     specimen: Specimen | None = None
-    """None: not known, as on a real rig and in every dataset."""
+    """Specimen; None if unknown, as on a real rig and in every dataset."""
     plants: tuple[Plant, ...] = ()
-    """Several plants in one canister; none: there is one, that of ``specimen``."""
+    """Plants, if there are several in one canister; none for a single plant, that of ``specimen``."""
     shoot: Shoot | None = None
-    """What grows above the net pot; None: nothing, or not known."""
+    """Shoot above the net pot; None if there is none or it is unknown."""
     disturbances: Disturbances = Disturbances()
 
     def lights_in(self, band: str) -> Lights:
-        """Return the lights as they are in the camera's band of that name; for an empty name, as given."""
+        """Return the lights in the camera's band of that name; for an empty name, as given."""
         lights = self.lights
         for one in self.camera.bands:
             if one.name == band:
@@ -398,11 +411,11 @@ class Scene:
         return lights
 
     def is_lit(self, band: str) -> bool:
-        """Tell whether panel and front light are both on in a band: only then pictures show outlines and markers."""
+        """Return whether panel and front light are both on in a band, as outlines and markers require."""
         lights = self.lights_in(band)
         return lights.backlight_level > 0.0 and lights.front_level > 0.0
 
     @property
     def is_planted(self) -> bool:
-        """Tell whether it is known what stands in the canister."""
+        """Return whether the content of the canister is known."""
         return self.specimen is not None or any(plant.specimen is not None for plant in self.plants)

@@ -1,4 +1,4 @@
-"""How long work tells how far it is, how long each of its stages took, and how it is told to stop."""
+"""Monitoring of long work: progress, time per stage, and cancellation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 Listener = Callable[[str, int, int], object]
-"""Hears of every step: what is being done, how many steps of it are done, and how many there are."""
+"""Function that is called with the name of the stage, the number of completed steps and their total."""
 
 
 class Cancelled(Exception):  # noqa: N818 - nothing went wrong
@@ -21,20 +21,20 @@ class Cancelled(Exception):  # noqa: N818 - nothing went wrong
 
 
 class Monitor:
-    """Progress, clock and brake of one piece of work.
+    """Progress, timing and cancellation of one piece of work.
 
     Parameters
     ----------
     progress : type of tqdm, callable, or None
-        A class of tqdm's shows bars: ``tqdm.tqdm`` on a terminal's stderr, ``tqdm.notebook.tqdm`` or ``tqdm.auto.tqdm``
-        in a notebook. A callable is told ``(stage, done, total)`` at every step. None is silent.
+        A tqdm class shows bars: ``tqdm.tqdm`` on a terminal's stderr, ``tqdm.notebook.tqdm`` or ``tqdm.auto.tqdm`` in a
+        notebook. A callable is called with ``(stage, done, total)`` at every step. None shows nothing.
 
     Attributes
     ----------
     timings_s : dict of str to float
-        Seconds that each stage took, in the order in which they ended.
+        Duration of each stage in seconds, in the order in which they ended.
     after_stage : callable or None
-        Called at the end of every stage, such as to give memory back.
+        Called at the end of every stage, for example to release memory.
     """
 
     def __init__(self, progress: type[Any] | Listener | None = None) -> None:
@@ -46,15 +46,15 @@ class Monitor:
 
     @staticmethod
     def of(given: Monitor | type[Any] | Listener | None) -> Monitor:
-        """Return a monitor as it is, or one around a bar, a callable or nothing."""
+        """Return a monitor unchanged, or create one from a tqdm class, a callable or None."""
         return given if isinstance(given, Monitor) else Monitor(given)
 
     def cancel(self) -> None:
-        """Stop the work at its next step; may be called from another thread or from the listener."""
+        """Stop the work at its next step; can be called from another thread or from the listener."""
         self._cancelled = True
 
     def check(self) -> None:
-        """Go on, unless cancelled.
+        """Raise an error if the work was cancelled.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class Monitor:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage; a stage that is gone through again adds to its time."""
+        """Measure the time of a stage; the times of a repeated stage are added."""
         self.check()
         begin = time.perf_counter()
         yield
@@ -76,19 +76,19 @@ class Monitor:
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
-        """Show a bar with the time left.
+        """Show a progress bar with the remaining time.
 
         Parameters
         ----------
         name : str
-            What is done.
+            Name of the work.
         total, unit : int, str
-            How many steps, and of what.
+            Number of steps, and their unit.
 
         Yields
         ------
         callable
-            To be called after each step.
+            Function to call after each step.
         """
         bar = None if self._bars is None else self._bars(total=total, desc=name, unit=unit, dynamic_ncols=True)
         done = 0
@@ -109,21 +109,21 @@ class Monitor:
                 bar.close()
 
     def each(self, work: Callable[[T], U], name: str, items: Sequence[T], unit: str = "view") -> list[U]:
-        """Do something for many items in parallel, with a bar.
+        """Apply a function to many items in parallel, with a progress bar.
 
         Parameters
         ----------
         work : callable
-            What is done for one.
+            Function applied to each item.
         name, unit : str
-            What is done, and for what.
+            Name of the work, and unit of the items.
         items : sequence of T
-            One after the other.
+            Items to process.
 
         Returns
         -------
         list
-            What the work returned, in the order of the items.
+            Results, in the order of the items.
         """
         with ThreadPoolExecutor(max_workers=threads()) as pool, self.steps(name, len(items), unit) as step:
             done = []
@@ -138,5 +138,5 @@ class Monitor:
 
 
 def threads() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,18 +1,18 @@
-"""The name that somebody meant who typed another."""
+"""Suggestion of the known name that a misspelt one most resembles."""
 
 import difflib
 import re
 from collections.abc import Iterable
 
 ALIKE = 0.6
-"""Share of letters in common (`difflib`) below which a name was not meant."""
+"""Minimum similarity (`difflib`) of a suggestion."""
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known name that was probably meant, or None.
+    """Return the known name that is most similar to a word, or None.
 
-    A name that the word begins comes first (``wall``: ``wall_mm``, not ``n_wall``), zeros before numbers left aside
-    (``radish_day5``: ``radish_day05a``, not ``radish_day15a``); then the one with most letters in common.
+    Names that begin with the word come first (``wall``: ``wall_mm``, not ``n_wall``), ignoring leading zeros of numbers
+    (``radish_day5``: ``radish_day05a``, not ``radish_day15a``), then the most similar name.
     """
     names = list(known)
     typed = _plain(word)
@@ -29,7 +29,7 @@ def _plain(name: str) -> str:
 
 
 def _begins(word: str, name: str) -> bool:
-    """Tell whether a word is the beginning of a name, and does not end within a number of it or among its letters."""
+    """Return whether a name begins with a word that ends at a separator, or between digits and letters."""
     rest = name[len(word) :]
     if not name.startswith(word):
         return False

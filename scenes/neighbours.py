@@ -1,7 +1,7 @@
-"""How the root systems of plants that share a canister lie to each other: contact, nearness and common space.
+"""Spatial relation of root systems that share a canister: contact, proximity and common space.
 
-Two roots touch where their surfaces meet. Roots in each other's zone are at most `ZONE_MM` apart, about the width of
-the zone from which roots take immobile nutrients and in which they exchange exudates.
+Two roots touch if their surfaces meet. The zone of a root extends to `ZONE_MM` from its surface, about the width of the
+zone from which roots take up immobile nutrients and in which they exchange exudates.
 """
 
 from __future__ import annotations
@@ -23,38 +23,39 @@ Array = NDArray[np.float64]
 
 ZONE_MM = 2.0
 _STEP_MM = 0.25
-"""Centre lines are compared at points so far apart: half the diameter of a fine root."""
+"""Spacing of the points at which centre lines are compared: half the diameter of a fine root."""
 _OTHERS = 16
-"""Points of the other plant that are looked at: the nearest centre need not be that of the nearest surface."""
+"""Number of points of the other plant that are compared, as the nearest centre need not have the nearest surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neighbours:
-    """Two plants of one canister; pairs of numbers are those of the first and of the second."""
+    """Comparison of two plants in one canister; pairs of numbers belong to the first and the second plant."""
 
     plants: tuple[str, str]
     nearest_mm: float
-    """Least distance of their roots' surfaces; 0 where they touch."""
+    """Minimum distance of their roots' surfaces; 0 if they touch."""
     contact_mm: tuple[float, float]
-    """Length of each that touches the other."""
+    """Length of each plant's roots in contact with the other."""
     zone_mm: tuple[float, float]
-    """Length of each at most `ZONE_MM` from the other."""
+    """Length of each plant's roots within `ZONE_MM` of the other."""
     zone_share: tuple[float, float]
-    """The same over each plant's length."""
+    """`zone_mm` as a fraction of each plant's length."""
     zone_share_by_depth: tuple[tuple[float, ...], tuple[float, ...]]
-    """The same in bins of 10 mm from the higher plant's top; 0 where there is no root."""
+    """`zone_share` in bins of 10 mm below the higher plant's top; 0 if there is no root."""
     hulls_overlap_mm3: float
     """Common volume of the two convex hulls."""
     hulls_overlap_share: tuple[float, float]
-    """The same over each plant's hull."""
+    """`hulls_overlap_mm3` as a fraction of each plant's convex hull."""
 
     def lines(self, verdict: Verdict) -> list[str]:
-        """Return it for people, a line each.
+        """Return the values as lines of text.
 
         Parameters
         ----------
         verdict : Verdict
-            On the length of the roots, from which all of this is measured; the first line names any but "reliable".
+            Verdict on the length of the roots, on which all values depend; the first line states it unless it is
+            "reliable".
         """
         (a, b), percent = self.plants, [f"{100.0 * share:.1f} %" for share in self.zone_share]
         nearest = "their roots touch" if self.nearest_mm == 0.0 else f"nearest roots {self.nearest_mm:.2f} mm apart"
@@ -79,11 +80,11 @@ HEAD = (
     "depth_from_mm",
     "depth_zone_share",
 )
-"""Columns of `rows`."""
+"""Column names of `rows`."""
 
 
 def rows(found: Sequence[Neighbours]) -> list[list[str]]:
-    """Return rows for a table: of each plant and other one the whole (no depth), and a row a bin of depth."""
+    """Return table rows for each ordered pair of plants: one for the whole (no depth), and one per bin of depth."""
     made = []
     for one in found:
         for k in (0, 1):
@@ -108,12 +109,12 @@ def find_neighbours(roots: Sequence[Root]) -> tuple[Neighbours, ...]:
     Parameters
     ----------
     roots : sequence of Root
-        Of all plants, each with its plant's name; those without one are left out.
+        Roots of all plants with the plants' names; those without a name are ignored.
 
     Returns
     -------
     tuple of Neighbours
-        In the order of the plants; empty where there are fewer than two.
+        Pairs in the order of the plants; empty if there are fewer than two.
     """
     names = list(dict.fromkeys(root.plant for root in roots if root.plant))
     plants = {name: _Plant.of([root for root in roots if root.plant == name]) for name in names}
@@ -123,10 +124,10 @@ def find_neighbours(roots: Sequence[Root]) -> tuple[Neighbours, ...]:
 @dataclass(frozen=True)
 class _Plant:
     points_mm: Array
-    """(P, 3) along its centre lines."""
+    """(P, 3) points along the centre lines."""
     radius_mm: Array
     length_mm: Array
-    """(P,) that each point stands for."""
+    """(P,) length represented by each point."""
     tree: cKDTree
 
     @staticmethod
@@ -135,7 +136,7 @@ class _Plant:
         return _Plant(along.points_mm, along.radius_mm, along.length_mm, cKDTree(along.points_mm))
 
     def away_mm(self, other: _Plant) -> Array:
-        """Return the distance (P,) of the root's surface at each point from the other plant's; 0 where they meet."""
+        """Return the distance (P,) from the root's surface at each point to the other plant's; 0 where they meet."""
         count = min(_OTHERS, len(other.points_mm))
         away, nearest = other.tree.query(self.points_mm, k=count)
         away, nearest = away.reshape(-1, count), nearest.reshape(-1, count)
@@ -170,13 +171,13 @@ def _by_depth(plant: _Plant, away_mm: Array, top_mm: float) -> tuple[float, ...]
 
 
 def _common_hull(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the common volume of two convex hulls, and its share of each; 0 where one is flat or they are apart."""
+    """Return the common volume of two convex hulls, and its fraction of each; 0 if one is flat or they are disjoint."""
     try:
         hulls = ConvexHull(a), ConvexHull(b)
     except (QhullError, ValueError):
         return 0.0, 0.0, 0.0
     planes = np.concatenate([hull.equations for hull in hulls])
-    # the middle of the largest ball inside both: the point with the greatest distance from all planes
+    # centre of the largest ball inside both: the point with the greatest distance from all planes
     found = linprog(
         [0.0, 0.0, 0.0, -1.0], A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]), b_ub=-planes[:, 3], bounds=(None, None)
     )

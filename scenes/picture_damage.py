@@ -1,10 +1,9 @@
-"""Is a picture's file whole, and how large is it.
+"""Integrity check and size of picture files, from their bytes before decoding, checksums and strict decoders.
 
-Told from its bytes before it is decoded, by its own checksums and strict decoders.
-
-OpenCV's decoders repair silently: what is missing comes back grey or black. PNG has a CRC a chunk and one over all
-pixels, and Deflate in TIFF too. JPEG, LZW and PackBits have none: there what their coding forbids is found, and a strip
-of a TIFF that does not hold exactly its pixels; bare pixels can be too few, no more. `is_sealed` tells which is which.
+OpenCV's decoders silently repair damage: missing parts are returned grey or black. PNG has a CRC per chunk and a
+checksum over all pixels, as has Deflate in TIFF. JPEG, LZW and PackBits have none: for them, violations of their coding
+are detected, and strips of a TIFF that do not contain exactly their pixels. For uncompressed pixels only a wrong number
+is detected. `is_sealed` returns whether a file has a checksum.
 """
 
 import io
@@ -20,36 +19,37 @@ import simplejpeg
 import tifffile
 
 MOST_PIXELS = 2**27
-"""More than the largest sensors have (some 100 to 150 million); colours of 16 bits take 0.8 GB then."""
-_NO_PICTURE = "is not a picture that can be read; PNG, JPEG and TIFF can"
+"""Maximum number of pixels, larger than the largest sensors (100 to 150 million); in 16-bit colour this takes 0.8 GB.
+"""
+_NO_PICTURE = "is not a supported picture; use PNG, JPEG or TIFF"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
-"""Compressions of a TIFF (TIFF 6.0, section 3 and supplement 2)."""
+"""Compression schemes of TIFF (TIFF 6.0, section 3 and supplement 2)."""
 _WITHOUT_CODECS = (_BARE, *_DEFLATE, _PACKBITS)
-"""Of these tifffile decodes itself; all others it leaves to imagecodecs, which takes 80 MB and is an extra."""
+"""Compression schemes that tifffile decodes itself; others require imagecodecs, an optional dependency of 80 MB."""
 _MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
-"""Each byte with its bits in the opposite order (TIFF 6.0, FillOrder 2)."""
+"""Each byte value with its bits reversed (TIFF 6.0, FillOrder 2)."""
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-"""Channels and bits of a PNG by its colour type (ISO/IEC 15948, table 11.1)."""
+"""Channels and bit depths of a PNG by its colour type (ISO/IEC 15948, table 11.1)."""
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
-"""First column and row of an interlaced PNG's passes, and their steps (ISO/IEC 15948, section 8.2)."""
+"""First column, first row and steps of the passes of an interlaced PNG (ISO/IEC 15948, section 8.2)."""
 
-logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it has to say is said in a sentence
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # its messages are replaced by one sentence
 
 
 class UnfitError(Exception):
-    """A file that is no picture of the right kind and size; the message goes behind the file's name."""
+    """A file that is not a picture of the required kind and size; the message follows the file's name."""
 
 
 class DamagedError(UnfitError):
-    """A picture that is not whole."""
+    """A picture that is incomplete or damaged."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"the picture is {what}; copy or take it again, or leave it out")
+        super().__init__(f"the picture is {what}; copy or take it again, or exclude it")
 
 
 def checked(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
@@ -58,19 +58,20 @@ def checked(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
     Parameters
     ----------
     data : bytes
-        Content of a PNG, JPEG or TIFF.
+        Content of a PNG, JPEG or TIFF file.
     image_wh : tuple of int or None
-        The size it must have; None: any up to `MOST_PIXELS`.
+        Required size; None for any size up to `MOST_PIXELS`.
 
     Returns
     -------
     bytes
-        The file, a PNG without what does not belong to its pixels (libpng complains of some of that past Python).
+        Content of the file; for PNG without chunks that do not affect its pixels (libpng prints warnings about some of
+        them).
 
     Raises
     ------
     UnfitError
-        When it is empty, truncated, damaged, of another size or kind.
+        If the file is empty, truncated, damaged, or of another size or kind.
     """
     if not data:
         raise DamagedError("empty (0 bytes)")
@@ -89,15 +90,15 @@ def _check_size(width: int, height: int, image_wh: tuple[int, int] | None) -> No
     if image_wh is not None and (width, height) != image_wh:
         raise UnfitError(
             f"the picture is {width}x{height} pixels, but the scene's camera has image_wh {image_wh[0]}x{image_wh[1]}; correct the scene "
-            "or take the picture out"
+            "or remove the picture"
         )
     if width < 1 or height < 1 or width * height > MOST_PIXELS:
-        raise UnfitError(f"the picture is {width}x{height} pixels, and 1 to {MOST_PIXELS / 1e6:.0f} million can be read; make it smaller")
+        raise UnfitError(f"the picture is {width}x{height} pixels, but must have 1 to {MOST_PIXELS / 1e6:.0f} million; reduce its size")
 
 
 def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
-    """Walk the chunks of a PNG up to IEND, then unpack the pixels (ISO/IEC 15948, sections 5, 9 and 10)."""
-    damaged = DamagedError("damaged (what is inside the PNG file contradicts itself)")
+    """Read the chunks of a PNG up to IEND, and decompress the pixels (ISO/IEC 15948, sections 5, 9 and 10)."""
+    damaged = DamagedError("damaged (the content of the PNG file is inconsistent)")
     chunks: dict[bytes, list[memoryview]] = {}
     for kind, content in _chunks(data):
         if kind == b"IHDR":
@@ -122,7 +123,7 @@ def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
     pixels = _inflated(chunks.get(b"IDAT", []), sum(row * high for row, high in rows))
     at = 0
     for row, high in rows:
-        if pixels[at : at + row * high : row].max() > 4:  # the filter of each row
+        if pixels[at : at + row * high : row].max() > 4:  # filter type of each row
             raise damaged
         at += row * high
     kept = [(b"IHDR", chunks[b"IHDR"][0]), *((kind, chunks[kind][0]) for kind in (b"PLTE", b"tRNS") if colour == 3 and kind in chunks)]
@@ -141,7 +142,7 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
             break
         (crc,) = struct.unpack_from(">I", data, end - 4)
         if crc != zlib.crc32(view[at + 4 : end - 4]):
-            raise DamagedError("damaged (a checksum inside the PNG file is wrong)")
+            raise DamagedError("damaged (a checksum in the PNG file is wrong)")
         kind = data[at + 4 : at + 8]
         if kind == b"IEND":
             return
@@ -155,26 +156,23 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
 
 
 def _inflated(packed: list[memoryview], count: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-    """Return a PNG's rows, which must be as many bytes as its header says and fit their checksum."""
+    """Return the rows of a PNG after checking their number of bytes and their checksum."""
     unpacker = zlib.decompressobj()
     try:
         found = unpacker.decompress(b"".join(packed), count + 1)
         if len(found) == count and not unpacker.eof:
             found += unpacker.decompress(unpacker.unconsumed_tail, 1)
     except zlib.error:
-        raise DamagedError("damaged (its pixels cannot be unpacked)") from None
+        raise DamagedError("damaged (its pixels cannot be decompressed)") from None
     if len(found) < count and not unpacker.eof:
         raise DamagedError("truncated (the PNG file ends too early)")
     if len(found) != count or not unpacker.eof:
-        raise DamagedError("damaged (it does not hold as many pixels as it says)")
+        raise DamagedError("damaged (its number of pixels does not match its header)")
     return np.frombuffer(found, np.uint8)
 
 
 def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
-    """Walk the segments and scans of a JPEG up to its end marker, then have it decoded strictly.
-
-    ITU-T T.81, annex B.
-    """
+    """Read the segments and scans of a JPEG up to its end marker, and decode it strictly (ITU-T T.81, annex B)."""
     truncated = DamagedError("truncated (the JPEG file ends too early)")
     at = 2
     while True:
@@ -184,7 +182,7 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
         code, at = data[found.end() - 1], found.end()
         if code == 0xD9:
             break
-        if code == 0x01:  # stands alone, without a length
+        if code == 0x01:  # marker without a length
             continue
         if at + 2 > len(data):
             raise truncated
@@ -201,7 +199,7 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
 
 
 def is_sealed(data: bytes) -> bool:
-    """Tell whether a file that `checked` has passed has a checksum over its pixels."""
+    """Return whether a file that `checked` has passed has a checksum over its pixels."""
     if data.startswith(_TIFF):
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             return int(file.pages.first.compression) in _DEFLATE
@@ -209,7 +207,7 @@ def is_sealed(data: bytes) -> bool:
 
 
 def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
-    """Have the first picture of a TIFF decoded strictly, piece by piece (TIFF 6.0)."""
+    """Decode the first picture of a TIFF strictly, strip by strip or tile by tile (TIFF 6.0)."""
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages[0]
@@ -217,35 +215,35 @@ def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
                 raise DamagedError("damaged (its directory cannot be read)")
             _check_size(page.imagewidth, page.imagelength, image_wh)
             if page.samplesperpixel * page.bitspersample > 128:
-                raise UnfitError(f"has {page.samplesperpixel} times {page.bitspersample} bits a pixel; convert it to a 16-bit PNG")
+                raise UnfitError(f"has {page.samplesperpixel} times {page.bitspersample} bits per pixel; convert it to a 16-bit PNG")
             codecs = None if page.compression in _WITHOUT_CODECS else _codecs(page.compression)
             for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
                 if count <= 0 or offset + count > len(data):
                     raise DamagedError("truncated (the TIFF file ends too early)")
             _tiff_pieces(data, page, codecs)
-            if page.compression != _PACKBITS:  # unpacked above; newer imagecodecs has no codec for it
+            if page.compression != _PACKBITS:  # decompressed above; newer versions of imagecodecs have no codec for it
                 page.asarray()
     except UnfitError:
         raise
-    except Exception as error:  # noqa: BLE001 - tifffile and its codecs raise whatever they meet
+    except Exception as error:  # noqa: BLE001 - tifffile and its codecs raise various exceptions
         said = " ".join(str(error).split())[:100]
         raise DamagedError(f"damaged (the TIFF file cannot be decoded: {said})") from None
 
 
 def _codecs(compression: int) -> Any:
-    """Return the module imagecodecs, which must be installed for this compression of a TIFF."""
+    """Return the module imagecodecs, which is required for this compression of a TIFF."""
     try:
         import imagecodecs
     except ImportError:
         name = getattr(compression, "name", compression)
         raise UnfitError(
-            f"is a TIFF compressed by {name}, which needs another package: pip install 'rhizotwin[tiff]', or convert it to PNG"
+            f"is a TIFF compressed by {name}, which requires another package: pip install 'rhizotwin[tiff]', or convert it to PNG"
         ) from None
     return imagecodecs
 
 
 def _packbits(packed: bytes) -> bytes:
-    """Unpack a piece compressed by PackBits (TIFF 6.0, section 9), as far as it goes."""
+    """Decompress a piece compressed by PackBits (TIFF 6.0, section 9), as far as possible."""
     found, at = bytearray(), 0
     while at < len(packed):
         header, at = packed[at], at + 1
@@ -259,7 +257,7 @@ def _packbits(packed: bytes) -> bytes:
 
 
 def _tiff_pieces(data: bytes, page: tifffile.TiffPage, codecs: Any) -> None:
-    """Unpack each strip or tile: it must hold as many bytes as it has pixels. Decoders fill up or cut off instead."""
+    """Decompress each strip or tile and check its number of bytes, as decoders pad or truncate without an error."""
     high, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
     across = -(-page.imagewidth // wide)
     down = -(-page.imagelength // high)
@@ -281,4 +279,4 @@ def _tiff_pieces(data: bytes, page: tifffile.TiffPage, codecs: Any) -> None:
         else:
             return
         if found != rows * row:
-            raise DamagedError(f"damaged (piece {k + 1} of the TIFF file holds {found} bytes of pixels, and {rows * row} are needed)")
+            raise DamagedError(f"damaged (piece {k + 1} of the TIFF file has {found} bytes of pixels instead of {rows * row})")

@@ -1,6 +1,6 @@
-"""Pictures from bytes, refusing what OpenCV would silently repair.
+"""Encoding and decoding of pictures, with rejection of damaged files that OpenCV would silently repair.
 
-A truncated file comes back padded, not as an error.
+OpenCV returns truncated files padded, without an error.
 """
 
 import struct
@@ -14,16 +14,16 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_damage import UnfitError, checked
 from rhizotwin.scenes.transfer import LINEAR, Curve
 
-# OpenCV's own complaints: `decode_grey` says them in a sentence
+# suppress OpenCV's own messages; `decode_grey` raises an error
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Grey = np.ndarray[tuple[int, int], np.dtype[np.uint8 | np.uint16]]
 
 
 def encode_png(image: Grey) -> bytes:
-    """Encode a picture.
+    """Encode a picture as PNG.
 
-    OpenCV's own setting (a filter, then little compression) is the fastest and the smallest for noisy pictures.
+    OpenCV's default setting (a filter, then weak compression) is the fastest and the smallest for noisy pictures.
     """
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
     if not encoded:
@@ -32,12 +32,9 @@ def encode_png(image: Grey) -> bytes:
 
 
 def encode_light_png(light: Grey) -> bytes:
-    """Encode light as a PNG whose own word is that its numbers are light.
-
-    A gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2).
-    """
+    """Encode light as a PNG that states linear pixel values, by a gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2)."""
     data, name = encode_png(light), b"gAMA" + struct.pack(">I", 100000)
-    first = 8 + 25  # the signature, and IHDR, which comes first
+    first = 8 + 25  # the signature, and IHDR, which is the first chunk
     return data[:first] + struct.pack(">I", 4) + name + struct.pack(">I", zlib.crc32(name)) + data[first:]
 
 
@@ -49,9 +46,9 @@ def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = N
     data : bytes
         Content of a PNG, JPEG or TIFF file.
     where : str
-        File name, for messages.
+        File name, used in messages.
     image_wh : tuple of int or None
-        The size that it must have, which is looked at before anything is decoded.
+        Required size, checked before decoding.
 
     Returns
     -------
@@ -61,7 +58,7 @@ def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = N
     Raises
     ------
     UserError
-        When the data are empty, truncated, damaged, of another size, or no picture of 8 or 16 bits.
+        If the data are empty, truncated, damaged, of another size, or not a picture of 8 or 16 bits.
     """
     image = _decoded(data, where, image_wh)
     if image.ndim == 2:
@@ -70,25 +67,25 @@ def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = N
 
 
 def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, int] | None = None) -> Grey:
-    """Decode a picture to light.
+    """Decode a picture to values that are linear in light.
 
     Parameters
     ----------
     data, where, image_wh : bytes, str, tuple of int or None
-        As in `decode_grey`.
+        See `decode_grey`.
     curve : Curve
-        What its numbers stand for.
+        Transfer curve of the picture.
 
     Returns
     -------
     ndarray
-        (H, W), uint16, or for a linear curve uint8 or uint16 as in the file. Colours weigh as in `decode_grey`, each as
-        light; where one is at full scale, the pixel is, as its light is not known.
+        (H, W), uint16, or for a linear curve uint8 or uint16 as in the file. Colours are decoded to light, then
+        weighted as in `decode_grey`; pixels with a saturated colour are set to full scale, as their light is unknown.
 
     Raises
     ------
     UserError
-        As `decode_grey`.
+        See `decode_grey`.
     """
     image = _decoded(data, where, image_wh)
     light = image if curve == LINEAR else curve.decode(image)
@@ -110,13 +107,13 @@ def _decoded(data: bytes, where: str, image_wh: tuple[int, int] | None) -> NDArr
     except cv2.error:
         image = None
     if image is None:
-        raise UserError(f"{where}: is not a picture that can be read; PNG, JPEG and TIFF can")
+        raise UserError(f"{where}: is not a supported picture; use PNG, JPEG or TIFF")
     if image.dtype not in (np.uint8, np.uint16):
-        raise UserError(f"{where}: has {image.dtype} pixels, but 8 or 16 bit whole numbers are needed; convert it to a 16-bit PNG")
+        raise UserError(f"{where}: has {image.dtype} pixels, but 8 or 16-bit integers are required; convert it to a 16-bit PNG")
     if image.ndim == 2:
         return np.asarray(image)
     if image.shape[2] == 1:
         return np.asarray(image[:, :, 0])
-    if image.shape[2] == 2:  # grey and alpha
+    if image.shape[2] == 2:  # grey with alpha
         return np.ascontiguousarray(image[:, :, 0])
     return np.ascontiguousarray(image[:, :, :3])

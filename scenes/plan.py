@@ -1,4 +1,4 @@
-"""From a capture plan to the nominal camera of every view."""
+"""Nominal camera of every view of a capture plan."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 SLANT = 0.5
-"""Cosine at which a marker is seen too slantwise to be counted on."""
+"""Minimum cosine between a marker's normal and the direction to the camera for a detection to be expected."""
 LEAST_MARKERS = 4
-"""Whole markers that a picture needs for a pose: sixteen corners for six unknowns; with fewer markers one that is
-misread is not told."""
+"""Minimum number of complete markers for a pose: sixteen corners for six unknowns; with fewer, a wrongly identified
+marker cannot be detected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One picture to be taken: where the camera and the table are commanded to be."""
+    """View to be taken, with the commanded positions of camera and table."""
 
     index: int
     ring: int
@@ -54,7 +54,7 @@ def views(scene: Scene, *, seed: int = 0) -> list[View]:
 
 
 def bands_of(scene: Scene, ring: int) -> tuple[str, ...]:
-    """Return the names of the bands in which the views of a ring are taken; one empty name where there are none."""
+    """Return the names of the bands in which the views of a ring are taken; one empty name if there are no bands."""
     return scene.plan.rings[ring].bands or tuple(band.name for band in scene.camera.bands) or ("",)
 
 
@@ -69,7 +69,7 @@ def picture_name(view: int, band: str) -> str:
 
 
 def rig_from_table(scene: Scene, table_deg: float) -> frames.Array:
-    """Return the 4x4 transform from the turning table to the rig at a table angle."""
+    """Return the 4x4 transform from the table frame to the rig frame at a table angle."""
     return frames.rotation_z(scene.turntable.direction * np.deg2rad(table_deg))
 
 
@@ -93,19 +93,19 @@ def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Arra
 
 
 def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
-    """Count the markers that a camera sees whole and not too slantwise, on a straight strip at table angle 0.
+    """Count the markers that a camera sees completely and at a sufficient angle, on an untilted strip at table angle 0.
 
     Parameters
     ----------
     scene : Scene
-        Strip, net pot and camera.
+        Scene with strip, net pot and camera.
     cam_from_rig : (4, 4) array
         Pose of the camera.
 
     Returns
     -------
     int
-        Markers.
+        Number of markers.
     """
     centre = frames.invert(cam_from_rig)[:3, 3]
     width, height = scene.camera.image_wh
@@ -122,16 +122,16 @@ def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
 
 
 def marker_warnings(scene: Scene) -> list[str]:
-    """Return a sentence for each ring of roots that sees fewer whole markers than a pose needs.
+    """Return a warning for each ring of roots that sees fewer complete markers than a pose requires.
 
-    Rings near the wall see the strip from a low or level place only where they stand high enough.
+    From a low or horizontal camera near the wall, the strip is only visible if the camera is high enough.
     """
     found = []
     for number, ring in enumerate(scene.plan.rings, start=1):
         level = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
         if scene.strip.rows and ring.kind == "root" and visible_markers(scene, level) < LEAST_MARKERS:
             found.append(
-                f"ring {number} ({ring.distance_mm:g} mm away, height {ring.height_mm:g} mm) sees fewer than {LEAST_MARKERS} whole "
-                "markers, so that no cameras will be found in its pictures: raise it, tilt it up, or stand farther away"
+                f"ring {number} ({ring.distance_mm:g} mm away, height {ring.height_mm:g} mm) sees fewer than {LEAST_MARKERS} complete "
+                "markers, so that its cameras cannot be calibrated: raise the camera, tilt it up, or increase its distance"
             )
     return found

@@ -1,4 +1,4 @@
-"""What a file was made with: versions of the program and its libraries."""
+"""Versions of the program and its libraries, recorded in output files."""
 
 import platform
 from collections.abc import Iterable
@@ -11,12 +11,12 @@ def versions(names: Iterable[str] = ()) -> dict[str, str]:
     Parameters
     ----------
     names : iterable of str
-        Distributions as pip names them, such as ``opencv-python-headless``.
+        Names of distributions in pip, such as ``opencv-python-headless``.
 
     Returns
     -------
     dict
-        ``rhizotwin`` and ``python`` first; ``unknown`` for a distribution that is not installed as one.
+        ``rhizotwin`` and ``python`` first; ``unknown`` for a distribution that is not installed.
     """
     return {"rhizotwin": _version("rhizotwin"), "python": platform.python_version()} | {name: _version(name) for name in names}
 

@@ -1,9 +1,7 @@
-"""Roots as polylines with diameters, and RSML files (Root System Markup Language, Lobet et al. 2015, Plant Physiol.
+"""Roots as polylines with diameters, and RSML files (Root System Markup Language).
 
-167:617).
-
-Files in the wild depart from the schema in many ways; what can be understood is read, and what cannot be known (the
-unit, the diameter) is refused with the option that supplies it.
+RSML: Lobet et al. 2015, Plant Physiol. 167:617. Many files deviate from the schema; they are read as far as they can be
+interpreted. If the unit or the diameter is unknown, the error message names the option that supplies it.
 """
 
 import xml.etree.ElementTree as ET
@@ -32,7 +30,7 @@ class Root:
     """One root of a plant, in the canister frame."""
 
     points_mm: Array
-    """Centreline (N, 3)."""
+    """Centre line (N, 3)."""
     diameters_mm: Array
     """Diameter at each point (N,)."""
     order: int
@@ -40,20 +38,20 @@ class Root:
     """Index of the parent in the list of roots, -1 for a taproot."""
     label: str = ""
     tip_seen: bool = True
-    """Whether its last point is where it ends; False: others hide where it ends or goes on."""
+    """Whether the last point is the root's tip; False if other roots hide the tip."""
     plant: str = ""
-    """Name of the plant that it is of, where there are several; empty: the only one, or not known."""
+    """Name of the plant, if there are several; empty for a single or unknown plant."""
     diameter_sigma_mm: Array | None = None
-    """Standard deviation of the diameter at each point (N,); None: not known."""
+    """Standard deviation of the diameter at each point (N,); None if unknown."""
 
 
 def length_mm(roots: Iterable[Root]) -> float:
-    """Return the length of all roots together."""
+    """Return the total length of all roots."""
     return float(sum(polyline.length_mm(root.points_mm) for root in roots))
 
 
 def of_plant(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
-    """Return the roots of one plant, their parents as indices among themselves; a parent of another plant is none."""
+    """Return the roots of one plant, with parents as indices among themselves; parents on another plant become -1."""
     number = {index: place for place, index in enumerate(k for k, root in enumerate(roots) if root.plant == plant)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in number)
 
@@ -64,11 +62,11 @@ class CentrePoints:
 
     points_mm: Array
     radius_mm: Array
-    """(P,) at each point."""
+    """(P,) radius at each point."""
     length_mm: Array
-    """(P,) of each piece."""
+    """(P,) length of each piece."""
     root: NDArray[np.int64]
-    """(P,) index of the root that each point is on."""
+    """(P,) index of the root of each point."""
 
 
 def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
@@ -90,12 +88,12 @@ def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """One of several files that show a plant as it grows; a root has the same id in all of them."""
+    """One of several files of a growing plant, in which a root keeps its id."""
 
     sequence: str
-    """Name of the series."""
+    """Name of the time series."""
     index: int
-    """When it was: the day, rounded."""
+    """Time index: the day, rounded."""
 
 
 def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> tuple[Root, ...]:
@@ -104,57 +102,57 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
     Parameters
     ----------
     path : path
-        The file.
+        Path of the file.
     unit : str or None
-        Of the file's coordinates and unmarked diameters: mm, cm, m, um or inch, or a number and one of these for the
-        size of one step, as in ``0.1 mm``; None: as the file says. The file's resolution, where it is not 1, means
-        steps per unit when above 1 (inch with 300: 300 dpi) and units per step when below (m with 0.0001: steps of 0.1
-        mm).
+        Unit of the coordinates, and of diameters without a unit: mm, cm, m, um or inch, or a number and one of these
+        for the size of one step, as in ``0.1 mm``; None for the unit stated in the file. A resolution in the file other
+        than 1 is interpreted as steps per unit if above 1 (inch with 300: 300 dpi), and as units per step if below (m
+        with 0.0001: steps of 0.1 mm).
     diameter_mm : float or None
-        Diameter of every root for which the file gives none; None: such a file is refused.
+        Diameter of roots without one in the file; None to reject such files.
 
     Returns
     -------
     tuple of Root
-        In the file's order, parents before children; all plants together, named where they have a label. Coordinates
-        are the file's x, y, z in mm, neither turned nor shifted. 2-D points, drawn on a picture with y down, get depth
-        0 and hang down: (x, 0, -y). Roots with fewer than two points are left out, and their children go to the next
-        root above.
+        Roots of all plants in the order of the file, parents before children, with the name of the plant if it has a
+        label. Coordinates are the x, y, z of the file in mm, without rotation or translation. 2-D points (x, y), with y
+        pointing down in a picture, become (x, 0, -y). Roots with fewer than two points are omitted, and their children
+        are assigned to their parent.
 
     Raises
     ------
     UserError
-        When the file cannot be read, is no RSML, has no roots, or leaves unit or diameter unknown.
+        If the file cannot be read, is not RSML, has no roots, or its unit or diameters are unknown.
     """
     return read_file(path, unit=unit, diameter_mm=diameter_mm).roots
 
 
 @dataclass(frozen=True, kw_only=True)
 class RsmlFile:
-    """What an RSML file holds, and how it says it."""
+    """Content of an RSML file, with its units and the nodes of attachment."""
 
     roots: tuple[Root, ...]
     parent_nodes: tuple[int | None, ...]
-    """For each root the point of its parent from which it leaves; None where the file does not say."""
+    """For each root the index of the parent's point at which it is attached; None if the file does not state it."""
     step_mm: float
     """Size of one step of the file's coordinates."""
     unit: str
-    """The file's own word for its unit, empty where it has none."""
+    """Unit as stated in the file; empty if there is none."""
     resolution: str
-    """The file's own resolution, empty where it has none."""
+    """Resolution as stated in the file; empty if there is none."""
 
 
 def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
-    """Read an RSML file as `read_rsml` does, with what else it says of its roots and its unit.
+    """Read an RSML file as `read_rsml` does, with additional information on its roots and its unit.
 
     Parameters
     ----------
     path : Path or str
-        The file.
+        Path of the file.
     unit : str or None
-        Of its coordinates; None: as it says.
+        Unit of the coordinates; None for the one stated in the file.
     diameter_mm : float or None
-        Of roots without diameters; None refuses these.
+        Diameter of roots without one; None to reject such files.
 
     Returns
     -------
@@ -175,31 +173,31 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
 def write_rsml(
     path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None, moment: Moment | None = None
 ) -> None:
-    """Write roots by plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
+    """Write roots by plant, in mm, according to the RSML schema; the file is written atomically.
 
-    Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property
-    ``parent-node``, the index of its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots
-    have 0 there, because both want a number for every root. Roots whose tips nobody saw have the property ``tip-seen``,
-    false. Standard deviations of diameters are the function ``diameter-sigma``. `read_rsml` gives the roots back depth
-    first, which is their order here only if it was so.
+    Numbers are written exactly, as decimals of the schema without exponents. Each root has the property
+    ``parent-node``, the index of the parent's point at which it is attached, which CPlantBox and OpenAlea read; it is 0
+    for taproots, because both require a number for every root. Roots with hidden tips have the property ``tip-seen`` =
+    false. Standard deviations of diameters are written as the function ``diameter-sigma``. `read_rsml` returns the
+    roots depth first.
 
     Parameters
     ----------
     path : path
-        Where to.
+        Path of the file.
     roots : tuple of Root or list of Root
         Parents as indices into this sequence.
     modified : datetime or None
-        Time for the metadata; None: now.
+        Time for the metadata; None for the current time.
     moment : Moment or None
-        Of a series, whose files have the labels of roots as their ids: the format's time sequence, unified.
+        Entry of a time series (a unified time sequence in RSML); the ids are then the labels of the roots.
 
     Raises
     ------
     ValueError
-        For a parent that is not in the list, or a circle of parents.
+        For a parent that is not in the list, or a cycle of parents.
     UserError
-        When the file cannot be written.
+        If the file cannot be written.
     """
     path = Path(path)
     document = ET.Element("rsml")
@@ -216,13 +214,13 @@ def write_rsml(
             element.set("id", root.label)
         (plants[root.plant] if root.parent < 0 else elements[root.parent]).append(element)
     if sum(1 for _ in scene.iter("root")) != len(roots):
-        raise ValueError("the parents of some roots form a circle")
+        raise ValueError("the parents of some roots form a cycle")
     ET.indent(document, " ")
     write_bytes(path, ET.tostring(document, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
 def _describe(document: ET.Element, key: str, modified: datetime | None, moment: Moment | None) -> None:
-    """Say in a document what it is and what its properties mean."""
+    """Write the metadata of a document, with the definitions of its properties."""
     metadata = ET.SubElement(document, "metadata")
     when = (modified or datetime.now(UTC)).isoformat(timespec="seconds")
     entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
@@ -263,12 +261,12 @@ def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
 
 
 def _decimal(value: np.floating) -> str:
-    """Return the shortest text without an exponent that reads back as the same number."""
+    """Return the shortest text without an exponent that is read back as the same number."""
     return np.format_float_positional(value, trim="0")
 
 
 def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, list[ET.Element]]]:
-    """Yield the name, element and samples of each function along a root, from the elements that are its own."""
+    """Yield name, element and samples of each function along a root, from the root's own elements."""
     for element in own:
         samples = [child for child in element if rsml_xml.local(child) == "sample"]
         if rsml_xml.local(element).startswith("function") and samples:
@@ -276,7 +274,7 @@ def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, lis
 
 
 class _Reader:
-    """One file on its way to roots."""
+    """Reader of one RSML file."""
 
     def __init__(self, path: Path, unit: str | None, diameter_mm: float | None) -> None:
         self.path = path
@@ -284,7 +282,7 @@ class _Reader:
         self.parent_nodes: list[int | None] = []
         self.document = rsml_xml.parse(path)
         if rsml_xml.local(self.document) != "rsml":
-            raise UserError(f"{path}: is no RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
+            raise UserError(f"{path}: is not an RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
         self.units = Units(path, self.document)
         self.step_mm = self.units.step_mm(unit)
         self.property_mm = self.units.properties_mm()
@@ -311,7 +309,7 @@ class _Reader:
                     self.parent_nodes.append(int(node) if node.isdecimal() else None)
             stack.extend((child, below, plant) for child in reversed(element))
         if not found:
-            raise UserError(f"{self.path}: holds no root with two or more points")
+            raise UserError(f"{self.path}: contains no root with two or more points")
         return tuple(found)
 
     def _root(self, element: ET.Element, name: str, order: int, parent: int, plant: str) -> Root | None:
@@ -322,7 +320,7 @@ class _Reader:
         if not polylines:
             return None
         if len(polylines) > 1:
-            raise UserError(f"{self.path}: {name} has {len(polylines)} polylines; a root has one")
+            raise UserError(f"{self.path}: {name} has {len(polylines)} polylines; a root must have one")
         points = [p for p in polylines[0] if rsml_xml.local(p) == "point"]
         if len(points) < 2:
             return None
@@ -345,14 +343,14 @@ class _Reader:
         )
 
     def _sigma(self, own: list[ET.Element], points_mm: Array, name: str) -> Array | None:
-        """Find the standard deviations of a root's diameters (N,), mm; None where the file has none."""
+        """Return the standard deviations of a root's diameters (N,), mm; None if the file has none."""
         for written, element, samples in _functions(own):
             if written == _SIGMA:
                 return np.abs(self._along(element, samples, points_mm, f"{_SIGMA} of {name}")) * self.step_mm
         return None
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
-        """Find a root's diameters (N,): a function along it, else a property of the whole, else the option."""
+        """Return a root's diameters (N,): from a function along it, else from its property, else from the option."""
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
             for written, element, samples in _functions(own):
@@ -368,12 +366,12 @@ class _Reader:
                 return self._checked(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
             raise UserError(
-                f"{self.path}: {name} has no diameter; give one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
+                f"{self.path}: {name} has no diameter; set one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
             )
         return np.full(len(points_mm), self.diameter_mm)
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
-        """Return a function's values at the points (N,): one a point, or spread over the root's length."""
+        """Return a function's values at the points (N,): one per point, or interpolated over the root's length."""
         values = np.array([self.units.number(rsml_xml.attribute(s, "value") or s.text, what) for s in samples])
         positions = [rsml_xml.attribute(s, "position") for s in samples]
         by_point = (rsml_xml.attribute(function, "domain") or "").lower() == "polyline"
@@ -389,7 +387,7 @@ class _Reader:
         else:
             at_mm = np.array([self.units.number(position, f"position in {what}") for position in positions]) * self.step_mm
             if np.any(np.diff(at_mm) < 0.0):
-                raise UserError(f"{self.path}: the positions of the {what} do not rise")
+                raise UserError(f"{self.path}: the positions of the {what} do not increase")
         along: Array = np.interp(way_mm, at_mm, values)
         return along
 

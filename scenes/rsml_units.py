@@ -1,4 +1,4 @@
-"""What an RSML file's numbers are in: the size of a step, and the units of properties and functions."""
+"""Units of an RSML file: the size of a step of its coordinates, and the units of properties and functions."""
 
 import math
 import re
@@ -15,20 +15,20 @@ _UNITS_MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1000.0),
     **dict.fromkeys(("inch", "inches", "in"), 25.4),
 }
-_SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
+_SET_UNIT = "set it with --specimen-unit UNIT, or as unit in a scene file"
 THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
-"""A property or function of the thickness, with its unit where one follows: "diameter", "radius [m]"."""
+"""Name of a property or function of the thickness, optionally with its unit: "diameter", "radius [m]"."""
 
 
 class Units:
-    """The units of one file.
+    """Units of one RSML file.
 
     Parameters
     ----------
     path : Path
-        For sentences.
+        Path, used in messages.
     document : Element
-        The file.
+        Content of the file.
     """
 
     def __init__(self, path: Path, document: ET.Element) -> None:
@@ -41,12 +41,12 @@ class Units:
         Parameters
         ----------
         unit : str or None
-            What the user says; None: as the file says.
+            Unit given by the user; None for the one stated in the file.
 
         Raises
         ------
         UserError
-            Where neither tells.
+            If neither is known.
         """
         if unit is not None:
             match = re.fullmatch(r"\s*([0-9][0-9.eE+-]*)?\s*(\S+)\s*", unit)
@@ -61,7 +61,7 @@ class Units:
         written = self.metadata("unit")
         if not written:
             marked = {m[2] for e in self.document.iter() if (m := THICKNESS.fullmatch(rsml_xml.attribute(e, "name") or "")) and m[2]}
-            if len(marked) == 1:  # "radius [m]": the only unit that the file names is taken for its points too
+            if len(marked) == 1:  # "radius [m]": the only unit in the file is also used for its points
                 return self.unit_mm(marked.pop(), "a function's name")
             raise UserError(f"{self.path}: names no unit; {_SET_UNIT}: mm, cm, m, um or inch, or a step such as 0.1 mm")
         if written.lower() not in _UNITS_MM:
@@ -80,7 +80,7 @@ class Units:
         return unit_mm / resolution if resolution > 1.0 else unit_mm * resolution
 
     def properties_mm(self) -> dict[str, float]:
-        """Return the mm of one unit of the properties that the metadata define with a unit of length."""
+        """Return the size in mm of the units of the properties that the metadata define with a unit of length."""
         found: dict[str, float] = {}
         for definition in self.document.iter():
             if rsml_xml.local(definition) == "property-definition":
@@ -90,7 +90,7 @@ class Units:
         return found
 
     def metadata(self, key: str) -> str:
-        """Return an entry of the metadata, empty where there is none."""
+        """Return an entry of the metadata, empty if there is none."""
         for metadata in self.document:
             if rsml_xml.local(metadata) == "metadata":
                 for child in metadata:
@@ -99,13 +99,13 @@ class Units:
         return ""
 
     def unit_mm(self, name: str, what: str) -> float:
-        """Return the size of a unit, mm; ``what`` has it, for the sentence where it is unknown."""
+        """Return the size of a unit in mm; ``what`` names the quantity in the message for an unknown unit."""
         if name.lower() not in _UNITS_MM:
-            raise UserError(f'{self.path}: the {what} has the unit "{name}"; known are mm, cm, m, um and inch')
+            raise UserError(f'{self.path}: the {what} has the unknown unit "{name}"; use mm, cm, m, um or inch')
         return _UNITS_MM[name.lower()]
 
     def number(self, text: str | None, what: str) -> float:
-        """Return a finite number; ``what`` it is, for the sentence where it is none."""
+        """Return a finite number; ``what`` names the quantity in the message for an invalid one."""
         try:
             value = float(text or "")
         except ValueError:

@@ -1,4 +1,4 @@
-"""RSML's XML as files in the wild have it: prefixes nobody declared, names in any case, never a document type."""
+"""Tolerant parsing of RSML's XML: undeclared prefixes, names in any case, but no document types."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -11,23 +11,23 @@ from rhizotwin.scenes.reading import read_file
 
 
 def parse(path: Path) -> ET.Element:
-    """Parse XML without document types or entities, and without minding prefixes that nobody declared."""
+    """Parse XML without document types or entities; undeclared prefixes are accepted."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
-    parser.buffer_text = True  # else the space between two lines comes in three parts
+    parser.buffer_text = True  # otherwise the space between two lines arrives in three parts
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
 
     def refuse(*_: object) -> None:
-        raise UserError(f"{path}: declares a document type, which RSML does not need and this program does not read; remove <!DOCTYPE ...>")
+        raise UserError(f"{path}: declares a document type, which is not supported; remove <!DOCTYPE ...>")
 
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(read_file(path), True)
         return builder.close()
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise UserError(f"{path}: is no RSML file: not valid XML ({error})") from error
+        raise UserError(f"{path}: is not an RSML file: not valid XML ({error})") from error
 
 
 def local(element: ET.Element) -> str:
@@ -37,18 +37,18 @@ def local(element: ET.Element) -> str:
 
 @lru_cache(maxsize=1024)
 def _local(tag: str) -> str:
-    """Files have hundreds of thousands of elements of a dozen names."""
+    """Return a tag without namespace, cached: files have hundreds of thousands of elements with a dozen names."""
     return tag.rsplit(":", 1)[-1].lower()
 
 
 def attribute(element: ET.Element, name: str) -> str | None:
-    """Return an attribute by its name in any case."""
+    """Return an attribute by its name, ignoring case."""
     exact = element.get(name)
     return exact if exact is not None else next((value for key, value in element.attrib.items() if key.lower() == name), None)
 
 
 def own(root: ET.Element) -> Iterator[ET.Element]:
-    """Walk what belongs to a root itself, not to its laterals."""
+    """Yield the elements that belong to a root itself, not to its laterals."""
     stack = list(reversed(root))
     while stack:
         element = stack.pop()
@@ -58,7 +58,7 @@ def own(root: ET.Element) -> Iterator[ET.Element]:
 
 
 def property_of(own: list[ET.Element], name: str) -> str:
-    """Return the text of a root's first property of a name that has one; empty where it has none."""
+    """Return the text of a root's first non-empty property of a name; empty if there is none."""
     for holder in (element for element in own if local(element) == "properties"):
         for child in holder:
             called = (attribute(child, "name") or "").lower() or local(child)

@@ -1,6 +1,6 @@
-"""What people read: numbers and errors.
+"""Formatting of numbers and errors for users.
 
-Numbers have the digits that their uncertainty leaves them and no exponents; an error is one sentence.
+Numbers have the significant digits that their uncertainty allows, without exponents; an error is one sentence.
 """
 
 import errno
@@ -10,19 +10,19 @@ from rhizotwin.scenes.errors import UserError
 
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 FULL = (errno.ENOSPC, errno.EDQUOT)
-"""Errors of a disk without space."""
+"""Error numbers of a disk without free space."""
 
 
 def decimals(half: float) -> int:
-    """Return how many decimals a number has whose 90 % interval reaches this far.
+    """Return the number of decimals of a value with a 90 % interval of this half-width.
 
-    The second digit of the reach is the last told.
+    The last decimal is that of the second significant digit of the half-width.
     """
     return 3 if not half > 0.0 else min(6, max(0, 1 - math.floor(math.log10(half))))
 
 
 def ml(mm3: float, *, half_mm3: float) -> str:
-    """Return a volume in ml whose interval reaches so far."""
+    """Return a volume in ml, rounded according to the half-width of its interval."""
     return f"{mm3 / 1000.0:.{decimals(half_mm3 / 1000.0)}f}"
 
 
@@ -33,7 +33,7 @@ def between_ml(low_mm3: float, high_mm3: float) -> str:
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """Return a number with so many digits that count."""
+    """Return a number with the given number of significant digits."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else "-"
     last = digits - 1 - math.floor(math.log10(abs(value)))
@@ -41,12 +41,12 @@ def rounded(value: float, digits: int = 3) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text that cannot steer a terminal, whoever wrote it: a question mark for each control code."""
+    """Return text with each control code replaced by a question mark, so that it cannot control a terminal."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def failure(error: BaseException) -> str:
-    """Return the sentence that explains an error to who can do something about it."""
+    """Return a sentence that explains an error to the user."""
     if isinstance(error, UserError):
         return str(error)
     if isinstance(error, MemoryError):
@@ -56,6 +56,6 @@ def failure(error: BaseException) -> str:
         where = f"{error.filename}: " if error.filename else ""
         if error.errno in FULL:
             return f"{where}the disk is full; free some space and run the same command again"
-        return f"{where}{error.strerror or text}; check the path and your rights to it"
+        return f"{where}{error.strerror or text}; check the path and its permissions"
     what = f"stopped by an unexpected error ({type(error).__name__}: {text})"
-    return f"{what}; run it again with {DEBUG_VARIABLE}=1 to see where"
+    return f"{what}; run it again with {DEBUG_VARIABLE}=1 for a traceback"

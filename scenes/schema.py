@@ -1,10 +1,10 @@
-"""Frozen dataclasses from plain mappings (TOML, JSON) and back, strictly.
+"""Strict conversion between frozen dataclasses and plain mappings (TOML, JSON).
 
-One clear sentence for each thing that is wrong.
+Invalid values are reported in one sentence.
 
-Understood types: bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested
-dataclasses, Any, and unions of dataclasses named ``...Specimen``, told apart by the key ``kind`` (``SphereSpecimen`` is
-kind "sphere").
+Supported types: bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested
+dataclasses, Any, and unions of dataclasses named ``...Specimen``, distinguished by the key ``kind`` (``SphereSpecimen``
+is kind "sphere").
 """
 
 import math
@@ -25,16 +25,16 @@ T = TypeVar("T", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value stands, for error messages."""
+    """Position of a value in a file, for error messages."""
 
     where: str
-    """File, or what else the values came from."""
+    """File, or other origin of the values."""
     text: str = ""
-    """The file's text, to find line numbers in (TOML)."""
+    """Text of the file (TOML), used to find line numbers."""
     path: tuple[str | int, ...] = ()
 
     def at(self, *steps: str | int) -> "Place":
-        """Return the place some keys or indices deeper."""
+        """Return the place of a nested value, by its keys or indices."""
         return replace(self, path=(*self.path, *steps))
 
     def error(self, must: str, *value: Any) -> UserError:
@@ -47,13 +47,13 @@ class Place:
 
 
 def suggestion(name: str, known: list[str]) -> str:
-    """Return `` (did you mean "x"?)`` for the nearest known name, or nothing."""
+    """Return `` (did you mean "x"?)`` for the most similar known name, or an empty text."""
     near = nearest(name, known)
     return f' (did you mean "{near}"?)' if near else ""
 
 
 def to_plain(value: Any) -> Any:
-    """Return dataclasses as dicts and tuples as lists, ready for JSON; unions get their ``kind``."""
+    """Return dataclasses as dicts and tuples as lists, ready for JSON; members of unions get their ``kind``."""
     if is_dataclass(value) and not isinstance(value, type):
         plain = {"kind": kind_of(type(value))} if kind_of(type(value)) else {}
         return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
@@ -65,21 +65,21 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
-    """Build a dataclass from a mapping; missing keys take the defaults.
+    """Build a dataclass from a mapping; missing keys take their defaults.
 
     Parameters
     ----------
     kind : type[T]
-        The dataclass.
+        Dataclass to build.
     mapping : Any
-        As TOML or JSON gives it.
+        Mapping as read from TOML or JSON.
     place : Place
-        Where it stands, for messages.
+        Place of the mapping, used in messages.
 
     Returns
     -------
     T
-        The dataclass, checked.
+        Validated instance.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
 
 
 def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
-    """Check one value against its type and its field's limits."""
+    """Check a value against its type and the limits of its field."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return value
@@ -126,7 +126,7 @@ def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
 
 
 def _scalar(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
-    """Check a bool, int, float or str; whole numbers serve as floats."""
+    """Check a bool, int, float or str; integers are accepted as floats."""
     wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}[hint]
     if not isinstance(value, (int, float) if hint is float else hint) or (isinstance(value, bool) and hint is not bool):
         raise place.error(f"must be {wanted}, not {_type_name(value)}", value)
@@ -158,7 +158,7 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
 
 
 def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
-    """Choose one of several dataclasses by the key ``kind``."""
+    """Select one of several dataclasses by the key ``kind``."""
     kinds = {kind_of(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
@@ -172,19 +172,19 @@ def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
 
 
 def kind_of(choice: type) -> str:
-    """Return the tag of a member of a union: ``SphereSpecimen`` gives ``sphere``; other classes have none."""
+    """Return the tag of a member of a union: ``sphere`` for ``SphereSpecimen``; empty for other classes."""
     name = choice.__name__
     return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""
 
 
 def _type_name(value: Any) -> str:
-    """Name a plain value's type in the user's words."""
+    """Return the type of a plain value in plain words."""
     names = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", NoneType: "nothing"}
     return names.get(type(value), "a table" if isinstance(value, Mapping) else type(value).__name__)
 
 
 def _shown(value: Any) -> str:
-    """Show a value as the file has it, shortened."""
+    """Return a value as written in the file, shortened."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -192,7 +192,7 @@ def _shown(value: Any) -> str:
 def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
     """Split a path into the section and the key.
 
-    ("plan.rings 2", "views") or ("camera", "image_wh element 1"); counts from 1.
+    Examples are ("plan.rings 2", "views") and ("camera", "image_wh element 1"); indices start at 1.
     """
     depth = max((i for i, step in enumerate(path) if isinstance(step, str)), default=-1)
     if depth < 0:
@@ -203,7 +203,7 @@ def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
 
 
 def _line_of(text: str, path: tuple[str | int, ...]) -> int | None:
-    """Find the line of a TOML text that holds a path, or the deepest part of it; None when nothing is found."""
+    """Find the line of a TOML text that contains a path, or its deepest part found; None if nothing is found."""
     best: tuple[int, int | None] = (0, None)
     table: tuple[str | int, ...] = ()
     counts: dict[tuple[str | int, ...], int] = {}
@@ -228,5 +228,5 @@ def _line_of(text: str, path: tuple[str | int, ...]) -> int | None:
 
 
 def _keys(dotted: str) -> tuple[str, ...]:
-    """Split a TOML key at its dots, without quotes."""
+    """Split a dotted TOML key, and remove quotes."""
     return tuple(part.strip().strip("\"'") for part in dotted.split("."))

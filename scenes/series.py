@@ -1,9 +1,7 @@
-"""Series of a grown plant: older and younger, treated otherwise, others of its kind.
+"""Series of a grown plant: other ages, treatments and replicates.
 
-The older plant of a seed holds the younger.
-
-Radii of a series are scaled by one factor, that of the scene's own plant: the volume at another age is the scene's
-times the ratio of the plants' tube volumes.
+With the same seed, an older plant contains the younger one. Radii of a series are scaled by one factor, that of the
+scene's own plant: the volume at another age is that of the scene, multiplied by the ratio of the plants' tube volumes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +18,7 @@ from rhizotwin.scenes.solution import check_solution
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 SEEDS_APART = 1_000_003
-"""Replicate k grows the seed of the scene's plant + k times this: none of them is another plant of the library."""
+"""Difference of the seeds of successive replicates; no replicate coincides with another plant of the library."""
 
 Grow = Callable[[GrownSpecimen], Sequence[Root]]
 
@@ -31,31 +29,31 @@ def grown(scene: Scene) -> GrownSpecimen:
     Raises
     ------
     UserError
-        When it has none.
+        If the scene has none.
     """
     if not isinstance(scene.specimen, GrownSpecimen):
-        raise UserError(f"scene {scene.name} has no grown plant (specimen.kind), so that it has no other days, replicates or treatments")
+        raise UserError(f"scene {scene.name} has no grown plant (specimen.kind), which other days, replicates and treatments require")
     return scene.specimen
 
 
 def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
-    """Return a scene with another plant of the same kind.
+    """Return a scene with a replicate of its plant.
 
-    Number 0 is the scene's own, unless another ``seed`` is given than its number.
+    Number 0 is the scene's own plant, unless ``seed`` differs from the number.
 
     Parameters
     ----------
     scene : Scene
-        Of a grown plant.
+        Scene with a grown plant.
     number : int
-        Which of the plants, from 0.
+        Number of the replicate, from 0.
     seed : int or None
-        Draws the plant; None: the number.
+        Random seed of the replicate; None for its number.
 
     Returns
     -------
     Scene
-        The scene with the other plant.
+        Scene with the replicate.
     """
     plant = grown(scene)
     told = replace(scene.subject, plant=f"{scene.subject.plant or scene.name}-{number + 1}", replicate=number + 1)
@@ -63,28 +61,28 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
 
 
 def treated(scene: Scene, name: str, growth: float, factors: Mapping[str, float] | None = None) -> Scene:
-    """Return a scene whose roots grow by a factor faster and longer, in a solution of other concentrations.
+    """Return a scene under another treatment, which scales root growth and the nutrient solution.
 
     Parameters
     ----------
     scene : Scene
-        Of a grown plant.
+        Scene with a grown plant.
     name : str
-        Of the treatment.
+        Name of the treatment.
     growth : float
-        The factor.
+        Factor of the elongation rates and lengths of roots.
     factors : mapping of float or None
-        Factors of the scene's nutrient solution, by element or formula.
+        Factors of the concentrations of the scene's nutrient solution, by element or formula.
 
     Returns
     -------
     Scene
-        The scene with the treated plant.
+        Scene with the treated plant.
 
     Raises
     ------
     UserError
-        For factors where the scene has no such compounds.
+        If the scene has no compounds to which the factors apply.
     """
     plant = grown(scene)
     orders = tuple(
@@ -103,18 +101,18 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
     Parameters
     ----------
     scene : Scene
-        Of a grown plant.
+        Scene with a grown plant.
     day : float
-        The other age.
+        Age of the plant in days.
     grow : Grow
-        Grows a plant's centre lines (`sim.growth.grow`).
+        Function that grows a plant's centre lines (`sim.growth.grow`).
     like : GrownSpecimen or None
-        Plant that has the scene's volume at its age; None: the scene's own. Its radii's factor is kept.
+        Plant that has the scene's volume at its age, and whose factor of radii is used; None for the scene's own.
 
     Returns
     -------
     Scene
-        The scene with the plant of that age.
+        Scene with the plant at that age.
     """
     plant = grown(scene)
     reference = like or plant

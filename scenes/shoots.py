@@ -1,4 +1,4 @@
-"""What grows above the net pot: a rosette of leaves on petioles."""
+"""Shoot above the net pot: a rosette of leaves on petioles."""
 
 from dataclasses import dataclass
 
@@ -18,32 +18,29 @@ GREEN_LEAF = (
     (900.0, 0.48),
     (1000.0, 0.47),
 )
-"""Reflectance of a healthy leaf by wavelength (nm): typical values, rounded, after Gates et al. 1965 (Appl. Opt.
-4:11)."""
+"""Reflectance of a healthy leaf by wavelength (nm), typical rounded values from Gates et al. 1965 (Appl. Opt. 4:11)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shoot:
-    """A shoot with leaves in a spiral, described by its oldest leaf.
+    """A shoot with leaves in a spiral, described by its oldest leaf; younger leaves are smaller and steeper.
 
-    Younger ones are smaller and stand steeper, seeded.
-
-    The defaults are a radish of two weeks: blades of 40 by 24 mm and 0.3 mm, petioles of 35 mm (leaves of Raphanus
+    The defaults describe a radish of two weeks: blades of 40 by 24 mm and 0.3 mm, petioles of 35 mm (leaves of Raphanus
     sativus are 0.25 to 0.35 mm thick).
     """
 
     seed: int = bounded(0, 0, 2**63 - 1)
-    """Same seed, same shoot."""
+    """Random seed of the shoot."""
     leaves: int = bounded(6, 1, 60)
     """Number of leaves."""
     divergence_deg: float = bounded(137.508, 0.0, 360.0)
-    """Azimuth from each leaf to the next: the golden angle of spiral phyllotaxis."""
+    """Azimuth between successive leaves: the golden angle of spiral phyllotaxis."""
     youngest: float = bounded(0.35, 0.05, 1.0)
     """Size of the youngest leaf as a fraction of the oldest."""
     size_sd: float = bounded(0.08, 0.0, 0.5)
-    """Standard deviation of a leaf's size about that, as a fraction of it."""
+    """Standard deviation of a leaf's size, as a fraction of it."""
     stem_mm: float = bounded(12.0, 2.0, 500.0)
-    """Height of the stem on which the petioles stand, above the net pot's top."""
+    """Height of the stem, which bears the petioles, above the net pot's top."""
     stem_diameter_mm: float = bounded(3.0, 0.2, 50.0)
     """Diameter of the stem."""
     petiole_mm: float = bounded(35.0, 1.0, 500.0)
@@ -53,20 +50,20 @@ class Shoot:
     elevation_deg: float = bounded(35.0, -60.0, 90.0)
     """Angle of the oldest petiole above the horizon."""
     youngest_elevation_deg: float = bounded(75.0, -60.0, 90.0)
-    """The same of the youngest."""
+    """Angle of the youngest petiole above the horizon."""
     elevation_sd_deg: float = bounded(6.0, 0.0, 45.0)
-    """Standard deviation of that angle between leaves."""
+    """Standard deviation of the petiole angles."""
     blade_mm: float = bounded(40.0, 2.0, 1000.0)
     """Length of the oldest blade along its midrib."""
     blade_width_mm: float = bounded(24.0, 1.0, 1000.0)
-    """Greatest width of the oldest blade."""
+    """Maximum width of the oldest blade."""
     thickness_mm: float = bounded(0.3, 0.05, 5.0)
     """Thickness of every blade."""
     droop_deg: float = bounded(50.0, -90.0, 170.0)
-    """By how much a blade bends down from its base to its tip."""
+    """Downward bend of a blade from its base to its tip."""
     fold_deg: float = bounded(12.0, -60.0, 60.0)
-    """Angle by which the two halves of a blade rise from its midrib."""
+    """Angle by which the two halves of a blade rise from the midrib."""
     reflectance: float = bounded(0.12, 0.0, 1.0)
-    """Share of visible light that a green leaf sends back (0.05 in the blue and red, 0.15 to 0.2 in the green)."""
+    """Fraction of visible light reflected by a green leaf (0.05 in blue and red, 0.15 to 0.2 in green)."""
     spectrum: tuple[tuple[float, float], ...] = GREEN_LEAF
-    """Wavelength (nm) and reflectance of the leaves, for a camera with bands; between two it is interpolated."""
+    """Pairs of wavelength (nm) and reflectance of the leaves, linearly interpolated, for a camera with bands."""

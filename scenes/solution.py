@@ -1,8 +1,8 @@
-"""Nutrient solutions: compounds by mass, and the ions that they give.
+"""Nutrient solutions: mass concentrations of compounds, and the resulting ion concentrations.
 
-A compound is divided into the ions of `_IONS`; the masses of its atoms are those of molmass (IUPAC). Phosphate and
-carbonate are counted in the form that prevails between pH 5 and 7, boron as boric acid, and of organic compounds, such
-as iron chelates, only the metal counts.
+A compound is divided into the ions of `_IONS`; the masses of its atoms are from molmass (IUPAC). Phosphate and
+carbonate are counted in the form that prevails between pH 5 and 7, boron as boric acid; of organic compounds, such as
+iron chelates, only the metal is counted.
 """
 
 import re
@@ -17,7 +17,7 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 UNIT = "mmol/l"
 Factors = tuple[tuple[str, float], ...]
-"""Elements or compounds, each with its factor."""
+"""Elements or compounds with their factors."""
 
 RECIPES: Mapping[str, Mapping[str, float]] = {
     "kliman_2022": {
@@ -65,37 +65,38 @@ _IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
     "H": ("", 0, (1,)),
     "OH": ("", 0, (-1,)),
 }
-"""Group of a formula: the ion it is counted as (none for acid and alkali), how many, and the charges it may have."""
+"""For each group of a formula: the ion as which it is counted (none for acid and alkali), its number, and possible
+charges."""
 IONS = tuple(dict.fromkeys(name for name, _, _ in _IONS.values() if name))
 """Every ion, in the order of tables."""
 _METALS = frozenset({"K", "Ca", "Mg", "Fe", "Mn", "Zn", "Cu", "Ni", "Co", "Na"})
 _NUTRIENTS = _METALS | {"N", "P", "S", "B", "Mo", "Cl", "I", "Si", "C"}
-"""Elements that a factor may name."""
+"""Elements that can have a factor."""
 _GROUP = re.compile(rf"({'|'.join(sorted(_IONS, key=len, reverse=True))})(\d*)|\(({'|'.join(sorted(_IONS, key=len, reverse=True))})\)(\d*)")
 _MOST_LETTERS = 80
-"""Of a formula; the longest of a chelate in use has 25."""
+"""Maximum length of a formula; the longest chelate in use has 25 characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Nutrient solution in which the plants grow; empty: not known."""
+    """Nutrient solution in which the plants grow; empty if unknown."""
 
     recipe: Literal["", "kliman_2022"] = ""
-    """Recipe to start from; kliman_2022 is table 3.1 of the thesis."""
+    """Base recipe; kliman_2022 is table 3.1 of the thesis."""
     grams_per_l: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 1000.0)})
-    """Grams of each compound in a litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859; they replace the recipe's."""
+    """Grams of each compound per litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859; they override the recipe."""
     factors: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 100.0)})
-    """Factors by element or formula, such as K = 0.5: every compound with an ion of the element is multiplied by it, or
-    by the product of several."""
+    """Factors by element or formula, such as K = 0.5; every compound with an ion of the element is multiplied by it, or
+    by the product of several factors."""
 
     @property
     def known(self) -> bool:
-        """Whether anything is stated."""
+        """Whether any concentration is given."""
         return bool(self.recipe or self.grams_per_l)
 
     @property
     def compounds_g_per_l(self) -> dict[str, float]:
-        """Mass concentration of each compound after the factors, by formula."""
+        """Mass concentration of each compound after application of the factors, by formula."""
         found = {**RECIPES.get(self.recipe, {}), **self.grams_per_l}
         for what, factor in self.factors.items():
             found = {name: grams * (factor if _holds(name, what) else 1.0) for name, grams in found.items()}
@@ -103,7 +104,7 @@ class Solution:
 
     @property
     def ions_mmol_per_l(self) -> dict[str, float]:
-        """Concentration of each ion of `IONS` in mmol/l, absent ones as 0; empty where nothing is known."""
+        """Concentration of each ion of `IONS` in mmol/l, 0 for absent ions; empty if the solution is unknown."""
         if not self.known:
             return {}
         total = dict.fromkeys(IONS, 0.0)
@@ -114,18 +115,18 @@ class Solution:
         return total
 
     def __str__(self) -> str:
-        """Return recipe, own compounds and factors on one line; empty where nothing is known."""
+        """Return recipe, added compounds and factors on one line; empty if the solution is unknown."""
         own = [f"{name} {grams:g} g/l" for name, grams in self.grams_per_l.items()]
         return ", ".join([*filter(None, [self.recipe]), *own, *(f"{what} x {factor:g}" for what, factor in self.factors.items())])
 
 
 def check_solution(solution: Solution, place: Place) -> None:
-    """Refuse compounds that cannot be divided into ions, and factors of what is not in the solution.
+    """Reject compounds that cannot be divided into ions, and factors of substances that are not in the solution.
 
     Raises
     ------
     UserError
-        With the compound or factor and what it must be.
+        With the invalid compound or factor, and the condition.
     """
     for formula in solution.grams_per_l:
         try:
@@ -140,12 +141,12 @@ def check_solution(solution: Solution, place: Place) -> None:
 
 
 def of_summary(summary: Mapping[str, Any], where: str) -> Solution:
-    """Return the solution of a ``result.json``; an empty one in results of earlier versions.
+    """Return the solution of a ``result.json``; empty for results of earlier versions.
 
     Raises
     ------
     UserError
-        Where it is damaged.
+        If the entry is damaged.
     """
     place = Place(where).at("solution")
     solution = from_plain(Solution, summary.get("solution") or {}, place)
@@ -154,25 +155,25 @@ def of_summary(summary: Mapping[str, Any], where: str) -> Solution:
 
 
 def headings(many: Sequence[Mapping[str, float]]) -> dict[str, str]:
-    """Return the table heading of each ion that occurs in one of several solutions, such as ``K (mmol/l)``, by ion.
+    """Return table headings, such as ``K (mmol/l)``, of the ions that occur in at least one solution.
 
     Parameters
     ----------
     many : sequence of mapping
-        Concentrations as of `Solution.ions_mmol_per_l`.
+        Concentrations as from `Solution.ions_mmol_per_l`.
     """
     return {ion: f"{ion} ({UNIT})" for ion in IONS if any(own.get(ion) for own in many)}
 
 
 def read_solution(text: str) -> Solution:
-    """Read a solution of the command line: a recipe or a TOML file, then factors, as ``kliman_2022,K=0.5``.
+    """Parse a solution from the command line: a recipe or a TOML file, then factors, as ``kliman_2022,K=0.5``.
 
     Raises
     ------
     UserError
-        For an unknown recipe, a file that cannot be read, a factor that is no number, or anything wrong in them.
+        For an unknown recipe, a file that cannot be read, an invalid factor, or an invalid solution.
     """
-    from rhizotwin.scenes.files import read_toml  # it reads scenes, which hold solutions
+    from rhizotwin.scenes.files import read_toml  # imported here, as that module imports this one
 
     name, *changes = (part.strip() for part in text.split(","))
     if name.endswith(".toml"):
@@ -193,12 +194,12 @@ def read_solution(text: str) -> Solution:
 
 
 def _holds(formula: str, what: str) -> bool:
-    """Return whether a compound is the one named, or one of its ions holds the element."""
+    """Return whether a compound has this name, or one of its ions contains this element."""
     return formula == what or (_symbol(what) in _NUTRIENTS and any(_symbol(what) in _atoms(ion)[1] for ion in _divide(formula)[1]))
 
 
 def _symbol(element: str) -> str:
-    """Return the symbol of an element that is given by symbol or English name; else the text itself."""
+    """Return the symbol of an element given by symbol or English name; otherwise the text itself."""
     from molmass import ELEMENTS
 
     return next((str(one.symbol) for one in ELEMENTS if one.name.lower() == element.lower()), element)
@@ -207,7 +208,7 @@ def _symbol(element: str) -> str:
 @lru_cache(maxsize=256)
 def _atoms(formula: str) -> tuple[float, Mapping[str, int]]:
     """Return the molar mass in g/mol and the number of atoms of each element."""
-    from molmass import Formula, FormulaError  # costs the start of every command otherwise
+    from molmass import Formula, FormulaError  # imported here, as loading it would slow down the start of every command
 
     if not formula or len(formula) > _MOST_LETTERS:
         raise UserError(f"is not a formula of 1 to {_MOST_LETTERS} characters, such as KNO3")
@@ -220,7 +221,7 @@ def _atoms(formula: str) -> tuple[float, Mapping[str, int]]:
 
 @lru_cache(maxsize=256)
 def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
-    """Return the molar mass in g/mol and how many of each ion a compound gives."""
+    """Return the molar mass in g/mol and the number of each ion in a compound."""
     mass, atoms = _atoms(formula)
     body = re.sub(r"\.\d*H2O$", "", _plain(formula))
     charges, ions, end = {0}, dict[str, int](), 0
@@ -233,11 +234,11 @@ def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
             ions[name] = ions.get(name, 0) + count * times
     if end == len(body) and 0 in charges:
         return mass, ions
-    if {"C", "H"} <= atoms.keys():  # organic: a chelate gives its metals
+    if {"C", "H"} <= atoms.keys():  # organic compound: only the metals of a chelate are counted
         return mass, {name: count for name, count in atoms.items() if name in _METALS}
-    raise UserError(f"cannot be divided into the ions {', '.join(IONS)} without a charge left")
+    raise UserError(f"cannot be divided into the ions {', '.join(IONS)} without a remaining charge")
 
 
 def _plain(formula: str) -> str:
-    """Return a formula with a full stop before its water."""
+    """Return a formula with a full stop before its water of crystallisation."""
     return re.sub(r"\s*[.·*]\s*", ".", formula)

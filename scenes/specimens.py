@@ -1,4 +1,4 @@
-"""What grows (or stands in) the canister: one frozen description a kind of specimen."""
+"""Specimens: frozen descriptions of the object in the canister, one class per kind."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,31 +8,29 @@ from rhizotwin.scenes.limits import bounded
 
 @dataclass(frozen=True, kw_only=True)
 class SphereSpecimen:
-    """A sphere, the simplest thing with a known volume."""
+    """A sphere."""
 
     diameter_mm: float = bounded(20.0, 0.1, 200.0)
     """Diameter of the sphere."""
     centre_mm: tuple[float, float, float] = bounded((0.0, 0.0, -55.0), -1000.0, 1000.0)
-    """Its middle, canister frame: origin on the axis in the plane of the rim, z up."""
+    """Centre in the canister frame: origin on the axis in the plane of the rim, z up."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedFile:
-    """A file in millimetres of its own frame, and how it is put into the canister frame.
-
-    Turned over, then scaled, then shifted.
-    """
+    """A file with coordinates in millimetres, and its placement in the canister frame: flip, then scale, then shift."""
 
     file: str
-    """Path, relative to the scene file's folder or absolute."""
+    """Path, absolute or relative to the folder of the scene file."""
     place: Literal["given", "auto"] = "given"
-    """``given``: where its coordinates say; ``auto``: upright, below the net pot's grid, in the middle of the water."""
+    """``given``: coordinates as in the file; ``auto``: upright, below the net pot's grid, in the middle of the water.
+    """
     flip: bool = False
-    """Turn it upside down (half a turn about x): for files whose z points down."""
+    """Whether to turn it upside down (half a turn about x), for files whose z points down."""
     scale: float = bounded(1.0, 1e-6, 1e6)
-    """Enlarge it, diameters too."""
+    """Scale factor, also of diameters."""
     shift_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -1e6, 1e6)
-    """Move it, from where ``place`` puts it."""
+    """Translation from the position according to ``place``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,72 +43,72 @@ class RsmlSpecimen(PlacedFile):
     """Traced roots from an RSML file (Lobet 2015)."""
 
     unit: str | None = None
-    """mm, cm, m, um, inch, or a step such as "0.1 mm"; None: as the file's metadata say (refused when they do not)."""
+    """Unit: mm, cm, m, um, inch, or a step such as "0.1 mm"; None for the unit in the file's metadata (an error if
+    there is none)."""
     diameter_mm: float | None = field(default=None, metadata={"limits": (0.01, 50.0)})
-    """Diameter of every root where the file gives none; None: refuse such a file."""
+    """Diameter of roots without one in the file; None to reject such files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootOrder:
-    """Growth parameters of the roots of one order (0: taproot), as architectural root models name them."""
+    """Growth parameters of the roots of one order (0: taproot), with the names of architectural root models."""
 
     diameter_mm: float = bounded(0.3, 0.01, 50.0)
-    """Mean diameter where the root begins, before the radii of the plant are scaled to its volume."""
+    """Mean diameter at the base of the root, before the radii of the plant are scaled to its volume."""
     diameter_sd: float = bounded(0.1, 0.0, 0.5)
     """Standard deviation of that diameter between roots, as a fraction of it."""
     taper: float = bounded(0.6, 0.05, 1.0)
-    """Diameter at the tip as a fraction of the diameter at the beginning; linear along the root."""
+    """Diameter at the tip as a fraction of that at the base; linear along the root."""
     elongation_mm_per_day: float = bounded(3.0, 0.01, 200.0)
-    """Elongation of a new root; it slows down as the root nears its greatest length."""
+    """Elongation rate of a new root; it decreases as the root approaches its final length."""
     max_length_mm: float = bounded(60.0, 0.5, 2000.0)
-    """Length that an average root reaches in the end."""
+    """Mean final length of a root."""
     length_sd: float = bounded(0.3, 0.0, 1.0)
-    """Standard deviation of that length between roots, as a fraction of it; elongation varies with it."""
+    """Standard deviation of the final length between roots, as a fraction of it; elongation rates vary in proportion.
+    """
     interlateral_mm: float = bounded(4.0, 0.1, 1000.0)
     """Mean distance between neighbouring laterals along a root of this order."""
     interlateral_sd: float = bounded(0.4, 0.0, 1.0)
-    """Standard deviation of that distance, as a fraction of it."""
+    """Standard deviation of the distance between laterals, as a fraction of it."""
     base_mm: float = bounded(2.0, 0.0, 1000.0)
-    """Length without laterals where the root begins."""
+    """Length without laterals at the base of the root."""
     apex_mm: float = bounded(10.0, 0.0, 1000.0)
-    """Length without laterals behind the tip: a lateral appears once the tip has passed it by this much."""
+    """Length without laterals behind the tip; a lateral emerges when the tip has grown this far beyond it."""
     insertion_deg: float = bounded(70.0, 0.0, 180.0)
-    """Angle at which roots of this order leave their parent (taproot: unused)."""
+    """Angle between roots of this order and their parent (not used for the taproot)."""
     insertion_sd_deg: float = bounded(12.0, 0.0, 90.0)
-    """Standard deviation of that angle."""
+    """Standard deviation of the insertion angle."""
     gravitropism_per_mm: float = bounded(0.01, -0.5, 0.5)
-    """Turn towards straight down (or the lean) per mm of growth, radians times the sine of the angle still to go."""
+    """Rotation towards straight down (or the lean) per mm of growth, in radians per sine of the remaining angle."""
     wobble_deg: float = bounded(6.0, 0.0, 90.0)
-    """Random change of heading over 1 mm; it grows with the square root of the length."""
+    """Random change of direction per 1 mm; it grows with the square root of the length."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BasalRoots(RootOrder):
-    """Growth parameters of roots that begin side by side at the top of the taproot.
+    """Growth parameters of basal, seminal, nodal or adventitious roots, which emerge at the top of the taproot.
 
-    They are basal, seminal, nodal or adventitious.
-
-    They bear laterals as the taproot does, the second of ``specimen.orders``.
+    Their laterals are those of the taproot, the second of ``specimen.orders``.
     """
 
     count: int = bounded(6, 1, 200)
-    """How many there are."""
+    """Number of roots of this kind."""
     at_mm: float = bounded(0.0, 0.0, 1000.0)
-    """Distance along the taproot from its beginning to where they begin ..."""
+    """Distance along the taproot from its base to the first of these roots."""
     zone_mm: float = bounded(2.0, 0.0, 1000.0)
-    """... and the length of taproot over which they are spread."""
+    """Length of the taproot over which these roots are distributed."""
     delay_days: float = bounded(0.0, 0.0, 365.0)
-    """Days after the taproot began that they begin."""
+    """Days from the emergence of the taproot to that of these roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GrownSpecimen:
-    """A root system grown from the field's parameters, seeded."""
+    """A root system grown from the parameters of an architectural root model."""
 
     seed: int = bounded(0, 0, 2**63 - 1)
-    """Same seed, same plant; an older plant of the same seed continues the younger one."""
+    """Random seed of the plant; an older plant with the same seed continues the younger one."""
     age_days: float = bounded(15.0, 0.1, 365.0)
-    """Days since the taproot began."""
+    """Days since the emergence of the taproot."""
     volume_ml: float = bounded(0.2, 1e-4, 500.0)
     """Volume of the union of all roots; all radii are scaled by one factor to reach it exactly."""
     orders: tuple[RootOrder, ...] = (
@@ -119,29 +117,28 @@ class GrownSpecimen:
     )
     """Parameters of the taproot, of its laterals, of their laterals and so on."""
     basal: tuple[BasalRoots, ...] = ()
-    """Kinds of roots beside the taproot that begin at its top."""
+    """Further kinds of roots that emerge at the top of the taproot."""
     origin_mm: tuple[float, float, float] = bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
-    """Where the taproot begins; its rounded end reaches higher by its radius."""
+    """Base of the taproot; its rounded end extends above it by its radius."""
     lean_deg: float = bounded(0.0, 0.0, 90.0)
-    """Angle between straight down and the direction that the roots head for: a fallen plant's roots lie on the wall."""
+    """Angle between straight down and the preferred growth direction: the roots of a fallen plant lie on the wall."""
     lean_azimuth_deg: float = bounded(0.0, -360.0, 360.0)
     """Azimuth towards which the roots lean, counter-clockwise from +x seen from above."""
     hypocotyl_diameter_mm: float = bounded(0.0, 0.0, 50.0)
     """Diameter of the thickened top of the taproot; 0: none."""
     hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)
-    """Length over which the thickened top fades into the taproot."""
+    """Length over which the thickened top tapers to the diameter of the taproot."""
     hypocotyl_shape: Literal["fading", "globe"] = "fading"
-    """``fading``: thickest where it begins, as a carrot; ``globe``: thickest in its middle, as a bulb or a round
-    radish."""
+    """``fading``: thickest at the base, as a carrot; ``globe``: thickest in the middle, as a bulb or a round radish."""
     buried_mm: float = bounded(1000.0, 0.0, 1000.0)
-    """Laterals begin on their parent's axis, but no deeper below its surface than this: a storage root's tissue is laid
-    down about them."""
+    """Maximum depth below the surface of their parent at which laterals begin, otherwise on its axis; the tissue of a
+    storage root grows around them."""
     wall_margin_mm: float = bounded(0.5, 0.0, 100.0)
-    """Water left free between a root's surface and the inner wall."""
+    """Minimum distance between a root's surface and the inner wall."""
     floor_margin_mm: float = bounded(0.5, 0.0, 1000.0)
-    """Water left free between a root's surface and the floor."""
+    """Minimum distance between a root's surface and the floor."""
     top_margin_mm: float = bounded(0.5, 0.0, 100.0)
-    """Water left free between a root's surface and the underside of the net pot's grid."""
+    """Minimum distance between a root's surface and the underside of the net pot's grid."""
 
 
 Specimen = SphereSpecimen | MeshSpecimen | RsmlSpecimen | GrownSpecimen

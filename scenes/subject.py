@@ -1,4 +1,4 @@
-"""Which plant is in the canister: who, of what species, how treated, how old. MIAPPE's terms stand beside each field.
+"""Metadata of the plant in a canister: name, species, treatment and age, with the corresponding MIAPPE terms.
 
 MIAPPE 1.1: Papoutsoglou et al. 2020, New Phytologist 227:260.
 """
@@ -14,7 +14,7 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """The plant of a scan; what is not known is empty."""
+    """The plant of a scan; unknown fields are empty."""
 
     plant: str = ""
     """Name of the plant, the same on every day (MIAPPE: observation unit ID)."""
@@ -25,19 +25,19 @@ class Subject:
     day: float | None = field(default=None, metadata={"limits": (0.0, 36500.0)})
     """Days since sowing (MIAPPE: time since the event 'sowing')."""
     date: str = ""
-    """Of the scan, as 2022-10-06 (MIAPPE: observation date)."""
+    """Date of the scan, as 2022-10-06 (MIAPPE: observation date)."""
     replicate: int | None = field(default=None, metadata={"limits": (0, 1000000)})
-    """Which of the plants that were treated alike (MIAPPE: replicate of the observation unit)."""
+    """Number among plants with the same treatment (MIAPPE: replicate of the observation unit)."""
     notes: str = ""
-    """Anything else."""
+    """Additional notes."""
 
     @property
     def known(self) -> dict[str, str]:
-        """Return what is known, as text, by the name of the field."""
+        """Return the known fields as text, by name."""
         return {name: text for name, text in as_text(self).items() if text}
 
     def __str__(self) -> str:
-        """Return what is known as words for people; empty where nothing is."""
+        """Return the known fields as readable text; empty if there are none."""
         told = {"treatment": "treatment {}", "day": "day {}", "date": "{}", "replicate": "replicate {}", "notes": "{}"}
         known = self.known
         who = f"{known['plant']} ({known['species']})" if {"plant", "species"} <= known.keys() else self.plant or self.species
@@ -45,27 +45,27 @@ class Subject:
 
 
 NAMES = tuple(f.name for f in fields(Subject))
-"""Columns of every table that tells whose the numbers are."""
+"""Columns with the subject, in every table."""
 
 
 def as_text(subject: Subject) -> dict[str, str]:
-    """Return every field as text for a table; empty where it is not known."""
+    """Return all fields as text for a table; unknown fields are empty."""
     values = {name: getattr(subject, name) for name in NAMES}
     return {name: "" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for name, value in values.items()}
 
 
 def check_subject(subject: Subject, place: Place) -> None:
-    """Refuse a date that is none, and text that cannot stand in a table's cell.
+    """Reject an invalid date, and text that is unsuitable for a table cell.
 
     Raises
     ------
     UserError
-        With the field, its value and what it must be.
+        With the field, its value and the condition.
     """
     for name in ("plant", "species", "treatment", "notes"):
         text = getattr(subject, name)
         if not text.isprintable():
-            raise place.at(name).error("must be one line of letters that can be shown", ascii(text))
+            raise place.at(name).error("must be one line of printable characters", ascii(text))
     if subject.date:
         try:
             date.fromisoformat(subject.date)
@@ -74,12 +74,12 @@ def check_subject(subject: Subject, place: Place) -> None:
 
 
 def of_summary(summary: Mapping[str, Any], where: str) -> Subject:
-    """Return the subject that a ``result.json`` tells; an empty one in results of earlier versions.
+    """Return the subject of a ``result.json``; empty for results of earlier versions.
 
     Raises
     ------
     UserError
-        Where it is damaged.
+        If the entry is damaged.
     """
     place = Place(where).at("subject")
     subject = from_plain(Subject, summary.get("subject") or {}, place)
@@ -88,12 +88,12 @@ def of_summary(summary: Mapping[str, Any], where: str) -> Subject:
 
 
 def of_cells(cells: Mapping[str, str], where: str) -> Subject:
-    """Return the subject that a row of a table tells; columns that it lacks are not known.
+    """Return the subject in a row of a table; fields without a column are unknown.
 
     Raises
     ------
     UserError
-        For a day or replicate that is no number, or a value beyond its limits.
+        For a day or replicate that is not a number, or a value beyond its limits.
     """
     given: dict[str, Any] = {name: cells[name].strip() for name in NAMES if (cells.get(name) or "").strip()}
     for name, read in (("day", float), ("replicate", int)):

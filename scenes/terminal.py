@@ -1,6 +1,6 @@
-"""Progress on a terminal: one bar for the whole work with its stage's name and the time left.
+"""Progress on a terminal: one bar for the whole work, with the current stage and the remaining time.
 
-A line a stage where nobody watches.
+If the output is not a terminal, one line per stage is written instead.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from rhizotwin.scenes.monitor import Monitor
 COLOUR = "#2e8b57"
 _FORM = "{percentage:3.0f} %|{bar}| {desc}, {elapsed} so far, {remaining} left"
 BEAT_S = 1.0
-"""Between two refreshings of the bar: the clock goes on where a stage has no steps."""
+"""Interval between updates of the bar, so that the clock continues in stages without steps."""
 _UNKNOWN = 0.02
-"""Share of the time for a stage that no share is known of."""
+"""Fraction of the time assumed for a stage without a known share."""
 
 
 class OneBar(Monitor):
@@ -31,12 +31,12 @@ class OneBar(Monitor):
     Parameters
     ----------
     shares : mapping of str to float
-        About how much of the time each stage takes, in any unit. The bar is moved by them; what is left is told from
-        the time that was taken for what is done.
+        Approximate relative durations of the stages, which determine the position of the bar. The remaining time is
+        extrapolated from the elapsed time.
     quiet : bool
         Show nothing.
     verbose : bool
-        Also write a line for each stage, with its time, where a bar is shown.
+        Also write a line with the time of each stage if a bar is shown.
     stream : text stream, optional
         Where to; default: stderr.
     bars : type of tqdm, optional
@@ -69,7 +69,7 @@ class OneBar(Monitor):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage, and show its name."""
+        """Measure the time of a stage, and show its name."""
         with super().stage(name):
             self._stage, self._part = name, 0.0
             self._show()
@@ -91,14 +91,14 @@ class OneBar(Monitor):
         Parameters
         ----------
         name : str
-            The stage.
+            Name of the stage.
         total, unit : int, str
-            How many steps, and of what.
+            Number of steps, and their unit.
 
         Returns
         -------
         iterator of callable
-            To be called after each step.
+            Function to call after each step.
         """
         with super().steps(name, total, unit) as step:
             done = 0
@@ -113,7 +113,7 @@ class OneBar(Monitor):
             yield shown
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         bar, self._bar = self._bar, None
         if bar is not None:
             bar.n = max(bar.n, self._done)
@@ -131,7 +131,7 @@ class OneBar(Monitor):
         self.close()
 
     def _beat(self) -> None:
-        """Refresh the bar now and then."""
+        """Update the bar at regular intervals."""
         while not self._over.wait(BEAT_S):
             bar = self._bar
             if bar is not None:

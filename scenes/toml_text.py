@@ -1,4 +1,4 @@
-"""Plain dicts to TOML text; `tomllib` reads it back to the same values."""
+"""Conversion of plain dicts to TOML text, from which `tomllib` reads the same values."""
 
 import json
 import re
@@ -12,13 +12,13 @@ def dumps(table: Mapping[str, Any]) -> str:
     Raises
     ------
     TypeError
-        For a value that TOML cannot hold (None among them).
+        For a value that TOML does not support, including None.
     """
     return "\n".join(_table(table, "")).strip("\n") + "\n"
 
 
 def _table(table: Mapping[str, Any], prefix: str) -> list[str]:
-    """Return the lines of one table: its own keys first, then the tables in it."""
+    """Return the lines of one table: its own keys first, then its subtables."""
     lines = [f"{_key(key)} = {value(item)}" for key, item in table.items() if not _is_table(item) and not _is_tables(item)]
     for key, inner in table.items():
         name = f"{prefix}{_key(key)}"
@@ -31,7 +31,7 @@ def _table(table: Mapping[str, Any], prefix: str) -> list[str]:
 
 
 def _key(key: str) -> str:
-    """Return a key, in quotes where TOML needs them."""
+    """Return a key, quoted if TOML requires it."""
     return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else value(key)
 
 
@@ -44,13 +44,13 @@ def _is_tables(value: Any) -> bool:
 
 
 def value(given: Any) -> str:
-    """Return one TOML scalar or list; Python's shortest float text is exact and valid TOML."""
+    """Return one TOML scalar or list; Python's shortest representation of floats is exact and valid TOML."""
     if isinstance(given, bool):
         return "true" if given else "false"
     if isinstance(given, (int, float)):
         return repr(float(given) if isinstance(given, float) else int(given))
-    if isinstance(given, str):  # JSON's escapes are TOML's, but for DEL
+    if isinstance(given, str):  # JSON's escapes are valid in TOML, except for DEL
         return json.dumps(given, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(given, (list, tuple)):
         return "[" + ", ".join(value(item) for item in given) + "]"
-    raise TypeError(f"TOML cannot hold {type(given).__name__}")
+    raise TypeError(f"TOML does not support {type(given).__name__}")

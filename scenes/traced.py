@@ -1,6 +1,7 @@
-"""Roots as people trace them.
+"""Preparation of manually traced roots as truth.
 
-Gaps to the parent are closed where the file says how, and what several roots share is counted once.
+Gaps to the parent are closed if the file states the node of attachment, and stretches shared by several roots are
+counted once.
 """
 
 from collections.abc import Sequence
@@ -16,27 +17,29 @@ from rhizotwin.scenes.rsml import Root, RsmlFile
 Array = NDArray[np.float64]
 
 FARTHEST = 2.0
-"""A parent's node that is named but lies farther than this times the nearest one's distance is counted otherwise than
-here: no joint."""
+"""Maximum ratio of the distance to the parent's named node and that to the nearest node; beyond it, the nodes are
+numbered differently, and no gap is closed."""
 SHARED = 0.5
-"""Lines nearer than this times the thinner one's radius are one root: two real roots are a radius apart at the
-least."""
+"""Maximum distance of lines of one root, relative to the thinner one's radius; two real roots are at least a radius
+apart."""
 LEAST_SHARED_MM = 2.0
-"""Shorter stretches are roots that cross or leave each other, beyond any width of root that is traced apart."""
+"""Minimum length of a shared stretch, which exceeds any width of separately traced roots; shorter ones are crossings or
+branch points."""
 MOST_LATEST = 2000
-"""Points that are gathered before the tree of all of them is made anew: a tree of so many takes a millisecond."""
+"""Maximum number of points collected before the search tree of all points is rebuilt; building a tree of this size
+takes a millisecond."""
 STEP_MM = 0.2
-"""Spacing at which lines are compared."""
+"""Spacing of the points at which lines are compared."""
 
 
 def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
-    """Join roots that begin away from their parent to the node that the file names.
+    """Connect roots that begin at a distance from their parent to the node stated in the file.
 
     Returns
     -------
     roots : tuple of Root
     closed : int
-        How many were joined.
+        Number of connected roots.
     """
     closed, roots = 0, list(file.roots)
     for index, (root, node) in enumerate(zip(file.roots, file.parent_nodes, strict=True)):
@@ -54,14 +57,14 @@ def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
 
 @dataclass(frozen=True)
 class _Line:
-    """A centre line at even steps."""
+    """A centre line with equally spaced points."""
 
     points_mm: Array
     diameters_mm: Array
 
     @staticmethod
     def of(root: Root) -> "_Line":
-        """Return a root at steps of `STEP_MM`."""
+        """Return a root's centre line with points `STEP_MM` apart."""
         along_mm = polyline.way_mm(root.points_mm)
         at_mm = np.linspace(0.0, along_mm[-1], max(2, int(np.ceil(along_mm[-1] / STEP_MM)) + 1))
         points = polyline.between(root.points_mm, along_mm, at_mm)
@@ -69,10 +72,10 @@ class _Line:
 
 
 def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
-    """Take away what a root shares with others before it in the list: truth counts a stretch once, whoever traced it.
+    """Remove stretches that roots share with earlier ones in the list, so that each is counted once.
 
-    A root of which only a part is shared goes on from there, as a lateral of the root that it shares it with; one that
-    is shared whole is left out, and its laterals go to that root.
+    The remainder of a partly shared root becomes a lateral of the root with which it shares the stretch. A completely
+    shared root is removed, and its laterals are assigned to the other root.
 
     Parameters
     ----------
@@ -82,12 +85,12 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
     Returns
     -------
     roots : tuple of Root
-        The very same where nothing is shared.
+        The same roots if nothing is shared.
     shared_mm : float
-        Length that was there more than once.
+        Length that was counted more than once.
     """
     kept: list[Root] = []
-    owner: list[int] = []  # for each of ``roots``, where it or what it is a part of is among ``kept``
+    owner: list[int] = []  # for each of ``roots``, the index in ``kept`` of the root of which it is a part
     seen = _Seen()
     for root in roots:
         line = _Line.of(root)
@@ -108,9 +111,9 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
 
 
 class _Seen:
-    """The lines so far, and the nearest point of them.
+    """Previous lines, with a search for their nearest points.
 
-    A tree of most of them is kept, and one of the latest is made anew.
+    One search tree contains most of the points; a second one, with the latest points, is rebuilt.
     """
 
     def __init__(self) -> None:
@@ -119,14 +122,14 @@ class _Seen:
         self._owners: list[NDArray[np.int64]] = []
 
     def add(self, line: _Line, owner: int) -> None:
-        """Add a line and whose it is."""
+        """Add a line with the index of its root."""
         self._lines.append(line)
         self._owners.append(np.full(len(line.points_mm), owner))
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return how far the nearest point of a line is from points (N, 3), how thick it is, and whose.
+        """Return distance, radius and root of the line point nearest to each of the points (N, 3).
 
-        Infinite where there is none.
+        The distance is infinite if there is none.
         """
         found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm)), np.full(len(points_mm), -1)
         trees = [] if self._old is None else [self._old]
@@ -152,7 +155,7 @@ class _Seen:
 
 
 def _alone(line: _Line, seen: _Seen) -> tuple[list[tuple[int, int]], int | None]:
-    """Return the stretches of a line that it shares with nobody, as (start, stop), and with whom it shares the most."""
+    """Return the unshared stretches of a line as (start, stop), and the root with which it shares the most."""
     count = len(line.points_mm)
     away_mm, diameter_mm, owner = seen.nearest(line.points_mm)
     limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, diameter_mm) / 2.0, STEP_MM / 2.0)
@@ -163,7 +166,7 @@ def _alone(line: _Line, seen: _Seen) -> tuple[list[tuple[int, int]], int | None]
     if not long:
         return [(0, count)], None
     host = int(np.bincount(with_whom[np.concatenate([np.arange(a, b) for a, b in long])]).argmax())
-    # the joint with the shared stretch stays
+    # keep the joint with the shared stretch
     bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]
     runs = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > least]
     return runs, host

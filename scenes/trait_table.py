@@ -62,16 +62,18 @@ class Histogram:
 DEFINITIONS = (
     Definition("total_length_mm", "total_length", "mm", "length of all centre lines"),
     Definition("volume_mm3", "volume", "mm3", "volume of the solid, overlaps counted once"),
-    Definition("surface_mm2", "surface", "mm2", "area of the outside"),
+    Definition("surface_mm2", "surface", "mm2", "surface area of the solid"),
     Definition("mean_diameter_mm", "mean_diameter", "mm", "mean over the length (GiA Roots: average root width)"),
     Definition("median_diameter_mm", "median_diameter", "mm", "half of the length is thinner"),
     Definition("max_diameter_mm", "max_diameter", "mm", "largest diameter of a centre line"),
     Definition("depth_mm", "depth", "mm", "highest to lowest point (GiA Roots: network depth)"),
-    Definition("width_mm", "width", "mm", "largest horizontal distance between any two points, at whatever heights"),
+    Definition("width_mm", "width", "mm", "largest horizontal distance between any two points, at any heights"),
     Definition("convex_hull_mm3", "convex_hull_volume", "mm3", "volume of the convex hull"),
     Definition("solidity", "solidity", "", "volume over the volume of the convex hull"),
-    Definition("max_root_count", "max_root_count", "", "84th percentile of the roots that horizontal planes 1 mm apart meet (GiA Roots)"),
-    Definition("median_root_count", "median_root_count", "", "median of the same (GiA Roots)"),
+    Definition(
+        "max_root_count", "max_root_count", "", "84th percentile of the number of roots crossing horizontal planes 1 mm apart (GiA Roots)"
+    ),
+    Definition("median_root_count", "median_root_count", "", "median number of roots crossing these planes (GiA Roots)"),
     Definition("bushiness", "bushiness", "", "max_root_count over median_root_count (GiA Roots)"),
     Definition(
         "lower_length_share",
@@ -80,10 +82,12 @@ DEFINITIONS = (
         "share of the length in the lower two thirds of the depth (GiA Roots: length distribution)",
     ),
     Definition("roots", "roots", "", "number of roots, taproots and laterals of every order"),
-    Definition("tips", "tips", "", "number of root ends; a root whose end others hide has none"),
-    Definition("branch_points", "branch_points", "", "places where laterals leave; several at one place count once"),
-    Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 grows straight down, 90 level"),
-    Definition("angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals, their first 5 mm against the parent there"),
+    Definition("tips", "tips", "", "number of visible root tips; tips hidden by other roots are not counted"),
+    Definition("branch_points", "branch_points", "", "number of points where laterals emerge; several at one point count once"),
+    Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 is straight down, 90 horizontal"),
+    Definition(
+        "angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals of the angle between their first 5 mm and the parent"
+    ),
     Definition("specific_root_length_m_per_g", "specific_root_length", "m/g", "total length over the given mass"),
     Definition("tissue_density_g_per_ml", "tissue_density", "g/ml", "given mass over the volume"),
 )
@@ -91,25 +95,28 @@ DEFINITIONS = (
 SHOOT = (
     Definition("height_mm", "shoot_height", "mm", "highest point above the net pot's top"),
     Definition("leaf_area_mm2", "leaf_area", "mm2", "one side of all blades"),
-    Definition("leaves", "leaves", "", "blades that stand by themselves; two that touch are one"),
+    Definition("leaves", "leaves", "", "number of separate blades; touching blades count once"),
     Definition("surface_area_mm2", "shoot_surface", "mm2", "one side of blades and half the surface of stalks"),
     Definition("projected_mean_mm2", "shoot_projected_area", "mm2", "mean over the pictures, at the scale of the canister's axis"),
-    Definition("volume_mm3", "shoot_volume", "mm3", "stalks, and leaf area times the thickness that was measured"),
+    Definition("volume_mm3", "shoot_volume", "mm3", "volume of stalks, and leaf area times measured thickness"),
     Definition("convex_mm3", "shoot_convex_volume", "mm3", "volume of the shoot's convex hull"),
 )
 """Traits of the shoot; the fields are those of ``shoot`` in ``result.json``."""
 
 COLOUR = (
     Definition("ndvi", "ndvi", "", "normalised difference of the leaves' reflectance in near infrared and red"),
-    Definition("ndre", "ndre", "", "the same of near infrared and red edge"),
+    Definition("ndre", "ndre", "", "normalised difference of the leaves' reflectance in near infrared and red edge"),
     *(
         Definition(
-            f"reflectance_{name}", f"reflectance_{name}", "", f"light of the leaves over that of white paper, {low:g} to {high:g} nm"
+            f"reflectance_{name}",
+            f"reflectance_{name}",
+            "",
+            f"light reflected by the leaves relative to white paper, {low:g} to {high:g} nm",
         )
         for name, (low, _, high) in RANGES_NM.items()
     ),
 )
-"""Of the leaves, where the camera has bands; the fields are those of ``shoot`` in ``result.json``."""
+"""Traits of the leaves for cameras with bands; the fields are those of ``shoot`` in ``result.json``."""
 COLOURS = tuple(d.field for d in COLOUR)
 
 HISTOGRAMS = (
@@ -260,7 +267,7 @@ def shown(value: Number) -> str:
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
-    """Return rows as CSV with commas, quoted where needed."""
+    """Return rows as CSV with commas, quoted if needed."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()

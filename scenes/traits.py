@@ -1,10 +1,10 @@
-"""Traits of a root system from its centre lines and its solid, by the field's definitions.
+"""Traits of a root system, computed from its centre lines and its solid by standard definitions.
 
-The truth and the result use the same code.
+Truth and results use the same code.
 
-Sources: GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1), carried from pictures to space as
-Rangarajan et al. 2021 (Plant Phenomics 2021:6953197, table 1) do; DynamicRoots (Symonova et al. 2015, PLoS ONE
-10:e0127657) for branches and their angles. `scenes.trait_table` says each definition in words.
+Sources: GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1), extended from pictures to three
+dimensions as by Rangarajan et al. 2021 (Plant Phenomics 2021:6953197, table 1); DynamicRoots (Symonova et al. 2015,
+PLoS ONE 10:e0127657) for branches and their angles. `scenes.trait_table` has the definitions in words.
 """
 
 from collections.abc import Sequence
@@ -19,34 +19,34 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 SLICE_MM = 1.0
-"""Distance of the horizontal planes that count roots."""
+"""Distance of the horizontal planes in which roots are counted."""
 MOST_PERCENT = 84.0
-"""The largest number of roots is this percentile of the planes' counts (GiA Roots): one whorl of laterals does not
-decide it."""
+"""Percentile of the counts that defines the largest number of roots (GiA Roots), robust against a single whorl of
+laterals."""
 UPPER_SHARE = 1.0 / 3.0
-"""The lower part of a root system begins at this share of its depth (GiA Roots)."""
+"""Fraction of the depth at which the lower part of a root system begins (GiA Roots)."""
 EMERGENCE_MM = 5.0
-"""Length of lateral over which its angle to the parent is taken."""
+"""Length of a lateral over which its angle to the parent is measured."""
 DEPTH_BIN_MM = 10.0
 DIAMETER_BIN_MM = 0.1
-"""Bins of the histograms: a centimetre of depth; half a pixel at 800x600."""
+"""Bin widths of the histograms: one centimetre of depth; half a pixel at 800x600."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Traits:
-    """What is measured of a root system. Depth is counted downward from the highest point of the solid.
+    """Traits of a root system. Depth is measured downward from the highest point of the solid.
 
-    What needs centre lines is None, and histograms are empty, where there are none.
+    Without centre lines, the traits that depend on them are None, and histograms are empty.
     """
 
     total_length_mm: float | None
     volume_mm3: float
     surface_mm2: float
-    """Of the solid's outside."""
+    """Surface area of the solid."""
     mean_diameter_mm: float | None
     """Mean over the length."""
     median_diameter_mm: float | None
-    """Half of the length is thinner."""
+    """Median over the length."""
     max_diameter_mm: float | None
     depth_mm: float
     """Vertical extent."""
@@ -56,35 +56,35 @@ class Traits:
     solidity: float
     """Volume over the volume of the convex hull."""
     max_root_count: float | None
-    """84th percentile of the numbers of roots that horizontal planes meet."""
+    """84th percentile of the number of roots crossing horizontal planes."""
     median_root_count: float | None
     bushiness: float | None
     """``max_root_count`` over ``median_root_count``."""
     lower_length_share: float | None
-    """Share of the length in the lower two thirds of the depth."""
+    """Fraction of the length in the lower two thirds of the depth."""
     roots: int | None
     tips: int | None
     branch_points: int | None
-    """Points where laterals leave; several at one place count once."""
+    """Number of points where laterals emerge; several at one point count once."""
     length_by_order_mm: tuple[float, ...]
-    """Taproots first."""
+    """Length of roots by order, taproots first."""
     length_by_depth_mm: tuple[float, ...]
-    """In bins of 10 mm from the top."""
+    """Length in bins of 10 mm of depth below the top."""
     length_by_diameter_mm: tuple[float, ...]
-    """In bins of 0.1 mm from 0."""
+    """Length in bins of 0.1 mm of diameter from 0."""
     angle_to_gravity_deg: float | None
-    """Mean over the length of the angle between root, toward its tip, and straight down."""
+    """Mean over the length of the angle between the root's direction, toward its tip, and straight down."""
     angle_to_parent_deg: float | None
-    """Mean over the laterals of the angle between their first 5 mm and the parent there; None without laterals."""
+    """Mean over the laterals of the angle between their first 5 mm and the parent; None without laterals."""
     specific_root_length_m_per_g: float | None = None
-    """Total length over the given mass; None without one."""
+    """Total length over the given mass; None without a mass."""
     tissue_density_g_per_ml: float | None = None
-    """Given mass over the volume; None without one."""
+    """Given mass over the volume; None without a mass."""
 
 
 @dataclass(frozen=True)
 class _Segments:
-    """All straight pieces of all roots."""
+    """All straight segments of all roots."""
 
     start: Array
     step: Array
@@ -101,22 +101,21 @@ def measure_traits(
     Parameters
     ----------
     roots : sequence of Root
-        Parents before children, points from base to tip, canister frame (z up); none where no centre lines are
-        known.
+        Parents before children, points from base to tip, canister frame (z up); empty if centre lines are unknown.
     vertices_mm : (V, 3) float64 array
-        Points of the solid's surface.
+        Vertices of the solid's surface.
     volume_mm3, surface_mm2 : float
-        Of the solid, overlaps of roots counted once.
+        Volume and surface of the solid, with overlaps of roots counted once.
     mass_g : float or None
-        Mass of the roots, if it was weighed.
+        Measured mass of the roots; None if unknown.
 
     Raises
     ------
     ValueError
-        Without a point of the solid, or with a mass that is not positive.
+        If there are no vertices, or the mass is not positive.
     """
     if not len(vertices_mm):
-        raise ValueError("the solid has no points to measure")
+        raise ValueError("the solid has no vertices")
     if mass_g is not None and not mass_g > 0.0:
         raise ValueError(f"{mass_g=} must be positive")
     hull_mm3, width_mm = _hull(vertices_mm)
@@ -182,14 +181,14 @@ def _binned(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
 
 
 def _below(pieces: _Segments, z_mm: float) -> float:
-    """Return the length below a height; pieces across it are divided, level ones at it are below."""
+    """Return the length below a height, including horizontal segments at this height."""
     other = pieces.start[:, 2] + pieces.step[:, 2]
     low, high = np.minimum(pieces.start[:, 2], other), np.maximum(pieces.start[:, 2], other)
     return float(pieces.length @ (1.0 - np.clip((high - z_mm) / np.maximum(high - low, 1e-9), 0.0, 1.0)))
 
 
 def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
-    """Return the length in each bin of depth."""
+    """Return the length per bin of depth."""
     lowest = float(np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2]).min())
     count = max(1, int(np.ceil((top_mm - lowest) / DEPTH_BIN_MM - 1e-9)))
     below = [_below(pieces, top_mm - DEPTH_BIN_MM * k) for k in range(1, count)]
@@ -197,8 +196,8 @@ def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
 
 
 def _hull(points_mm: Array) -> tuple[float, float]:
-    """Return the volume of the convex hull and the largest horizontal distance; flat points have no volume."""
-    from scipy.spatial import ConvexHull, QhullError  # who only reads traits need not wait for it
+    """Return the volume of the convex hull and the largest horizontal distance; the volume of flat points is 0."""
+    from scipy.spatial import ConvexHull, QhullError  # imported here: not required for reading traits
 
     try:
         volume = float(ConvexHull(points_mm).volume)
@@ -207,10 +206,10 @@ def _hull(points_mm: Array) -> tuple[float, float]:
     level = points_mm[:, :2]
     try:
         corners = level[ConvexHull(level).vertices]
-    except QhullError:  # on a line: its ends are farthest apart
+    except QhullError:  # collinear points: the ends have the greatest distance
         along = np.linalg.svd(level - level.mean(axis=0), full_matrices=False)[2][0]
         corners = level[[int(np.argmin(level @ along)), int(np.argmax(level @ along))]]
-    # corners of a flat hull are few
+    # a flat hull has few corners
     widest = max(float(np.max(np.sum((corners - corner) ** 2, axis=1))) for corner in corners)
     return volume, widest**0.5
 
@@ -218,15 +217,13 @@ def _hull(points_mm: Array) -> tuple[float, float]:
 def _root_counts(pieces: _Segments) -> tuple[float, float]:
     """Count the centre lines that cross each horizontal plane; return the largest and the median number.
 
-    The largest is the 84th percentile.
-
-    Planes that meet none do not count; at least one root is met.
+    The largest is the 84th percentile. Planes without roots are ignored, and the numbers are at least one.
     """
     low = np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
     high = np.maximum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
     base = float(low.min()) + SLICE_MM / 2.0
     planes = max(1, int(np.ceil((float(high.max()) - base) / SLICE_MM)))
-    # A piece crosses the planes k with low < base + k * SLICE <= high.
+    # A segment crosses the planes k with low < base + k * SLICE <= high.
     first = np.clip(np.floor((low - base) / SLICE_MM).astype(np.int64) + 1, 0, planes)
     last = np.clip(np.floor((high - base) / SLICE_MM).astype(np.int64) + 1, 0, planes)
     change = np.bincount(first, minlength=planes + 1) - np.bincount(last, minlength=planes + 1)
@@ -241,7 +238,7 @@ def _branch_points(roots: Sequence[Root]) -> int:
 
 
 def _emergence_deg(roots: Sequence[Root]) -> Array:
-    """Return each lateral's angle to its parent at the place where it leaves, in degrees."""
+    """Return each lateral's angle to its parent at the point of emergence, in degrees."""
     found = []
     for root in roots:
         if root.parent < 0:

@@ -1,7 +1,8 @@
-"""From a picture's numbers to light: the curve that its file states, or else the scene's camera.
+"""Transfer curves from pixel values to light, as stated in the picture file, or else by the scene's camera.
 
-Cameras bend light into numbers (sRGB, a gamma, a curve of their own); the reconstruction needs light itself. A file's
-own word is an ICC profile, PNG's sRGB or gAMA chunk, or EXIF's colour space or gamma.
+Cameras apply nonlinear curves to light (sRGB, a gamma, a custom curve), but the reconstruction requires values that are
+linear in light. A file states its curve in an ICC profile, in the sRGB or gAMA chunk of PNG, or in EXIF's colour space
+or gamma.
 """
 
 import io
@@ -21,35 +22,35 @@ from rhizotwin.scenes.model import Camera
 Array = NDArray[np.float64]
 
 _STEPS = 4097
-"""Places of a curve that is given by a formula: between them it is straight to 1e-7."""
+"""Number of samples of a curve that is defined by a formula; linear interpolation is then exact to 1e-7."""
 _SAME = 0.004
-"""Two curves that nowhere differ by more than this (a step of 8 bits) are one."""
+"""Maximum difference of curves that are considered equal (one step of 8 bits)."""
 _EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
-"""Tags of Exif 2.3: where it begins, and what it says of colour."""
+"""Exif 2.3 tags: the Exif block, its colour space and its gamma."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """How much light a stored number stands for."""
+    """Light as a function of the pixel value."""
 
     name: str
     light: tuple[float, ...]
-    """Light, of full scale, at equal steps of the number from 0 to full scale; rises."""
+    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale; increasing."""
 
     def decode(self, numbers: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint16]:
-        """Return light (...), 65535 at full scale, for numbers (...)."""
+        """Return light (...), 65535 at full scale, for pixel values (...)."""
         return _table(self, int(np.iinfo(numbers.dtype).max))[numbers]
 
     def of(self, share: Array) -> Array:
-        """Return the light (...) for numbers (...) given as shares of full scale."""
+        """Return the light (...) for pixel values (...) given as fractions of full scale."""
         return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(self.light)), self.light))
 
     def number(self, light: Array) -> Array:
-        """Return the number (...), of full scale, that stands for some light (...): `of` undone."""
+        """Return the pixel values (...), as fractions of full scale, for light (...); inverse of `of`."""
         return np.asarray(np.interp(light, self.light, np.linspace(0.0, 1.0, len(self.light))))
 
     def same(self, other: "Curve") -> bool:
-        """Tell whether another curve is this one, but for rounding."""
+        """Return whether another curve is equal within rounding."""
         share = np.linspace(0.0, 1.0, 257)
         return bool(np.abs(self.of(share) - other.of(share)).max() < _SAME)
 
@@ -64,7 +65,7 @@ def _formula(name: str, light: Array) -> Curve:
 
 
 def _srgb() -> Array:
-    """Return sRGB's curve: IEC 61966-2-1, equations 5 and 6."""
+    """Return the sRGB curve: IEC 61966-2-1, equations 5 and 6."""
     v = np.linspace(0.0, 1.0, _STEPS)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
@@ -79,17 +80,17 @@ def power(exponent: float) -> Curve:
 
 
 def of_camera(camera: Camera) -> Curve:
-    """Return the curve that a scene states."""
+    """Return the curve stated by a scene."""
     if camera.transfer == "table":
         return Curve("the scene's table", camera.transfer_table)
     return SRGB if camera.transfer == "srgb" else LINEAR
 
 
 def stated_in(picture: bytes | Path) -> Curve | None:
-    """Return the curve that a picture file states; None where it states none that can be read."""
-    logging.getLogger("PIL").setLevel(logging.CRITICAL)  # whether a picture can be read is said elsewhere, in a sentence
+    """Return the curve stated in a picture file; None if there is none that can be read."""
+    logging.getLogger("PIL").setLevel(logging.CRITICAL)  # unreadable pictures are reported elsewhere
     try:
-        # Pillow warns of a damaged EXIF block, which is no word on the curve and nothing more
+        # Pillow warns of a damaged EXIF block, which only means that it states no curve
         with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
             info = opened.info
             if profile := info.get("icc_profile"):
@@ -100,7 +101,7 @@ def stated_in(picture: bytes | Path) -> Curve | None:
                 return _of_gamma(1.0 / gamma)
             exif = opened.getexif().get_ifd(_EXIF)
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return None  # whether the picture itself can be read is said elsewhere
+        return None  # unreadable pictures are reported elsewhere
     if gamma := exif.get(_GAMMA):
         return _of_gamma(float(gamma))
     return SRGB if exif.get(_COLOUR_SPACE) == 1 else None
@@ -115,7 +116,7 @@ def _of_gamma(exponent: float) -> Curve:
 def _of_profile(profile: bytes) -> Curve | None:
     """Return the curve of an ICC profile's green or grey channel (ICC.1:2022, 7.3, 10.6 and 10.18).
 
-    None for profiles of tables.
+    None for profiles with lookup tables.
     """
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
@@ -127,7 +128,7 @@ def _of_profile(profile: bytes) -> Curve | None:
 
 
 def _of_trc(data: bytes) -> Curve | None:
-    """Read a ``curveType`` or a ``parametricCurveType``."""
+    """Parse a ``curveType`` or a ``parametricCurveType``."""
     v = np.linspace(0.0, 1.0, _STEPS)
     if data[:4] == b"curv":
         (count,) = struct.unpack_from(">I", data, 8)

@@ -1,12 +1,13 @@
-"""What the simulator knows and the reconstruction must not.
+"""Ground truth of simulated datasets, which the reconstruction must not use.
 
-Nothing that finds the shape opens a dataset's ``truth`` folder.
+No code that reconstructs a shape opens a dataset's ``truth`` folder.
 
-`score` compares a result with it, and once a result is written, the command line draws the true solid beside the shape.
+`score` compares a result with the truth, and after a result is written, the command line draws the true solid beside
+the reconstructed shape.
 
 truth/  truth.json      this module's `Truth`
         specimen.ply    watertight solid, canister frame, mm
-        shoot.ply       the same of what grows above the net pot, where something does
+        shoot.ply       the same for the shoot, if there is one
         skeleton.rsml   roots with diameters (grown and RSML specimens)
         masks/NAME.png  16 bit: fraction of the pixel whose refracted primary ray meets the specimen; NAME as in images/
 """
@@ -25,12 +26,12 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class TrueView:
-    """The camera that really took a frame."""
+    """Camera with which a frame was actually taken."""
 
     file: str
     cam_from_canister: tuple[tuple[float, ...], ...]
     table_deg: float
-    """True table angle, before the canister's offset and tilt."""
+    """True table angle, without the canister's offset and tilt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,15 +45,15 @@ class Truth:
     canister_from_strip: tuple[tuple[float, ...], ...]
     views: tuple[TrueView, ...]
     traits: dict[str, Any] = field(default_factory=dict)
-    """Fields of `scenes.traits.Traits`; None where they need centre lines and the specimen has none."""
+    """Fields of `scenes.traits.Traits`; None for those that require centre lines if the specimen has none."""
     plants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Of several plants in the canister, by name: ``volume_mm3`` of each alone (where two touch, their sum is above the
-    whole) and its ``traits``; empty: there is one."""
+    """Volume ``volume_mm3`` of each plant by itself (if two touch, their sum exceeds the whole) and its ``traits``, by
+    the plant's name; empty for a single plant."""
     shoot: dict[str, float] = field(default_factory=dict)
-    """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot, and where the
-    camera has bands its reflectances and vegetation indices; empty: nothing does."""
+    """Volume, one-sided leaf area, number of leaves, height and widths of the shoot, and for a camera with bands its
+    reflectances and vegetation indices; empty without a shoot."""
     drawn: dict[str, Any] = field(default_factory=dict)
-    """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
+    """All other random values used for the pictures, the specimen's description and notes on it."""
 
 
 def load_truth(folder: Path | str) -> Truth:
@@ -61,16 +62,16 @@ def load_truth(folder: Path | str) -> Truth:
     Parameters
     ----------
     folder : path
-        The dataset's folder (not its ``truth``).
+        Folder of the dataset (not its ``truth``).
 
     Raises
     ------
     UserError
-        When there is none (only simulated datasets have it), or it is damaged or of another version.
+        If there is none (only simulated datasets have one), or it is damaged or of another version.
     """
     path = Path(folder) / "truth" / "truth.json"
     if not path.is_file():
-        raise UserError(f"{folder}: has no truth/truth.json; only what the twin rendered (`rhizotwin simulate` or `scan`) can be scored")
+        raise UserError(f"{folder}: has no truth/truth.json; only simulated datasets (`rhizotwin simulate` or `scan`) can be scored")
     mapping = read_versioned_json(path, SCHEMA_VERSION)
     place = Place(str(path))
     truth = from_plain(Truth, {key: value for key, value in mapping.items() if key != "schema_version"}, place)
@@ -81,18 +82,18 @@ def load_truth(folder: Path | str) -> Truth:
 
 
 def save_truth(folder: Path | str, truth: Truth) -> None:
-    """Write ``truth/truth.json`` of a dataset atomically; `load_truth` gives an equal truth back.
+    """Write ``truth/truth.json`` of a dataset atomically; `load_truth` returns an equal truth.
 
     Parameters
     ----------
     folder : path
-        The dataset's folder (not its ``truth``).
+        Folder of the dataset (not its ``truth``).
     truth : Truth
-        ``drawn`` must hold plain JSON values.
+        Ground truth; ``drawn`` must contain plain JSON values.
 
     Raises
     ------
     UserError
-        When it cannot be written.
+        If the file cannot be written.
     """
     write_json(Path(folder) / "truth" / "truth.json", {"schema_version": SCHEMA_VERSION} | to_plain(truth))

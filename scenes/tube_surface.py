@@ -1,4 +1,4 @@
-"""The outside of many tubes: how much of each lies inside no other."""
+"""Exposed surface of many tubes: the area of each that lies inside no other."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _STEP_MM = 0.3
-"""Pieces are no longer: as long as thin roots are wide."""
+"""Maximum length of a piece, about the width of thin roots."""
 _AROUND = 8
-"""Points round a piece's skin that are asked whether another root hides them."""
+"""Number of points around a piece at which hiding by other roots is tested."""
 _NEIGHBOURS = 24
-"""Stations that may hide a point: those of its own tube are among them, which leaves others out beside organs over 7 mm
-thick."""
+"""Number of nearest stations tested for hiding a point, including those of its own tube; this misses some others beside
+organs thicker than 7 mm."""
 _AT_ONCE = 10_000
-"""Stations looked at together, which keeps memory below 200 MB."""
+"""Number of stations processed at once, which keeps memory below 200 MB."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,17 @@ class Stations:
     """Short pieces of tubes."""
 
     centre_mm: Array
-    """(N, 3)"""
+    """(N, 3) centres."""
     along: Array
     """(N, 3) unit vectors."""
     length_mm: Array
     radius_mm: Array
     root: NDArray[np.int64]
-    """Index of the root that each belongs to."""
+    """(N,) index of each piece's root."""
 
 
 def stations(roots: Sequence[Root]) -> Stations:
-    """Cut roots into pieces of 0.3 mm or a little less."""
+    """Cut roots into pieces of at most 0.3 mm."""
     centre, along, length, radius, owner = [], [], [], [], []
     for index, root in enumerate(roots):
         way = polyline.way_mm(root.points_mm)
@@ -58,9 +58,9 @@ def stations(roots: Sequence[Root]) -> Stations:
 
 
 def outside_mm2(tubes: Stations) -> Array:
-    """Return the area (N,) of each piece's skin that lies in no other root, from eight points round each.
+    """Return the exposed area (N,) of each piece, estimated from eight points around it.
 
-    Ends are left open.
+    Ends are not capped.
     """
     tree = cKDTree(tubes.centre_mm)
     count = len(tubes.centre_mm)
@@ -70,7 +70,7 @@ def outside_mm2(tubes: Stations) -> Array:
 
 
 def _hidden(tubes: Stations, tree: cKDTree, part: slice) -> Array:
-    """Return the share of some pieces' skins that lies in other roots."""
+    """Return the hidden fraction of the surface of each piece."""
     direction = tubes.along[part]
     helper = np.where(np.abs(direction[:, 2:]) < 0.9, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     first = np.cross(direction, helper)

@@ -23,7 +23,7 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     Parameters
     ----------
     summary : Json
-        ``result.json``.
+        Content of ``result.json``.
     traits : Traits
         Traits of the result, or of one of several plants.
     volume_interval_mm3 : (float, float), optional

@@ -8,7 +8,7 @@ import numpy as np
 
 from rhizotwin.recon.results.parts import Json
 
-if TYPE_CHECKING:  # the command line reads results without starting the engine
+if TYPE_CHECKING:  # results are read without loading the reconstruction
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 SWAY_AT_MM = 100.0

@@ -38,7 +38,7 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
     Parameters
     ----------
     shape : Shape
-        Voxels, surface and volume.
+        Shape with voxels, surface and volume.
     planted : Planted
         Roots assigned to plants.
     plants : sequence of Plant

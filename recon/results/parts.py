@@ -28,7 +28,7 @@ class Leaves:
     size: NDArray[np.int32]
     """(N,) edge length in voxels."""
     occupancy: NDArray[np.float32]
-    """(N,) fraction of the leaf inside, 0..1."""
+    """(N,) occupied fraction of the leaf, 0..1."""
     origin_mm: Floats
     voxel_mm: float
 
@@ -38,9 +38,9 @@ class Mesh:
     """A triangle mesh in the canister frame."""
 
     vertices_mm: Floats
-    """(V, 3)"""
+    """(V, 3) vertices."""
     faces: NDArray[np.int64]
-    """(F, 3)"""
+    """(F, 3) vertex indices."""
 
     @staticmethod
     def of(mesh: "trimesh.Trimesh") -> "Mesh":

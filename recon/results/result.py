@@ -51,7 +51,7 @@ def triple(values: NDArray[np.float64]) -> Triple:
 
 
 POSES = ("cam_from_canister", "cam_from_tank")
-"""Poses of a camera in ``result.json`` ..."""
+"""Keys of a camera's poses in ``result.json``."""
 _OF_VIEW = ("file", "ring", "used", "reason", *POSES, "sway", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
 """... and its other fields, before those of the turntable and the silhouette."""
 

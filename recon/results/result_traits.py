@@ -71,7 +71,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
 
 
 def _plant(one: OfPlant, summary: Json) -> Json:
-    """Return one of several plants for ``traits.json``."""
+    """Return the entry of one of several plants in ``traits.json``."""
     assessed = assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)
     return {
         "subject": to_plain(one.subject),
@@ -109,7 +109,7 @@ def each(where: str, summary: Json, traits: Traits) -> list[Own]:
     where : str
         Name of the result, for messages.
     summary : Json
-        ``result.json``.
+        Content of ``result.json``.
     traits : Traits
         Traits of the whole result.
     """
@@ -125,7 +125,7 @@ def each(where: str, summary: Json, traits: Traits) -> list[Own]:
 
 
 def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
-    """Return the texts of ``traits.csv`` and ``traits.json``."""
+    """Return the content of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
     table = trait_table.to_csv(traits, whole)

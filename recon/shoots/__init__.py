@@ -1,1 +1,1 @@
-"""Shoots in air: silhouettes above the net pot, their hull, and what it measures."""
+"""Shoots in air: silhouettes above the net pot, visual hull, and measurements."""

@@ -1,4 +1,4 @@
-"""Which parts of a shoot's surface are blades, leaf by leaf, and which stalks: by how flat and wide it is nearby."""
+"""Classification of a shoot's surface into blades, leaf by leaf, and stalks, by its local flatness and width."""
 
 from __future__ import annotations
 
@@ -17,51 +17,53 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP_MM = 0.7
-"""Distance of the points that stand for the surface: two or three pixels of the usual camera, a third of a stalk."""
+"""Spacing of the points that sample the surface: two or three pixels of the usual camera, a third of a stalk."""
 NEAR_MM = 4.0
-"""What is within this of a point tells its shape: wider than a petiole of 2 mm, narrower than a blade."""
+"""Radius of the neighbourhood in which shape is evaluated: larger than a petiole of 2 mm, smaller than a blade."""
 _FLAT, _WIDE = 0.4, 0.15
-"""Nearby points spread along their principal axes with variances a > b > c. A blade has c near 0, a round stalk b = c,
-a clump of stalks all three. A flat strip of width w has b / a = w^2 / (4 NEAR_MM^2) and counts as a stalk below 3.1 mm.
-On the true surface of the twin's default shoot limits of 0.3 to 0.5 and 0.1 to 0.2 all give its six leaves, and areas
-within 2 % of each other."""
+"""Thresholds on the variances a > b > c of nearby points along their principal axes. A blade has c near 0, a round
+stalk b = c, and a clump of stalks has three similar variances. A flat strip of width w has b / a = w^2 / (4 NEAR_MM^2)
+and counts as a stalk below 3.1 mm. On the true surface of the twin's default shoot, thresholds of 0.3 to 0.5 and 0.1 to
+0.2 all give its six leaves, and areas within 2 % of each other."""
 _VOTE_MM = NEAR_MM / 2.0
-"""A point is what most of those this near are."""
+"""Radius of the majority vote that smooths the classification of points."""
 _APART_MM = 1.6
-"""Points of one blade have another this near: over twice `STEP_MM`, and less than what lies between two blades."""
+"""Maximum distance of neighbouring points of one blade: over twice `STEP_MM`, and less than the distance between two
+blades."""
 _LEAST_MM2 = np.pi * NEAR_MM**2 / 2.0
-"""A smaller piece (half of the disc that tells its shape) is no leaf by itself: it is left to area, not to count."""
+"""Minimum area of a piece that counts as a leaf (half of the disc in which shape is evaluated); smaller pieces
+contribute to the area only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Blades:
-    """A surface as points, each of a blade or of a stalk."""
+    """Points that sample a surface, classified as blade or stalk."""
 
     points_mm: Array = field(repr=False)
-    """(N, 3), evenly over the surface."""
+    """(N, 3) points, evenly distributed over the surface."""
     is_blade: Mask = field(repr=False)
-    """(N,)"""
+    """(N,) whether a point is on a blade."""
     areas_mm2: tuple[float, ...]
-    """One-sided area of each piece that stands by itself, the largest first: leaves, or several that touch."""
+    """One-sided area of each connected piece, the largest first: one leaf, or several that touch."""
     area_mm2: float
     """One-sided area of all blades."""
 
     def near(self, points_mm: Array) -> Mask:
-        """Tell which points (P, 3) are nearest to a blade."""
+        """Return which points (P, 3) are nearest to a blade."""
         return np.asarray(self.is_blade[cKDTree(self.points_mm).query(points_mm)[1]], np.bool_)
 
 
 def find(mesh: trimesh.Trimesh) -> Blades:
-    """Tell blades from stalks on a closed surface.
+    """Classify a closed surface into blades and stalks.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        In mm; a blade has two sides in it.
+        Surface in mm, with both sides of each blade.
     """
     count = max(1, int(mesh.area / STEP_MM**2))
     points = surface_sample.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
-    each_mm2 = 0.5 * float(mesh.area) / len(points)  # of one side
+    each_mm2 = 0.5 * float(mesh.area) / len(points)  # area of one side
     tree = cKDTree(points)
     spread = _spread(points, tree)
     likely = (spread[:, 0] < _FLAT * spread[:, 1]) & (spread[:, 1] > _WIDE * spread[:, 2])
@@ -77,13 +79,13 @@ def find(mesh: trimesh.Trimesh) -> Blades:
 
 
 def _both_ways(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all ordered pairs of points within a distance, each point with itself too."""
+    """Return all ordered pairs of points within a distance, including each point with itself."""
     pairs, own = tree.query_pairs(within_mm, output_type="ndarray"), np.arange(tree.n)
     return np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
 
 
 def _spread(points: Array, tree: cKDTree) -> Array:
-    """Return the variances (N, 3) along the principal axes of what is near each point, the smallest first."""
+    """Return the variances (N, 3) along the principal axes of each point's neighbourhood, in increasing order."""
     a, b = _both_ways(tree, NEAR_MM)
     count = np.bincount(a, minlength=len(points)).astype(np.float64)
     away = points[b] - points[a]

@@ -1,4 +1,4 @@
-"""The stage from the pictures of the shoot to its hull and numbers; only the marker strip is shared with the root's."""
+"""Reconstruction of the shoot from its pictures; only the marker strip is shared with that of the roots."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 FINEST_MM = 0.27
-"""Edge of the finest nodes: a pixel of the usual camera at the plant."""
+"""Edge of the finest nodes: one pixel of the usual camera at the plant."""
 MUCH_ENCLOSED = 0.05
-"""Share of the hull beyond which leaf area is not told: with hulls of blades 0.7 mm thick, a ball of it has a
-twenty-fifth of their area."""
+"""Enclosed fraction of the hull beyond which the leaf area is not computed: with hulls of blades 0.7 mm thick, a ball
+with this fraction has a twenty-fifth of their area."""
 MUCH_HIDDEN = 0.05
-"""Share of hidden pixels beyond which the area is told to be too small by more than its own error (docs/shoots.md)."""
+"""Fraction of hidden pixels beyond which a warning reports that the area is too small by more than its own error
+(docs/shoots.md)."""
 
 
 def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tuple[Shoot | None, tuple[str, ...]]:
-    """Find the shoot of a dataset; None where it has no pictures of one, or they cannot be used, which is said.
+    """Reconstruct the shoot of a dataset.
 
     Returns
     -------
     shoot : Shoot or None
+        None without pictures of a shoot, or if they cannot be used, which a warning explains.
     warnings : tuple of str
     """
     if dataset.masks or not any(frame.kind == "shoot" for frame in dataset.frames):
@@ -37,12 +39,12 @@ def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tup
     try:
         shoot = _found(dataset, settings, monitor)
     except UserError as error:
-        return None, (f"the shoot is left out: {error}",)
+        return None, (f"the shoot is not reconstructed: {error}",)
     return shoot, shoot.warnings
 
 
 def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
-    """Find cameras, silhouettes and hull."""
+    """Compute cameras, silhouettes and hull."""
     pictures = read_pictures(dataset, kind="shoot", settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     with monitor.stage("shoot"):
@@ -77,20 +79,20 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
 
 def _hidden(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of what is seen of the shoot lies before the net pot, where its shape is not told: "
-        "height and projected areas hold, the surface is too small; bring the camera lower or the panel higher"
+        f"{100.0 * share:.0f} % of the visible shoot is in front of the net pot, where its shape cannot be determined: "
+        "height and projected areas are valid, the surface is too small; lower the camera or raise the panel"
     )
 
 
 def _enclosed(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of the shoot's hull is thicker than leaves are: they enclose room that no picture looks into, so that "
-        "leaf area is not told and the surface is too small; height and projected areas hold; take a ring from higher above"
+        f"{100.0 * share:.0f} % of the shoot's hull is thicker than leaves are: they enclose space that no picture shows, so that "
+        "leaf area could not be determined and the surface is too small; height and projected areas are valid; add a ring from higher above"
     )
 
 
 def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
-    """Return the silhouettes of the frames that are used, by number, ring by ring."""
+    """Return the silhouettes of the used frames by number, ring by ring."""
     views, drawn = cameras.by_frame, dict[int, Silhouette]()
     for ring in sorted({pictures.frames[k].ring for k in views}):
         members = [k for k in views if pictures.frames[k].ring == ring]
@@ -100,6 +102,6 @@ def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
 
 
 def _mm2_per_px(view: View) -> float:
-    """Return the area of a pixel at the distance of the canister's axis, across the line of sight."""
+    """Return the area of a pixel at the distance of the canister's axis, perpendicular to the line of sight."""
     fx, fy = view.camera.focal_px
     return view.rho_mm**2 / (fx * fy)

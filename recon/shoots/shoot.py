@@ -1,4 +1,4 @@
-"""What is found of a shoot: its hull in air and what that and the silhouettes measure."""
+"""Reconstructed shoot: its hull in air, and measurements on the hull and the silhouettes."""
 
 from __future__ import annotations
 
@@ -14,39 +14,41 @@ Json = dict[str, object]
 
 @dataclass(frozen=True, kw_only=True)
 class Shoot:
-    """A shoot above the net pot, as its pictures show it."""
+    """Reconstruction of the shoot above the net pot."""
 
     mesh: trimesh.Trimesh = field(repr=False)
     """Surface of the visual hull, canister frame, mm."""
     hull_mm3: float
-    """Volume of the visual hull, which no shoot with these silhouettes exceeds; several times that of thin leaves."""
+    """Volume of the visual hull, the upper limit for a shoot with these silhouettes; several times the volume of thin
+    leaves."""
     blades_mm2: tuple[float, ...]
-    """One-sided area of each blade that stands by itself, the largest first; two that touch are one."""
+    """One-sided area of each separate blade, the largest first; touching blades count as one."""
     leaf_area_mm2: float | None
-    """One-sided area of all blades: half of the hull's surface there, for the hull of a blade is a lens about it, whose
-    two sides lie along the blade's. None where leaves enclose room that no picture looks into: there it is solid."""
+    """One-sided area of all blades, as half of the hull's surface there: the hull of a blade is a thin lens about it,
+    with nearly the same area on both sides. None if leaves enclose space that no picture shows, as the hull is solid
+    there."""
     stalks_mm3: float
     """Volume of the hull's stem and petioles."""
     leaf_thickness_mm: float | None = None
-    """As somebody measured it; pictures do not tell it."""
+    """Measured thickness of blades; pictures do not resolve it."""
     pot_top_mm: float
-    """z of the net pot's top."""
+    """Height (z) of the net pot's top."""
     covered_px: Mapping[str, float]
-    """Pixels that the shoot covers, by the frame's file."""
+    """Number of pixels covered by the shoot, by the frame's file."""
     mm2_per_px: Mapping[str, float]
     """Area of a pixel at the canister's axis, by the frame's file."""
     hidden_share: float
-    """Share of the covered pixels before the pot or beside the panel, where the hull is not told."""
+    """Fraction of the covered pixels in front of the pot or beside the panel, where the hull is not constrained."""
     enclosed_share: float
-    """Share of the hull's volume that lies deeper in it than leaves and stalks do."""
+    """Fraction of the hull's volume that is deeper inside it than leaves and stalks permit."""
     colour: Mapping[str, float] = field(default_factory=dict)
     """Reflectance of the leaves in each range of wavelengths, relative to white paper, and vegetation indices, by the
-    field's name in `scenes.trait_table.COLOURS`; empty where the shoot was taken in one band."""
+    field's name in `scenes.trait_table.COLOURS`; empty if the shoot was taken in one band."""
     warnings: tuple[str, ...] = ()
 
     @property
     def projected_mm2(self) -> dict[str, float]:
-        """Area that covers each picture, at the scale of the canister's axis, by the frame's file."""
+        """Area covered in each picture, at the scale of the canister's axis, by the frame's file."""
         return {file: pixels * self.mm2_per_px[file] for file, pixels in self.covered_px.items()}
 
     @property
@@ -62,24 +64,24 @@ class Shoot:
 
     @property
     def surface_area_mm2(self) -> float:
-        """One-sided area of blades and half the surface of stalks: half of the hull's surface."""
+        """One-sided area of blades plus half the surface of stalks, which is half of the hull's surface."""
         return 0.5 * float(self.mesh.area)
 
     @property
     def leaves(self) -> int:
-        """Number of blades that stand by themselves: no more than there are leaves."""
+        """Number of separate blades, at most the number of leaves."""
         return len(self.blades_mm2)
 
     @property
     def volume_mm3(self) -> float | None:
-        """Volume of stalks, and of blades by their area and measured thickness; None where either is not known."""
+        """Volume of stalks, and of blades from their area and measured thickness; None if either is unknown."""
         if self.leaf_thickness_mm is None or self.leaf_area_mm2 is None:
             return None
         return self.stalks_mm3 + self.leaf_area_mm2 * self.leaf_thickness_mm
 
     @property
     def projected_mean_mm2(self) -> float:
-        """Mean over the pictures of the projected area."""
+        """Mean projected area over the pictures."""
         return sum(self.projected_mm2.values()) / max(1, len(self.covered_px))
 
     @property

@@ -1,4 +1,4 @@
-"""Colour of a shoot: reflectance of its leaves in each band of the camera, and the vegetation indices of these."""
+"""Colour of a shoot: reflectance of its leaves in each band of the camera, and vegetation indices."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import marker_corners
 
 _INSIDE_PX = 3
-"""Leaves are measured this far inside their outline: blur mixes two pixels of what is behind into them."""
+"""Distance from the outline at which leaves are measured: within two pixels of it, blur adds light from the background.
+"""
 _FACING = 0.7
-"""Least cosine of the angle between the paper's normal and the line of sight."""
+"""Minimum cosine of the angle between the paper's normal and the line of sight."""
 _FRONT_OFF = 0.02
-"""Paper below this fraction of full scale is taken for unlit: noise would decide."""
+"""Brightness of paper, as a fraction of full scale, below which it is considered unlit, as noise would dominate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +33,12 @@ class Colour:
     """Colour of a shoot."""
 
     reflectances: Mapping[str, float]
-    """By the band's range (`scenes.bands.RANGES_NM`), relative to the strip's white paper, mean over the leaves."""
+    """Reflectances by the band's range (`scenes.bands.RANGES_NM`), relative to the strip's white paper, mean over the
+    leaves."""
     warnings: tuple[str, ...] = ()
 
     def fields(self) -> dict[str, float]:
-        """Return reflectances and the vegetation indices of these, by the field's name in the table of traits."""
+        """Return reflectances and their vegetation indices, by the field's name in the table of traits."""
         named = {f"reflectance_{name}": value for name, value in self.reflectances.items()}
         return named | vegetation_indices(self.reflectances)
 
@@ -44,21 +46,21 @@ class Colour:
 def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: Mapping[int, View]) -> Colour:
     """Measure the colour of a shoot in all bands whose panel is off.
 
-    Leaves and paper are lit by the same lamp, and are the same pixels in all bands, so that the light's strength and
-    the leaves' inclination leave the indices. With the panel on, leaves let its near infrared through (half of it),
-    which would count as reflected: those bands are left out.
+    Leaves and paper are lit by the same lamp and cover the same pixels in all bands, so that the strength of the light
+    and the inclination of the leaves cancel in the indices. Bands with the panel on are excluded: leaves transmit half
+    of its near infrared, which would count as reflected light.
 
     Parameters
     ----------
     pictures : Pictures
-        The pictures in the band in which the silhouettes were found.
+        Pictures in the band of the silhouettes.
     drawn, views : mapping of Silhouette, mapping of View
-        Silhouettes and cameras of these, by number of the frame.
+        Silhouettes and cameras of these pictures, by number of the frame.
 
     Returns
     -------
     Colour
-        Nothing where no view was taken in another band.
+        Colour of the leaves; empty if no view was taken in another band.
     """
     dataset, known = pictures.dataset, {band.name: band for band in pictures.dataset.scene.camera.bands}
     others = {(frame.view, frame.band): frame for frame in dataset.frames if frame.kind == "shoot" and frame.band in known}
@@ -74,24 +76,24 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
             reflectances[name] = float(np.mean(ratios))
         elif any(taken == band for _, taken in others):
             missing.append(band)
-    warnings = [f"no view shows both leaves and lit paper in the band {band}, so that it has no reflectance" for band in missing]
+    warnings = [f"no view shows both leaves and lit paper in the band {band}; its reflectance could not be determined" for band in missing]
     return Colour(reflectances=reflectances, warnings=(*warnings, *_lit_bands(dataset.scene)))
 
 
 def _lit_bands(scene: Scene) -> tuple[str, ...]:
-    """Return a sentence on bands that would give an index if the panel were off in them."""
+    """Return a warning for bands that would give an index if the panel were off."""
     needed = by_range(scene.camera.bands)
     lit = [needed[name] for name in ("red", "red_edge", "nir") if name in needed and scene.is_lit(needed[name])]
     if not lit or "nir" not in needed:
         return ()
     return (
-        f"the panel is on in the band{'s' if len(lit) > 1 else ''} {', '.join(lit)}: leaves let its light through, so that reflectance and "
+        f"the panel is on in the band{'s' if len(lit) > 1 else ''} {', '.join(lit)}: leaves transmit its light, so that reflectance and "
         "vegetation indices could not be determined there; set panel_level = 0 for these bands and switch the panel off",
     )
 
 
 def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> float | None:
-    """Return the mean light of the leaves over that of the strip's paper; None where either is not in the picture."""
+    """Return the ratio of the mean light of the leaves to that of the strip's paper; None if either is not visible."""
     picture = read_image(pictures.dataset, frame)
     image = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
     leaves = _inside(silhouette)
@@ -109,7 +111,7 @@ def _inside(silhouette: Silhouette) -> Mask:
 
 
 def _paper_pixels(view: View, scene: Scene, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return pixels (N, 2), x and y, of the white paper between markers of one row that faces the camera."""
+    """Return pixels (N, 2), x and y, of the white paper between markers of one row that face the camera."""
     strip, pot = scene.strip, scene.net_pot
     half_rad = np.pi / strip.columns
     middles = []

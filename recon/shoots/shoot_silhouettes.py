@@ -1,4 +1,4 @@
-"""Silhouettes of a shoot: dark before the panel, bright before the net pot's black top, unknown before the strip."""
+"""Silhouettes of a shoot: dark against the panel, bright against the net pot's black top, unknown against the strip."""
 
 from __future__ import annotations
 
@@ -18,46 +18,46 @@ from rhizotwin.scenes.model import NetPot, Scene
 from rhizotwin.scenes.pictures import Grey
 
 _PANEL_ORDER = 4
-"""Degree of the polynomial in column and row that a diffuse panel's light follows."""
+"""Degree of the polynomial in column and row that is fitted to the light of the diffuse panel."""
 _LIT = 0.95
-"""The panel is bare where a pixel's upper quantile reaches this share of the polynomial."""
+"""Minimum ratio of a pixel's upper quantile to the polynomial for the bare panel."""
 _UPPER = 90.0
-"""Percentile over a turn that shows the bare panel behind the plant."""
+"""Percentile over a turn at which a pixel shows the bare panel behind the plant."""
 _EDGE_PX = 3
-"""The pot's rim is blurred, and its place is known from the markers to less than this."""
+"""Margin for the blur of the pot's rim; its position is known from the markers more precisely than this."""
 _RIM_STEPS = 180
-"""Corners of the drawn rim, which lies within 0.02 % of its radius, far below a pixel."""
+"""Number of corners of the projected rim, whose polygon is within 0.02 % of the radius, far below a pixel."""
 _OPAQUE = 0.5
-"""Opacity, of what the plant's inside shows, beyond which a pixel counts as inside when that is measured."""
+"""Minimum opacity, relative to that of the plant's interior, of pixels that count as interior when that is measured."""
 
 _FAINT = 0.1
-"""Rise above the felt, over a leaf's, from which a pixel before the pot's top shows the plant: coverage below a tenth
-is never plant, as for roots, and a bench's noise is a hundredth."""
+"""Minimum brightness above the felt, relative to that of a leaf, of pixels that show the plant in front of the pot's
+top: as for roots, coverage below a tenth is ignored; the noise of a bench is a hundredth."""
 _FELT_ORDER, _FELT_ROUNDS, _FELT_MADS, _LEAST_FELT = 2, 6, 4.0, 100
-"""Degree of the polynomial that the felt's light follows; how often it is fitted without what is so many median
-deviations off, by at least so many pixels: of a plant before a quarter of the top nothing is left after four rounds."""
+"""Degree of the polynomial fitted to the light of the felt; number of fits; rejection threshold in median deviations;
+and minimum number of pixels. Four rounds remove a plant in front of a quarter of the top."""
 _INSIDE_PX = 2.5
-"""A pixel of the outline has the plant's inside this near: one pixel on, or two across a corner."""
+"""Maximum distance from a pixel of the outline to the plant's interior: one pixel, or two across a corner."""
 
 
 def of_ring(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
-    """Measure how much of each pixel the shoot covers in the pictures of one ring.
+    """Measure the coverage of each pixel by the shoot in the pictures of one ring.
 
     Parameters
     ----------
     images : sequence of (H, W)
-        Linear in light.
+        Pictures, linear in light.
     views : sequence of View
-        Their cameras.
+        Cameras of the pictures.
     scene : Scene
-        Its net pot tells where the pictures show panel, pot top, or strip and canister.
+        Scene; its net pot determines where the pictures show panel, pot top, or strip and canister.
 
     Returns
     -------
     list of Silhouette
-        ``seen`` where panel stands behind: only there an empty pixel proves that nothing is in its way. Before the
-        pot's top a shaded leaf looks like none; before its rim the nearest pixels are taken; before strip and canister
-        nothing is told.
+        Pixels in front of the panel are ``seen``: only there an empty pixel excludes a shoot. In front of the pot's
+        top, a shaded leaf may be missed; at its rim, the nearest pixels are used; in front of strip and canister,
+        coverage is unknown.
     """
     stack = np.stack([image.astype(np.float32) for image in images])
     pot = [_pot(view, scene, stack.shape[1:]) for view in views]
@@ -71,7 +71,7 @@ def of_ring(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list
 
 
 def _pot(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
-    """Return where a picture (H, W) shows strip and canister, and where the pot's top."""
+    """Return the masks (H, W) of strip and canister, and of the pot's top."""
     pot = scene.net_pot
     rim, foot = _outline(view, pot, pot.top_mm), _outline(view, pot, -scene.canister.height_mm)
     top, whole = (np.zeros(shape, np.uint8) for _ in range(2))
@@ -84,7 +84,7 @@ def _pot(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
 
 
 def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
-    """Return the pixels (N, 2) of the pot's circle at a height."""
+    """Return the pixels (N, 2) of the pot's circular outline at a height."""
     angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
     circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
     return cameras.direction_pixels(
@@ -93,7 +93,7 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
 
 
 def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
-    """Return the bare panel's light (H, W), and where it shines: smooth through what pixels mostly show."""
+    """Return the bare panel's light (H, W), fitted smoothly to typical pixels, and the mask of the panel."""
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
@@ -101,7 +101,7 @@ def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, M
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     terms = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
     fitted = bright
-    for _ in range(4):  # the plant's middle hides the panel from most of a turn: it is left out step by step
+    for _ in range(4):  # the plant's middle hides the panel in most of a turn, and is excluded step by step
         some = np.flatnonzero(fitted)[:: max(1, int(fitted.sum()) // 20_000)]
         found = np.linalg.lstsq(terms.reshape(len(terms), -1)[:, some].T, usual.ravel()[some].astype(np.float64), rcond=None)[0]
         smooth = np.tensordot(found, terms, axes=1).astype(np.float32)
@@ -115,12 +115,12 @@ def _terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArra
 
 
 def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
-    """Return coverage: light absorbed before the panel, and sent back before the pot, over that of its inside."""
+    """Return coverage: absorption before the panel and reflection before the pot, relative to the plant's interior."""
     dark = silhouettes.opacity(image, panel, before_panel)
     wide = cv2.erode((dark > _OPAQUE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     felt = _felt(image, before_pot)
     green = np.float32(np.median(image[wide])) if wide.any() else np.float32(0.0)
-    told = before_pot & (green > 2.0 * felt)  # green as dark as the pot tells nothing before it
+    told = before_pot & (green > 2.0 * felt)  # plants as dark as the pot cannot be distinguished from it
     inside = _inside(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
     before_light = np.where(inside, np.float32(1.0), silhouettes.measure(dark, before_panel).coverage)
     coverage = np.maximum(before_light, _before_felt(image, felt, green, told))
@@ -131,7 +131,7 @@ def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask
 
 
 def _felt(image: Image, before_pot: Mask) -> Image:
-    """Return the light (H, W) of the pot's bare top: smooth through the pixels that are no brighter than it."""
+    """Return the light (H, W) of the pot's bare top, fitted smoothly to pixels that are not brighter."""
     height, width = image.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     terms, bare = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
@@ -147,9 +147,9 @@ def _felt(image: Image, before_pot: Mask) -> Image:
 
 
 def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
-    """Return coverage (H, W) before the pot's top: light above the felt's, over that of the plant's inside nearby.
+    """Return coverage (H, W) before the pot's top: light above the felt's, relative to the plant's interior nearby.
 
-    A stem in the shadow of a leaf sends back half of what the leaf does, and covers as much.
+    A stem in the shadow of a leaf reflects half as much light as the leaf, for the same coverage.
     """
     rise = np.where(told, image - felt, 0.0).astype(np.float32)
     plant = rise > _FAINT * (green - felt)
@@ -162,25 +162,25 @@ def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Im
 
 
 def _inside(signal: Image) -> Mask:
-    """Return the pixels (H, W) that lie within the plant with all that are next to them.
+    """Return the pixels (H, W) inside the plant all of whose neighbours are also inside.
 
-    The signal is how much darker than the panel a pixel is, or how much brighter than the felt; 0 where nothing stands
-    out. Within is over half of the strongest nearby, for light changes over a leaf and from leaf to stem.
+    The signal is the darkening against the panel, or the brightening against the felt; 0 for the background. Pixels are
+    inside above half of the strongest signal nearby, as light varies over a leaf and from leaf to stem.
     """
     most = cv2.dilate(signal, np.ones((5, 5), np.uint8))
     return cv2.erode(((signal > 0.5 * most) & (signal > 0.0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
 def _near(told: Mask) -> Mask:
-    """Return the pixels (H, W) from which what is told is no farther than the rim is wide."""
+    """Return the pixels (H, W) within the rim's width of a pixel with known coverage."""
     return cv2.dilate(told.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * _EDGE_PX + 3,) * 2)) > 0
 
 
 def _at_rim(image: Image, panel: Image, felt: Image, green: np.float32) -> Image:
-    """Return which pixels (H, W) show the plant where the panel ends behind the pot's far rim.
+    """Return the pixels (H, W) of the plant at the lower edge of the panel, behind the pot's far rim.
 
-    It is darker than the panel and brighter than the felt, each by half; so is the rim's own line of mixed pixels,
-    which is one pixel wide and is opened away.
+    They are darker than the panel and brighter than the felt, each by half. So are the mixed pixels of the rim itself,
+    a line one pixel wide, which is removed by a morphological opening.
     """
     plant = (image < 0.5 * (panel + green)) & (image > 0.5 * (felt + green))
     return cv2.morphologyEx(plant.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 1), np.uint8)).astype(np.float32)

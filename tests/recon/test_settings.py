@@ -56,7 +56,7 @@ def test_every_number_changes_what_a_stage_is_given() -> None:
         ("[trust]\nleast_views = 8.5", "must be a whole number"),
         ("[trust]\nsway_mm = [0.2, 0.1]", r"sway_mm = \[0.2, 0.1\]: the second limit must not be below the first"),
         ("[trust]\ndim = [0.1, 0.2]", r"dim = \[0.1, 0.2\]: the second limit must not be above the first"),
-        ("voxel_mm = ", "not readable TOML"),
+        ("voxel_mm = ", "not valid TOML"),
         (None, "no such file"),
     ],
 )

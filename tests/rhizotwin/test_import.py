@@ -178,7 +178,7 @@ BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
     "k4": ({"k4": 0.1}, "k4 is not part"),
     "scaled world": ({"applied_scale": 0.5}, "applied_scale is not 1"),
     "mirrored world": ({"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "mirroring"),
-    "no frames": ({"frames": []}, "no list 'frames'"),
+    "at least one frame": ({"frames": []}, "no list 'frames'"),
     "frame without a file": ({"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "file_path is missing"),
     "lens per frame": (frame(fl_x=2.0), "fl_x is given for this frame"),
     "scaled pose": (frame(pose=(2 * np.eye(4)).tolist()), "frames[0]"),

@@ -117,7 +117,7 @@ WRONG = {
         ),
         r"output = 23.*\[hat\] uses already",
     ),
-    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "no two the same"),
+    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "different for each band"),
 }
 
 

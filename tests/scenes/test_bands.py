@@ -20,11 +20,11 @@ SCENE = Scene(camera=Camera(bands=(WHITE, RED, NIR)), plan=CapturePlan(rings=(Ri
 
 WRONG: dict[str, tuple[Scene, str]] = {
     "no word": (replace(SCENE, camera=Camera(bands=(Band(name="near infrared"),))), r"\[camera.bands 1\] name.*one lower-case word"),
-    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*no two the same"),
+    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*different for each band"),
     "unknown in a ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"\[plan.rings 1\].*it has white, red, nir"),
-    "none in the camera": (Scene(plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"needs \[\[camera.bands\]\]"),
+    "none in the camera": (Scene(plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"requires \[\[camera.bands\]\]"),
     "dark ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("red",)),))), "panel and front light are on"),
-    "spectrum": (replace(SCENE, shoot=Shoot(spectrum=((800.0, 0.5), (700.0, 0.1)))), r"\[shoot\] spectrum.*rise"),
+    "spectrum": (replace(SCENE, shoot=Shoot(spectrum=((800.0, 0.5), (700.0, 0.1)))), r"\[shoot\] spectrum.*increasing"),
     "reflectance": (replace(SCENE, shoot=Shoot(spectrum=((700.0, 1.5),))), r"\[shoot\] spectrum.*from 0 to 1"),
 }
 

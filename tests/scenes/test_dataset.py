@@ -64,13 +64,13 @@ def of_frame(number: int, **changes: Any) -> Callable[[Any], None]:
     return lambda plain: plain["frames"][number].update(changes)
 
 
-SHOWN = r"\[frames 1\] file.* must be a name of letters that can be shown"
+SHOWN = r"\[frames 1\] file.* must consist of printable characters"
 SAME_STEM = r"\[frames 2\] file = \"more/0.jpg\": .*images/0\.png.* rename"
 NO_POSE = r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has one"
 DAMAGES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "newer version": (lambda d: d.update(schema_version=2), r"dataset\.json has version 2; this program reads 1"),
     "no version": (lambda d: d.pop("schema_version"), "has no schema_version"),
-    "no frames": (lambda d: d.update(frames=[]), "at least one"),
+    "at least one frame": (lambda d: d.update(frames=[]), "at least one"),
     "unknown key": (lambda d: d.update(frams=[]), 'frams: unknown key.*"frames"'),
     "impossible scene": (lambda d: d["scene"]["water"].update(n_water=9), r"\[scene\.water\] n_water = 9: must be between 1 and 2"),
     "misfit scene": (lambda d: d["scene"]["canister"].update(wall_mm=50.0, outer_radius_mm=20.0), r"\[canister\] wall_mm"),
@@ -80,7 +80,7 @@ DAMAGES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "same stem": (of_frame(1, file="more/0.jpg"), SAME_STEM),
     "pose for some only": (of_frame(0, cam_from_canister=None), NO_POSE),
     "ring that is not in the plan": (of_frame(0, ring=2), "between 0 and 1"),
-    "stretched pose": (lambda d: d["frames"][1]["cam_from_canister"][0].__setitem__(0, 3.0), "a rotation and a shift"),
+    "stretched pose": (lambda d: d["frames"][1]["cam_from_canister"][0].__setitem__(0, 3.0), "a rotation and a translation"),
     "mirrored pose": (of_frame(1, cam_from_canister=np.diag([1.0, 1, -1, 1]).tolist()), "mirror image"),
 }
 """Changes of dataset.json, and what the message must say."""
@@ -115,9 +115,9 @@ def folder_for_file(path: Path) -> None:
 SPOILT: dict[str, tuple[Callable[[Path], Any], str]] = {
     "missing": (Path.unlink, "the picture is missing"),
     "truncated": (lambda path: path.write_bytes(path.read_bytes()[:-20]), "the picture is truncated"),
-    "none": (lambda path: path.write_text("not here"), "is not a picture"),
+    "none": (lambda path: path.write_text("not here"), "is not a supported picture"),
     "other size": (lambda path: write_image(path, np.zeros((20, 16), np.uint8)), "the picture is 16x20 pixels, but .* image_wh 20x16"),
-    "exchanged": (lambda path: write_image(path, np.zeros((16, 20), np.uint8)), "is not the picture that was recorded"),
+    "exchanged": (lambda path: write_image(path, np.zeros((16, 20), np.uint8)), "differs from the recorded picture"),
     "folder": (folder_for_file, "is a folder"),
 }
 

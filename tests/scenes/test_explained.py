@@ -20,7 +20,7 @@ def test_every_key_has_a_meaning_unit_and_range():
     wall = by_path["canister.wall_mm"]
     assert (wall.default, wall.unit, wall.limits) == (3.175, "mm", "0.2 to 50")
     assert by_path["specimen.grown.orders.gravitropism_per_mm"].unit == "per mm"
-    assert by_path["specimen.grown.orders.elongation_mm_per_day"].unit == "mm a day"
+    assert by_path["specimen.grown.orders.elongation_mm_per_day"].unit == "mm per day"
     assert by_path["camera.kind"].limits == '"pinhole" or "telecentric"'
     assert by_path["plan.rings.views"].line().endswith("[1 to 10000]")
 

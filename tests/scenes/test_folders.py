@@ -65,7 +65,7 @@ def test_folder_that_is_there(tmp_path: Path) -> None:
         made(building, a="1")
     with pytest.raises(UserError, match="already exists"), folders.new_folder(out):
         pass
-    with pytest.raises(UserError, match="holds a; choose"), folders.new_folder(out, replaces=["b"]):
+    with pytest.raises(UserError, match="contains a; choose"), folders.new_folder(out, replaces=["b"]):
         pass
     with pytest.raises(RuntimeError), folders.new_folder(out, replaces=["a"]):
         raise RuntimeError
@@ -100,7 +100,7 @@ def test_what_others_put_there_meanwhile_stays(tmp_path: Path, caplog: pytest.Lo
         "result.json": "new",
         "work.txt": "years",
     }
-    assert "work.txt was put there or changed meanwhile and stays" in caplog.text
+    assert "work.txt was added or changed by others during the run, and is kept" in caplog.text
     assert names(out) == ["pictures", "result.json", "work.txt"]
 
 
@@ -113,7 +113,7 @@ def test_what_others_put_in_the_way_stays_and_the_work_is_kept(theirs: str, tmp_
             made(new, result_json="new", pictures_in_a="new")
             atomic.write_text(out / theirs, "theirs")
 
-    with pytest.raises(UserError, match=rf"out: {theirs} was put there .* what was made is in .*/out/made-1"):
+    with pytest.raises(UserError, match=rf"out: {theirs} was added .* the output is in .*/out/made-1"):
         work()
     assert (out / theirs).read_text() == "theirs"
     assert (out / "made-1" / "result.json").read_text() == "new"
@@ -139,7 +139,7 @@ def test_links_mounts_and_the_current_folder_are_goals(tmp_path: Path, monkeypat
 def test_one_process_at_a_time(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with folders.held(out):
-        with pytest.raises(UserError, match=rf"out: process {os.getpid()} on .* works in it; wait"), folders.new_folder(out):
+        with pytest.raises(UserError, match=rf"out: process {os.getpid()} on .* is using it; wait"), folders.new_folder(out):
             pass
         folders.check_readable(out)  # a reader does not mind
     assert names(tmp_path) == []
@@ -152,15 +152,15 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
     atomic.beside(out / "view" / "b").write_text("half")
     with folders.held(out):
         assert names(out / "view") == ["a"]
-    assert "process 7 on gone (since then) left it unfinished; taken over" in caplog.text
+    assert "process 7 on gone (since then) left it unfinished; continuing" in caplog.text
     assert names(out) == ["view"]
 
 
 def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path: Path) -> None:
     whole, half = made(tmp_path / "whole" / folders.WHOLE, dataset_json="x").parent, made(tmp_path / "half" / folders.OLD, a="1").parent
-    with pytest.raises(UserError, match=r"holds .rhizotwin-whole, .* run that command again"):
+    with pytest.raises(UserError, match=r"contains .rhizotwin-whole: .* run that command again"):
         folders.check_readable(whole)
-    with pytest.raises(UserError, match="is whole, although the run that made it was stopped"), folders.new_folder(whole):
+    with pytest.raises(UserError, match="is complete, although the run that wrote it was stopped"), folders.new_folder(whole):
         pass
     with pytest.raises(UserError, match="already exists"), folders.new_folder(half):
         pass
@@ -170,7 +170,7 @@ def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path
 
 def test_without_locks_of_the_file_system_the_words_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rhizotwin.scenes.lock.try_lock", lambda _: None)
-    with locked(tmp_path / "lock", what="out"), pytest.raises(UserError, match="works in it"), locked(tmp_path / "lock", what="out"):
+    with locked(tmp_path / "lock", what="out"), pytest.raises(UserError, match="is using it"), locked(tmp_path / "lock", what="out"):
         pass
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True, check=True).stdout
     host = os.uname().nodename

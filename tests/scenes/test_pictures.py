@@ -55,13 +55,13 @@ def flipped(data: bytes, at: int, *, by: int = 1) -> bytes:
 
 NO_PICTURE = {
     "flipped bit": (flipped(WHOLE["png"], len(WHOLE["png"]) // 2), "damaged"),
-    "text": (b"hello", "is not a picture"),
-    "zeros": (b"\x00" * 100, "is not a picture"),
-    "gif": (b"GIF89a" + b"\x00" * 9, "is not a picture"),
-    "svg": (b"<svg/>", "is not a picture"),
+    "text": (b"hello", "is not a supported picture"),
+    "zeros": (b"\x00" * 100, "is not a supported picture"),
+    "gif": (b"GIF89a" + b"\x00" * 9, "is not a supported picture"),
+    "svg": (b"<svg/>", "is not a supported picture"),
     "empty": (b"", "empty"),
-    "png without pixels": (b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND")), "is not a picture"),
-    "floats": (encoded(np.ones((4, 4), np.float32), ".tiff"), "8 or 16 bit"),
+    "png without pixels": (b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND")), "is not a supported picture"),
+    "floats": (encoded(np.ones((4, 4), np.float32), ".tiff"), "8 or 16-bit"),
 }
 
 

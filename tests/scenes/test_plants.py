@@ -22,7 +22,7 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
     path = tmp_path / "two.toml"
     save_scene(scene, path)
     assert load_scene(path) == scene
-    assert "# Where it hangs through the net pot's grid" in path.read_text()
+    assert "# Attachment point in the net pot's grid" in path.read_text()
     assert path.read_text().count("# Mean diameter where the root begins") == 6  # of the plants' own specimens, too
 
 
@@ -30,11 +30,11 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
     ("changes", "sentence"),
     [
         ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is the name of another plant"),
-        ({"plants": [{"plant": "plant"}]}, "is what files call a plant without a name"),
+        ({"plants": [{"plant": "plant"}]}, "is reserved for plants without a name"),
         ({"plants": [{"plant": "A", "at_mm": [80, 0]}]}, "inside the canister's wall"),
-        ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be 2 mm or more from A"),
-        ({"plants": [{"plant": "A"}], "specimen": {"kind": "sphere"}}, r"must be left out where \[\[plants\]\]"),
-        ({"plants": [{"plant": "A", "at_mm": [60, 0], "specimen": {"kind": "sphere", "diameter_mm": 40}}]}, "must stay in the water"),
+        ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be at least 2 mm from A"),
+        ({"plants": [{"plant": "A"}], "specimen": {"kind": "sphere"}}, r"must be omitted if there are \[\[plants\]\]"),
+        ({"plants": [{"plant": "A", "at_mm": [60, 0], "specimen": {"kind": "sphere", "diameter_mm": 40}}]}, "must be within the water"),
     ],
 )
 def test_plants_that_cannot_be_told_apart_are_refused(changes, sentence) -> None:

@@ -94,7 +94,7 @@ def test_without_centre_lines_only_the_solid_is_measured():
 
 
 def test_no_solid_and_no_mass_are_refused():
-    with pytest.raises(ValueError, match="no points"):
+    with pytest.raises(ValueError, match="no vertices"):
         measure_traits([TAP], np.zeros((0, 3)), volume_mm3=1.0, surface_mm2=1.0)
     with pytest.raises(ValueError, match="mass_g"):
         measure_traits([TAP], BOX, volume_mm3=1.0, surface_mm2=1.0, mass_g=0.0)

@@ -78,7 +78,7 @@ def test_the_empty_tank_lets_the_panel_through_and_keeps_the_strip_dry() -> None
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
-        ({"tank": {"front_mm": 70.0}}, "room to turn"),
+        ({"tank": {"front_mm": 70.0}}, "room for the canister"),
         ({"tank": {"level_mm": -2.0}}, "below the net pot's skirt_bottom_mm"),
         ({"tank": {"front_mm": 300.0}}, "below lights.backlight_distance_mm"),
         ({"tank": {"colour": "blue"}}, "unknown"),

@@ -161,7 +161,7 @@ def test_a_full_disk_is_not_the_scans_fault(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_two_batches_do_not_work_in_one_folder(tmp_path: Path) -> None:
-    with locked(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="works in it"):
+    with locked(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="is using it"):
         run([job("a", tmp_path)], str(tmp_path))
 
 

@@ -162,7 +162,7 @@ def test_a_socket_is_a_port_and_held_against_other_programs_of_this_computer(mon
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
         first = opened(url)
-        with pytest.raises(RigError, match=rf"turntable: {url}: process \d+ on .* works in it"):
+        with pytest.raises(RigError, match=rf"turntable: {url}: process \d+ on .* is using it"):
             opened(url)
         first.close()
         device, _ = listening.accept()
