@@ -1,11 +1,9 @@
-"""What the code does against another commit, on the same machine in the same minutes.
+"""Comparison of processor time and memory with another commit, on the same machine at the same time.
 
-Ratios of processor time and memory.
-
-The other commit is checked out beside (a worktree of git in the cache) and run with the same Python and libraries. Runs
-alternate, and the command line is all that both must have, so that commits long ago can be compared. Processor time is
-what the children used, over all threads; wall time on a shared machine tells mostly of the others. Peak memory is never
-below this process's own (about 140 MiB): Linux counts a child from before it has become another program.
+The other commit is checked out as a git worktree in the cache, and run with the same Python and libraries. Runs
+alternate, and only the command line must be the same in both, so that old commits can be compared. Processor time is
+that of all threads of the child processes; wall time on a shared machine mostly depends on other processes. Peak memory
+is at least that of this process (about 140 MiB): Linux counts a child's memory before it executes another program.
 """
 
 from __future__ import annotations
@@ -35,26 +33,26 @@ used = resource.getrusage(resource.RUSAGE_CHILDREN)
 print(used.ru_utime + used.ru_stime, used.ru_maxrss)
 sys.exit(code)
 """
-"""Between us and what is measured: Linux counts the memory of whoever starts a process as the process's own peak."""
+"""Intermediate process for measurements: Linux counts the memory of the starting process as a peak of the child."""
 SET = "SET"
-"""Stands for the folder of a job's pictures in its words."""
+"""Placeholder for the folder of a job's pictures in its arguments."""
 LAST_WORDS = 2000
-"""Characters of a failed run's errors that are handed on."""
+"""Length of a failed run's error text that is reported."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A command line that both commits run."""
+    """A command line that is run by both commits."""
 
     name: str
     words: tuple[str, ...]
     makes: bool = True
-    """Writes a folder given by ``-o``."""
+    """Whether it writes a folder given by ``-o``."""
     pictures: tuple[str, ...] = ()
-    """Words of ``simulate`` for the pictures that `SET` stands for; the other commit makes them, as the newer one can
-    read them."""
+    """Arguments of ``simulate`` for the pictures of `SET`; the other commit renders them, as the newer one can read
+    them."""
     must: float | None = None
-    """Ratio of processor time to reach."""
+    """Required ratio of processor times."""
 
 
 def _set(scene: str, views: int, *words: str) -> tuple[str, ...]:
@@ -62,7 +60,7 @@ def _set(scene: str, views: int, *words: str) -> tuple[str, ...]:
 
 
 IN_AIR = ("masks-in-air",)
-"""In place of words of ``simulate``: `masks_in_air`."""
+"""Alternative to arguments of ``simulate``: `masks_in_air`."""
 
 JOBS = (
     Job("printed-0.27", ("reconstruct", SET), pictures=_set("printed_8ml", 40), must=0.22),
@@ -86,7 +84,7 @@ QUICK = (
 
 @dataclass(frozen=True, kw_only=True)
 class Used:
-    """What one run used."""
+    """Cost of one run."""
 
     cpu_s: float
     wall_s: float
@@ -95,16 +93,16 @@ class Used:
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """A job of this code relative to the other commit."""
+    """Ratio of a job's cost to that of the other commit."""
 
     job: str
     runs: int
     cpu: float
-    """Median over the pairs of processor times, this by that."""
+    """Median over the pairs of the ratio of processor times."""
     memory: float
-    """Median over the pairs of peak memories, this by that."""
+    """Median over the pairs of the ratio of peak memories."""
     before: Used
-    """Medians of the other commit."""
+    """Median costs of the other commit."""
     after: Used
     must: float | None
 
@@ -115,25 +113,25 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
     Parameters
     ----------
     commit : str
-        The other code, as git names it.
+        Other commit, as a git revision.
     jobs : sequence of Job
-        What is run with both.
+        Jobs run by both.
     repeats : int
-        Pairs of runs a job.
+        Pairs of runs per job.
     device : str
-        What computes.
+        Computing device.
     say : Say
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     list of Ratio
-        This code's processor time and memory over the other's.
+        Ratios of this code's processor time and memory to the other's.
 
     Raises
     ------
     UserError
-        Where git does not know the commit, or a run fails.
+        If git does not know the commit, or a run fails.
     """
     other = checked_out(commit)
     found = []
@@ -154,7 +152,7 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
 
 
 def checked_out(commit: str) -> Path:
-    """Return a folder that holds a commit, made where the cache lacks it."""
+    """Return a folder with a checkout of a commit, created if it is not in the cache."""
     try:
         done = subprocess.run(
             ["git", "rev-parse", "--verify", f"{commit}^{{commit}}"], cwd=ROOT, capture_output=True, text=True, check=True
@@ -166,14 +164,14 @@ def checked_out(commit: str) -> Path:
             subprocess.run(["git", "worktree", "prune"], cwd=ROOT, capture_output=True, check=True)
             subprocess.run(["git", "worktree", "add", "--detach", str(folder), name], cwd=ROOT, capture_output=True, text=True, check=True)
     except FileNotFoundError:
-        raise UserError("git is not installed, and --against takes the other commit from it") from None
+        raise UserError("git is not installed, but --against requires it") from None
     except subprocess.CalledProcessError as error:
         raise UserError(f"--against {commit}: git says {str(error.stderr).strip()!r}") from None
     return folder
 
 
 def _pictures(job: Job, root: Path, *, device: str) -> str:
-    """Return the folder of a job's pictures, made once by the other commit."""
+    """Return the folder of a job's pictures, rendered once by the other commit."""
     folder = cache.folder() / "against" / f"{root.name[:12]}-{'-'.join(job.pictures).replace('--', '')}"
     if not (folder / "dataset.json").is_file():
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -184,7 +182,7 @@ def _pictures(job: Job, root: Path, *, device: str) -> str:
 
 
 def run_once(root: Path, words: Sequence[str]) -> Used:
-    """Run a command line in a checkout, in a process of its own."""
+    """Run a command line of a checkout in its own process."""
     began = time.perf_counter()
     with tempfile.TemporaryFile() as errors:
         child = subprocess.Popen(
@@ -206,7 +204,7 @@ def run_once(root: Path, words: Sequence[str]) -> Used:
             last = errors.read().decode(errors="replace")[-LAST_WORDS:]
             raise UserError(f"`rhizotwin {' '.join(words)}` of {root} ended with code {child.returncode}: {last}")
     cpu_s, peak = (float(word) for word in said.split()[-2:])
-    unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes there, KiB elsewhere
+    unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes on macOS, KiB elsewhere
     return Used(cpu_s=cpu_s, wall_s=time.perf_counter() - began, memory_mib=peak / unit)
 
 
@@ -228,7 +226,7 @@ def _middle(runs: Sequence[Used]) -> Used:
 
 
 def table(ratios: Sequence[Ratio]) -> str:
-    """Return ratios as a table in Markdown."""
+    """Return ratios as a Markdown table."""
     lines = ["| job | pairs | processor time | must | memory | processor s | memory MiB |", "|---|---|---|---|---|---|---|"]
     for r in ratios:
         must = "" if r.must is None else f"{r.must:.2f}"
@@ -238,5 +236,5 @@ def table(ratios: Sequence[Ratio]) -> str:
 
 
 def as_json(commit: str, ratios: Sequence[Ratio]) -> dict[str, Any]:
-    """Return ratios as JSON values."""
+    """Return ratios as a JSON object."""
     return {"against": commit, "ratios": [asdict(ratio) for ratio in ratios]}

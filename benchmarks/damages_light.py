@@ -1,4 +1,4 @@
-"""What goes wrong with the light of pictures, and with the files they are kept in."""
+"""Damages to the light of pictures, and to their files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _sharpened(sigma_px: float) -> Damage:
 
 
 def _toned(scan: Scan, k: int) -> Light:
-    """Tone the number's wide part down and keep its details (as Durand and Dorsey 2002, with a Gaussian for a base)."""
+    """Compress the range of pixel values and keep details (as Durand and Dorsey 2002, with a Gaussian base layer)."""
     number = np.log(np.maximum(_numbers(scan.light[k]), 1.0 / 255.0))
     base = _blurred(number, 12.0)
     return SRGB.of(np.clip(np.exp(0.5 * (base - base.max()) + number - base), 0.0, 1.0))
@@ -48,17 +48,17 @@ def _stretched(scan: Scan, k: int) -> Light:
 
 
 def _in_water(scan: Scan, k: int, light: Light) -> Light:
-    """Return a picture that is another where it looks into the water."""
+    """Return a picture that is changed where it shows the water."""
     return np.where(scan.water[k], light, scan.light[k])
 
 
 def _turbid(scan: Scan, k: int) -> Light:
-    """Scatter a quarter of the light that comes through the water forward, by some 20 px."""
+    """Scatter a quarter of the light through the water forward, by about 20 px."""
     return _in_water(scan, k, 0.85 * (0.75 * scan.light[k] + 0.25 * _blurred(scan.light[k], 20.0)))
 
 
 def _veiled(scan: Scan, k: int) -> Light:
-    """Lay a veil of a seventh of the panel's light over what is seen through the water."""
+    """Add a seventh of the panel's light over the water."""
     return _in_water(scan, k, 0.85 * scan.light[k] + 0.15 * float(np.median(scan.light[k])))
 
 
@@ -108,11 +108,11 @@ def _vignetted(scan: Scan, k: int) -> Light:
 
 
 LIGHT = (
-    Damage(name="none", why="the pictures as they are"),
+    Damage(name="none", why="unchanged pictures"),
     Damage(name="jpeg-60-420", why="a small file: quality 60, chroma at half the pixels", stored=srgb_jpeg(60, subsampled=True)),
     Damage(name="jpeg-30", why="a smaller file: quality 30", stored=srgb_jpeg(30)),
-    Damage(name="gamma-1.8-as-linear", why="a program's PNG with a gamma of 1.8 that nobody stated", stored=gamma_png(1.8)),
-    Damage(name="ten-bits-in-sixteen", why="a 10-bit converter's numbers stored right-aligned", stored=linear_png(1023)),
+    Damage(name="gamma-1.8-as-linear", why="a program's PNG with an unstated gamma of 1.8", stored=gamma_png(1.8)),
+    Damage(name="ten-bits-in-sixteen", why="values of a 10-bit converter stored right-aligned", stored=linear_png(1023)),
     Damage(name="vignetted", why="the lens darkens the corners by 40 %", light=_vignetted),
     Damage(
         name="lamp-fades",
@@ -124,12 +124,12 @@ LIGHT = (
         why="half of the panel's LEDs fade, the others brighten, by 10 %",
         light=lambda scan, k: scan.light[k] * (1.0 + 0.1 * (2.0 * k / scan.count - 1.0) * _place(scan.light[k])[0]),
     ),
-    Damage(name="flicker", why="a rolling shutter under a lamp at mains frequency: bands of 10 % that wander", light=_flicker),
-    Damage(name="shadow", why="somebody stands before the panel in four pictures", light=_shadow),
-    Damage(name="black-level", why="5 % of stray light lie on everything", light=lambda scan, k: 0.05 + 0.9 * scan.light[k]),
+    Damage(name="flicker", why="a rolling shutter under a lamp at mains frequency: moving bands of 10 %", light=_flicker),
+    Damage(name="shadow", why="a person in front of the panel in four pictures", light=_shadow),
+    Damage(name="black-level", why="5 % of stray light on all pixels", light=lambda scan, k: 0.05 + 0.9 * scan.light[k]),
     Damage(
         name="black-crushed",
-        why="5 % too much were taken off as black",
+        why="black level subtracted 5 % too high",
         light=lambda scan, k: np.maximum(scan.light[k] - 0.05, 0.0) / 0.95,
     ),
     _sharpened(1.0),
@@ -147,13 +147,13 @@ LIGHT = (
         why="a median over 5 pixels against noise",
         light=lambda scan, k: cv2.medianBlur(np.float32(scan.light[k]), 5).astype(np.float64),
     ),
-    Damage(name="motion-blur", why="the table still turns: 4 px", light=lambda scan, k: cv2.blur(scan.light[k], (4, 1))),
+    Damage(name="motion-blur", why="the table is still turning: 4 px", light=lambda scan, k: cv2.blur(scan.light[k], (4, 1))),
     Damage(
         name="refocused",
-        why="the camera focuses anew half way: a blur of 1.5 px, pictures larger by 0.3 %",
+        why="the camera refocuses half-way: a blur of 1.5 px, pictures larger by 0.3 %",
         light=lambda scan, k: scan.light[k] if 2 * k < scan.count else _zoomed(_blurred(scan.light[k], 1.5), 1.003),
     ),
-    Damage(name="clipped", why="twice too long exposed", light=lambda scan, k: np.minimum(2.0 * scan.light[k], 1.0)),
+    Damage(name="clipped", why="exposure twice too long", light=lambda scan, k: np.minimum(2.0 * scan.light[k], 1.0)),
     Damage(name="dark", why="a tenth of the exposure, in 8 bits", light=lambda scan, k: 0.1 * scan.light[k], stored=gamma_png(1.0)),
     Damage(name="one-dark", why="the lamp was off in one picture", light=lambda scan, k: scan.light[k] * (0.15 if k == 4 else 1.0)),
     Damage(
@@ -165,12 +165,12 @@ LIGHT = (
     Damage(name="veiled", why="room light on the canister's front", light=_veiled),
     Damage(name="tinted", why="brown water: half of the light", light=lambda scan, k: _in_water(scan, k, 0.5 * scan.light[k])),
     Damage(name="stamped", why="the time in each picture, below the roots", light=_stamped),
-    Damage(name="bayer", why="a raw mosaic taken for grey", light=_bayer),
+    Damage(name="bayer", why="a raw mosaic interpreted as grey", light=_bayer),
     Damage(name="half-written", why="the lower half of one picture is grey", light=_half),
-    Damage(name="dead-columns", why="two columns of the sensor", light=_dead_columns),
+    Damage(name="dead-columns", why="two dead columns of the sensor", light=_dead_columns),
     Damage(
         name="upscaled",
-        why="kept at half the size and enlarged again",
+        why="stored at half the size and enlarged again",
         light=lambda scan, k: cv2.resize(
             cv2.resize(scan.light[k], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
             scan.light[k].shape[::-1],

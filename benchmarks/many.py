@@ -1,7 +1,7 @@
-"""A batch of many plants as a night in a laboratory treats it: a worker is killed, a dataset is damaged.
+"""A batch of many plants under the conditions of a night in a laboratory: a worker is killed, a dataset is damaged.
 
-Eighteen small scans of one sphere stand for eighteen plants, each with a name of its own: what is measured is the
-batch, not the reconstruction.
+Eighteen small scans of one sphere represent eighteen plants with different names: the batch is measured, not the
+reconstruction.
 """
 
 import json
@@ -21,43 +21,43 @@ from rhizotwin.scenes.files import load_scene
 
 COUNT = 18
 DAMAGED = 7
-"""Number of the dataset that loses half of a picture."""
+"""Number of the dataset of which half a picture is lost."""
 SCENE, VIEWS, IMAGE_WH = "sphere_20mm", 24, (400, 300)
 LOOK_S = 0.05
 PARTIAL_S = 2.0
-"""How long the second scan has been worked on when its process is killed."""
+"""Processing time of the second scan at which its process is killed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Night:
-    """What became of a batch."""
+    """Result of a batch."""
 
     scans: int
     results: int
     sentences: tuple[str, ...]
-    """What was said of scans that failed."""
+    """Messages about failed scans."""
     twice: int
-    """Scans that were told to be done more than once."""
+    """Number of scans reported as done more than once."""
     killed: int
-    """Processes that were killed."""
+    """Number of killed processes."""
     code: int
-    """Of the command."""
+    """Exit code of the command."""
     wall_s: float
     jobs_s: float
-    """Sum of the scans' own times, and of what the killed process had done of its scan."""
+    """Sum of the scans' times, including that of the killed process."""
 
     @property
     def own_s(self) -> float:
-        """Seconds that no scan was worked on: libraries loaded, table and page written."""
+        """Seconds without work on a scan: loading libraries, writing table and page."""
         return self.wall_s - self.jobs_s
 
     def share(self, job_s: float) -> float:
-        """Return the batch's own share of the time, with scans that take so long each."""
+        """Return the batch's fraction of the time, for scans of a given duration."""
         return self.own_s / (self.own_s + job_s * self.scans)
 
 
 def measure(folder: Path, *, say: Say) -> Night:
-    """Make the scans, start the batch with one worker, kill that once, and count."""
+    """Create the scans, start the batch with one worker, kill it once, and count the results."""
     _scans(folder / "scans", say)
     results = folder / "results"
     command = [sys.executable, "-m", "rhizotwin", "batch", str(folder / "scans"), "-o", str(results), "--workers", "1"]
@@ -104,7 +104,7 @@ def _scans(folder: Path, say: Say) -> None:
 
 
 def _wait_for_one(records: Path, running: "subprocess.Popen[bytes]") -> None:
-    """Wait for the first record of a scan that is done."""
+    """Wait for the first record of a completed scan."""
     while running.poll() is None:
         if any(records.glob("*.json")):
             return
@@ -113,7 +113,7 @@ def _wait_for_one(records: Path, running: "subprocess.Popen[bytes]") -> None:
 
 
 def _kill(master: int) -> int:
-    """Kill a batch's worker processes, and return how many there were."""
+    """Kill a batch's worker processes, and return their number."""
     listed = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(master)], capture_output=True, text=True, check=False)
     workers = [int(line.split()[0]) for line in listed.stdout.splitlines() if "spawn_main" in line]
     for pid in workers:
@@ -122,15 +122,15 @@ def _kill(master: int) -> int:
 
 
 def lines(night: Night, job_s: float) -> list[str]:
-    """Return what was found, a line each."""
+    """Return the results as lines of text."""
     return [
         f"{night.results} results of {night.scans} scans, {night.killed} process killed, {night.twice} done twice, exit code {night.code}",
         *night.sentences,
-        f"{night.wall_s:.0f} s, of which {night.own_s:.1f} s the batch's own: {100.0 * night.own_s / night.wall_s:.1f} % here, "
+        f"{night.wall_s:.0f} s, of which {night.own_s:.1f} s overhead of the batch: {100.0 * night.own_s / night.wall_s:.1f} % here, "
         f"{100.0 * night.share(job_s):.1f} % with scans of {job_s:g} s",
     ]
 
 
 def plain(night: Night) -> dict[str, Any]:
-    """Return all numbers as JSON values."""
+    """Return all numbers as a JSON object."""
     return vars(night) | {"own_s": night.own_s}

@@ -1,4 +1,4 @@
-"""Two runs of the ladder on the same pictures, case by case: what a change did, told from chance with few runs."""
+"""Paired comparison of two runs of the ladder on the same pictures, which separates effects from chance."""
 
 import json
 import math
@@ -16,13 +16,13 @@ Record = Mapping[str, Any]
 
 CONFIDENCE = 0.95
 SHOWN = 12
-"""Cases that are named of those whose volume got better, and of those where it got worse."""
+"""Number of listed cases with the largest improvement of volume, and with the largest deterioration."""
 NO_CHANGE = 1e-9
 
 
 @dataclass(frozen=True)
 class _Compared:
-    """A number that both runs have."""
+    """A number in both runs."""
 
     name: str
     of: Callable[[Record], float | None]
@@ -57,7 +57,7 @@ COMPARED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """One number over all pairs: B less A, in its unit."""
+    """Difference of one number over all pairs: B minus A, in its unit."""
 
     name: str
     unit: str
@@ -67,13 +67,14 @@ class Difference:
     after: float
     mean: float
     low: float
-    """Of the 95 % confidence interval of the mean difference (Student's t over the pairs); NaN for a single pair."""
+    """Limit of the 95 % confidence interval of the mean difference (Student's t over the pairs); NaN for a single pair.
+    """
     high: float
     better: int
     worse: int
     p_sign: float
-    """Two-sided exact sign test over the pairs that differ: the chance of a split this uneven if the change did
-    nothing."""
+    """Two-sided exact sign test over the pairs that differ: the probability of a split at least this uneven without an
+    effect."""
 
 
 def difference(before: Sequence[float], after: Sequence[float], *, name: str, unit: str, smaller_is_better: bool) -> Difference:
@@ -82,16 +83,16 @@ def difference(before: Sequence[float], after: Sequence[float], *, name: str, un
     Parameters
     ----------
     before, after : (N,) float
-        Values of the same things in both runs, in the same order.
+        Values of the same cases in both runs, in the same order.
     name, unit : str
-        Of the number.
+        Name and unit of the number.
     smaller_is_better : bool
-        Which change is a gain.
+        Whether a decrease is an improvement.
 
     Returns
     -------
     Difference
-        Mean difference with its interval, gains and losses, and the sign test's probability.
+        Mean difference with its interval, numbers of improvements and deteriorations, and probability of the sign test.
     """
     a, b = np.asarray(before, np.float64), np.asarray(after, np.float64)
     change = b - a
@@ -118,23 +119,23 @@ def difference(before: Sequence[float], after: Sequence[float], *, name: str, un
 
 
 def read_records(path: Path) -> dict[tuple[Any, ...], Record]:
-    """Return the scored cases of a run's JSON by what they are.
+    """Read the scored cases of a run's JSON, by their descriptions.
 
     Raises
     ------
     UserError
-        Where the file is no run of the ladder.
+        If the file is not a run of the ladder.
     """
     try:
         details = json.loads(path.read_text(encoding="utf-8"))["details"]
         records = [record for record in details.values() if "case" in record]
         found = {_what(record): record for record in records}
     except OSError as error:
-        raise UserError(f"{path} cannot be read ({error.strerror}); give the JSON that `python -m benchmarks accuracy -o` wrote") from None
+        raise UserError(f"{path} cannot be read ({error.strerror}); use the JSON written by `python -m benchmarks accuracy -o`") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise UserError(f"{path} is not the JSON of a run of `python -m benchmarks accuracy`") from None
     if not found:
-        raise UserError(f"{path} holds no scored case")
+        raise UserError(f"{path} contains no scored case")
     return found
 
 
@@ -144,31 +145,31 @@ def _what(record: Record) -> tuple[Any, ...]:
 
 
 def compare(a: Mapping[tuple[Any, ...], Record], b: Mapping[tuple[Any, ...], Record], *, method: str) -> str:
-    """Return as text what changed from run A to run B in the cases of one method that both have.
+    """Return the changes from run A to run B, for the common cases of one method, as text.
 
     Parameters
     ----------
     a, b : mapping of tuple to dict
-        Records of both runs by what was run.
+        Records of both runs by their descriptions.
     method : str
-        Cases of this method are compared.
+        Method whose cases are compared.
 
     Returns
     -------
     str
-        A line for each number.
+        One line per number.
 
     Raises
     ------
     UserError
-        Where they share none.
+        If they have no case in common.
     """
     shared = [what for what in a if what in b and what[-1] == method]
     if not shared:
-        raise UserError(f"the runs share no case of the method {method}, so there is nothing to compare")
+        raise UserError(f"the runs have no case of the method {method} in common")
     pairs = [(a[what], b[what]) for what in shared]
     only = [sum(what[-1] == method and what not in other for what in run) for run, other in ((a, b), (b, a))]
-    lines = [f"{len(shared)} cases in both, {only[0]} only in A, {only[1]} only in B (left out)", ""]
+    lines = [f"{len(shared)} cases in both, {only[0]} only in A, {only[1]} only in B (ignored)", ""]
     lines.append(f"{'':<22}{'A':>9}{'B':>9}{'B - A':>9}  {'95 % interval':<20}{'better':>7}{'worse':>7}  sign test")
     lines += [_row(found) for compared in COMPARED if (found := _over_pairs(compared, pairs)) is not None]
     profiles = list(dict.fromkeys(what[1] for what in shared))
@@ -194,7 +195,7 @@ def _row(found: Difference) -> str:
 
 
 def _named(pairs: Sequence[tuple[Record, Record]]) -> list[str]:
-    """Return the cases whose volume error changed most, for the worse and for the better."""
+    """Return the cases with the largest changes of the volume error in both directions."""
     volume = COMPARED[0]
     changes = []
     for first, second in pairs:

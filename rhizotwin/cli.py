@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any, TextIO, cast
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import DEBUG_VARIABLE, FULL, failure, printable
+from rhizotwin.scenes.formatting import DEBUG_VARIABLE, FULL, failure, printable
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 AFTER_STOP = {

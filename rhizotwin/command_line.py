@@ -20,7 +20,7 @@ from cyclopts.exceptions import (
 
 from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 
 ABOUT = (
     "A digital twin of a hydroponic root-imaging rig: render roots in a refracting water canister, reconstruct them "
@@ -160,5 +160,5 @@ def _name(argument: Any) -> str:
 
 
 def _meant(word: str, known: Sequence[str]) -> str:
-    near = nearest(word, known)
+    near = most_similar(word, known)
     return f"; did you mean {near}?" if near else ""

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rhizotwin.arguments import Progress
+from rhizotwin.command_steps import reconstruct_whole, settings_of
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import beside, write_json
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, held
-from rhizotwin.steps import reconstruct_whole, settings_of
 
 SCENE = "printed_8ml"
 VIEWS = 41

@@ -17,8 +17,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.picture_codec import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.picture_damage import is_sealed
-from rhizotwin.scenes.pictures import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.unlike_rows import LEAST, Turn

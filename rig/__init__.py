@@ -1,1 +1,1 @@
-"""The rig: drivers of its devices, the scan that uses them, and an emulated twin of it all."""
+"""The rig: drivers of its devices, the scan that uses them, and an emulated twin of the whole rig."""

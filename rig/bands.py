@@ -1,4 +1,4 @@
-"""Bands of the camera on the rig: which lamps and which filter each of them needs."""
+"""Lamp and filter settings for the bands of the camera."""
 
 from rhizotwin.rig.devices import Lights
 from rhizotwin.rig.rig_file import BandPart, RigFile
@@ -7,7 +7,7 @@ from rhizotwin.scenes.model import Scene
 
 
 def part_of(rig: RigFile, band: str) -> BandPart | None:
-    """Return how a band is set; None for an empty name, which is white light."""
+    """Return the settings of a band; None for an empty name, which is white light."""
     return next((part for part in rig.camera.bands if part.name == band), None)
 
 
@@ -19,16 +19,16 @@ def levels_of(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
 
 
 def light(lights: Lights, rig: RigFile, band: str) -> None:
-    """Switch the lamps on as a band needs them.
+    """Switch the lamps on with the settings of a band.
 
     Parameters
     ----------
     lights : Lights
-        The lamps.
+        Lamps of the rig.
     rig : RigFile
-        Has the band's colours and levels.
+        Rig file with colours and levels of the band.
     band : str
-        Its name; empty: white light.
+        Name of the band; empty for white light.
     """
     part = part_of(rig, band)
     panel, front = levels_of(rig, part)
@@ -36,16 +36,16 @@ def light(lights: Lights, rig: RigFile, band: str) -> None:
 
 
 def refuse_unknown(rig: RigFile, scene: Scene) -> None:
-    """Refuse a scene with bands that the rig file does not know.
+    """Raise an error if the scene has bands that the rig file does not describe.
 
     Raises
     ------
     UserError
-        With the section that is missing.
+        With the missing section.
     """
     for band in scene.camera.bands:
         if part_of(rig, band.name) is None:
             raise UserError(
-                f"the scene's camera has the band {band.name!r}, but the rig file does not say how it is set: "
+                f"the scene's camera has the band {band.name!r}, but the rig file has no settings for it: "
                 f'add [[camera.bands]] with name = "{band.name}"'
             )

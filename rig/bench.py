@@ -1,6 +1,6 @@
-"""Looks at every device of a rig for a person on the bench, each by itself.
+"""Check of every device of a rig, for use at the bench.
 
-What is well, or what is wrong and what to do.
+It reports the state of each device, or the problem and a remedy.
 """
 
 from collections.abc import Callable
@@ -17,12 +17,12 @@ from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.rig.serial_line.recording import Recorder
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 AT_REST_DEG = 5.0
-"""An arm this near to its place of rest may lose its torque."""
+"""Maximum angle from the parking position at which the arm's torque may be switched off."""
 LIT, LEAST_LIGHT = 1.3, 0.02
-"""The lamps must brighten the picture by this factor, and by this fraction of full scale."""
+"""Minimum brightening of the picture by the lamps, as a factor and as a fraction of full scale."""
 
 T = TypeVar("T")
 
@@ -37,37 +37,37 @@ def check(
     folder: Path,
     recorder: Recorder | None = None,
 ) -> int:
-    """Look at every device of a rig, one line each; nothing moves. Lamps are off at the end.
+    """Check every device of a rig and report one line for each; nothing moves. The lamps are off at the end.
 
-    The table's motor stays on only where the board knows its angle; the arm's torque goes off only where the arm is at
-    rest.
+    The table's motor remains on only if the board knows its angle; the arm's torque is switched off only in its parking
+    position.
 
     Parameters
     ----------
     rig, scene : RigFile, Scene
-        Devices; strip and camera, for what the pictures must show.
+        Devices of the rig; strip and camera of the scene.
     clock : Clock
-        For the waits.
+        Clock for waiting times.
     open_camera : callable
-        Opens the rig's camera, or the twin's.
+        Function that opens the camera of the rig, or of the twin.
     say : Say
-        Hears the lines.
+        Receives the lines.
     folder : path
-        Where scans would be written.
+        Folder in which scans would be written.
     recorder : Recorder or None
-        Keeps every byte on the wire.
+        Records every transmitted byte.
 
     Returns
     -------
     int
-        How many things are wrong.
+        Number of problems.
     """
     report = _Report(say)
     board = report.look("turntable", lambda: _board(rig, clock, recorder))
     arm = None
     try:
         if rig.arm is None:
-            report.line("arm", "ok", "none in the rig file: the camera stands on a tripod")
+            report.line("arm", "ok", "none in the rig file: the camera is on a tripod")
         else:
             arm = report.look("arm", lambda: _arm(rig, clock, recorder))
         camera = report.look("camera", lambda: _camera(open_camera))
@@ -89,18 +89,18 @@ def check(
 
 
 class _Report:
-    """Lines of a check, and how many of them are bad."""
+    """Lines of a check, and the number of problems."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
         self.failed = 0
 
     def line(self, name: str, verdict: str, text: str) -> None:
-        """Say one line."""
+        """Report one line."""
         self._say(f"{name:<10} {verdict:<5} {text.removeprefix(f'{name}: ')}")
 
     def look(self, name: str, action: Callable[[], tuple[T, str]]) -> T | None:
-        """Do something that returns what it found and a text, and say the text or what was wrong."""
+        """Run a check that returns a result and a text; report the text, or the problem."""
         try:
             found, text = action()
         except UserError as error:
@@ -111,7 +111,7 @@ class _Report:
         return found
 
     def quietly(self, name: str, action: Callable[[], object]) -> None:
-        """Do something, and say only what was wrong."""
+        """Run an action; report only a problem."""
         try:
             action()
         except UserError as error:
@@ -151,7 +151,7 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
     """Take a picture without and with the lamps.
 
-    An arm at rest may look anywhere, so that there only the lamps are judged.
+    Only the lamps are checked if the arm is parked, as its camera may point anywhere.
     """
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
@@ -164,13 +164,13 @@ def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, ri
         report.look("markers", lambda: (None, preflight.check_markers(lit, scene)))
     else:
         found = preflight.exposure_of(lit)
-        text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, from where the arm stands now"
+        text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, in the present position of the arm"
         report.line("picture", "ok", text)
-        report.line("markers", "ok", f"not needed from where the arm stands now ({_seen(lit, scene)})")
+        report.line("markers", "ok", f"not required in the present position of the arm ({_seen(lit, scene)})")
 
 
 def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
-    """Return a picture with the lamps on; refuse lamps that make no difference."""
+    """Return a picture with the lamps on; raise an error if they have no effect."""
     lights.off()
     dark = camera.capture().image
     preflight.check_lights(lights, rig.lights)
@@ -179,11 +179,11 @@ def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Gr
     before, after = (preflight.exposure_of(image).bright for image in (dark, lit))
     brighter = after >= LIT * before + LEAST_LIGHT
     if not brighter and rig.arm is not None:
-        return lit, "answer, but the camera does not see the panel from where the arm stands now"
+        return lit, "answer, but the panel is not visible in the present position of the arm"
     if not brighter:
         raise RigError(
             f"lights: the picture is as bright without them ({100.0 * before:.0f} %) as with them ({100.0 * after:.0f} %); check the "
-            "lamps' supply and data line, darken the room, and see that the camera looks at the panel"
+            "lamps' supply and data line, darken the room, and point the camera at the panel"
         )
     return lit, f"the picture goes from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
 
@@ -196,7 +196,7 @@ def _seen(image: Grey, scene: Scene) -> str:
 
 
 def _leave_table(table: Turntable) -> None:
-    """Switch the motor off, unless an angle would be lost."""
+    """Switch the motor off, unless its angle would be lost."""
     try:
         if not table.knows_zero():
             table.release()
@@ -205,12 +205,12 @@ def _leave_table(table: Turntable) -> None:
 
 
 def _leave_arm(arm: Arm, part: ArmPart, say: Say) -> None:
-    """Switch the torque off where nothing can drop."""
+    """Switch the torque off if the arm cannot drop."""
     try:
         joints = arm.read_joints()
         if max(abs(angle - rest) for angle, rest in zip(joints, part.park_deg, strict=True)) <= AT_REST_DEG:
             arm.relax()
         else:
-            say("arm: its torque stays on, since it is not at its place of rest; 'rhizotwin rig jog' parks it")
+            say("arm: its torque remains on, as it is not parked; park it with 'rhizotwin rig jog'")
     finally:
         arm.close()

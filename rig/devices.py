@@ -1,55 +1,55 @@
-"""What the scan asks of each device; the drivers and nothing else know how it is done.
+"""Device interfaces used by the scan; the drivers implement them.
 
-Every method raises a `rig.errors.RigError` when the device fails after its retries. Devices are context managers in
-spirit: whoever opened one calls ``close`` on every way out.
+All methods raise a `rig.errors.RigError` if the device fails after its retries. Callers that open a device must close
+it in any case.
 """
 
 from dataclasses import dataclass
 from typing import Protocol
 
 from rhizotwin.rig.rig_file import BandPart
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
-"""Angles to which a turntable can be sent: its wires allow no more turns."""
+"""Range of table angles: the cables permit no more turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """One picture with what the camera says about it."""
+    """One picture with the exposure data reported by the camera."""
 
     image: Grey
     """(H, W) uint8, or uint16 with the converter's bits left-aligned, linear in light."""
     exposure_s: float | None
-    """What the camera reports for this very picture."""
+    """Exposure time reported for this picture."""
     gain: float | None
 
 
 class Turntable(Protocol):
-    """A table that turns to an angle. Angles are degrees of the table, not wrapped."""
+    """A turntable. Angles are degrees of the table, not wrapped."""
 
     def describe(self) -> str:
-        """Say in a few words what answers: firmware, position."""
+        """Return a short description: firmware, position."""
 
     def prepare(self) -> None:
-        """Connect: agree on line numbers, energise the motor for good, absolute angles."""
+        """Connect: synchronise line numbers, switch the motor on permanently, use absolute angles."""
 
     def position_deg(self) -> float:
-        """Read the angle back from the device."""
+        """Read the angle from the device."""
 
     def declare(self, angle_deg: float) -> None:
-        """Tell the device that it stands at this angle now (no motion)."""
+        """Define the present position as this angle (no motion)."""
 
     def knows_zero(self) -> bool:
-        """Whether the device still holds an angle that was declared: False after power-up or a reset."""
+        """Whether the device still has a declared angle: False after power-up or a reset."""
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Speed up and slow down so from the next move on; at first as the rig file says."""
+        """Set the acceleration of subsequent moves; initially that of the rig file."""
 
     def move_to(self, angle_deg: float) -> float:
-        """Turn, always arriving from the same side; wait until done; return the angle read back.
+        """Rotate to an angle, always arriving from the same side; wait until done, and return the measured angle.
 
-        Raises `LostError` when the device was reset meanwhile.
+        Raises `LostError` if the device was reset during the move.
         """
 
     def release(self) -> None:
@@ -60,20 +60,20 @@ class Turntable(Protocol):
 
 
 class Lights(Protocol):
-    """The backlight panel, the front light and lamps of bands.
+    """Backlight panel, front light and lamps of bands.
 
-    Levels are fractions 0 to 1 of what the rig file calls full.
+    Levels are fractions 0 to 1 of the maximum in the rig file.
     """
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set all lamps and wait until they burn steadily.
+        """Set all lamps and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
             Levels of the panel and the front light.
         band : BandPart or None
-            Colours and switched output of a band; None: those of ``[lights]``, and no output.
+            Colours and switched output of a band; None for those of ``[lights]``, without output.
         """
 
     def off(self) -> None:
@@ -81,12 +81,12 @@ class Lights(Protocol):
 
 
 def check_levels(*, panel: float, front: float) -> None:
-    """Refuse levels of lamps that are no fractions.
+    """Raise an error for lamp levels that are not fractions.
 
     Raises
     ------
     ValueError
-        Where one is below 0 or above 1.
+        If one is below 0 or above 1.
     """
     for name, level in (("panel", panel), ("front", front)):
         if not 0.0 <= level <= 1.0:
@@ -96,32 +96,32 @@ def check_levels(*, panel: float, front: float) -> None:
 class Arm(Protocol):
     """The arm that holds the camera.
 
-    Joint angles in degrees, base to wrist roll, zero with all links in line along the base's axis.
+    Joint angles are in degrees, from base to wrist roll; they are zero with all links aligned along the base's axis.
     """
 
     def describe(self) -> str:
-        """Say what answers: voltage, warmest servo."""
+        """Return a short description: voltage, warmest servo."""
 
     def prepare(self) -> None:
-        """Connect, and switch the torque on where the arm stands, without a jump.
+        """Connect, and switch the torque on in the present position without a jump.
 
-        The servos are found first, and voltage and temperature checked.
+        Servos, voltage and temperature are checked first.
         """
 
     def read_joints(self) -> tuple[float, ...]:
-        """Read the five joint angles back."""
+        """Return the five measured joint angles."""
 
     def holds(self) -> bool:
         """Whether every joint still has its torque on."""
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        """Move all joints at once at a limited speed, wait, verify; return the angles read back."""
+        """Move all joints at once at a limited speed, wait, verify, and return the measured angles."""
 
     def turn_filter(self, angle_deg: float) -> None:
-        """Turn the filter wheel before the lens."""
+        """Rotate the filter wheel in front of the lens."""
 
     def health(self) -> None:
-        """Raise `UnsafeError` when a servo is too warm or the voltage is out of its range."""
+        """Raise `UnsafeError` if a servo is too warm or the voltage is out of range."""
 
     def relax(self) -> None:
         """Switch the torque off."""
@@ -131,16 +131,16 @@ class Arm(Protocol):
 
 
 class Camera(Protocol):
-    """A camera with everything automatic switched off."""
+    """A camera with all automatic functions switched off."""
 
     def describe(self) -> str:
-        """Say what it is."""
+        """Return a short description."""
 
     def prepare(self) -> None:
-        """Open it with the fixed settings and prove by a first picture that they hold."""
+        """Open the camera with fixed settings, and verify them with a first picture."""
 
     def capture(self) -> Shot:
-        """Take a picture whose exposure begins after this call; check that the settings held for it."""
+        """Take a picture whose exposure begins after this call; verify its settings."""
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Release the camera."""

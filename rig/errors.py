@@ -1,19 +1,19 @@
-"""What goes wrong on a rig. Every message is one sentence that names the device, what happened and what to do."""
+"""Errors of a rig. Every message is one sentence with the device, the problem and a remedy."""
 
 from rhizotwin.scenes.errors import UserError
 
 
 class RigError(UserError):
-    """A device failed or refused; the scan that it ends can be resumed."""
+    """A device failed or rejected a command; the scan can be resumed."""
 
 
 class NoAnswerError(RigError):
-    """A device does not answer, or answers what cannot be understood, after every retry."""
+    """A device does not answer, or its answers are invalid, after every retry."""
 
 
 class LostError(RigError):
-    """A device was reset, unplugged or released: where it stands is not known any more."""
+    """A device was reset, unplugged or released, so that its position is unknown."""
 
 
 class UnsafeError(RigError):
-    """A limit was reached: temperature, voltage, a blocked joint, a place out of reach, a collision."""
+    """A limit was reached: temperature, voltage, a blocked joint, a position out of reach, a collision."""

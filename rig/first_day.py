@@ -1,6 +1,6 @@
-"""The first day of a real rig.
+"""Guided first check of a real rig.
 
-A person is walked through what no emulation can tell, and a report is written to be sent back.
+The user is guided through tests that no emulation can replace; the results are written to a report.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,22 +18,23 @@ from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey, encode_png
+from rhizotwin.scenes.picture_codec import Grey, encode_png
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
 
 TURN_DEG, JOINT_DEG = 9.0, 5.0
 TURN_TOLERANCE_DEG = 1.0
-"""A single picture tells the table's angle to a few tenths; a wrong direction is 18 degrees off, a wrong gear ratio
-several."""
+"""Tolerance of the table's angle: a single picture measures it to a few tenths of a degree; a wrong direction causes an
+error of 18 degrees, a wrong gear ratio of several."""
 BLOCKS_XY = (16, 12)
 LEAST_CONTRAST = 0.3
-"""Dark over bright in a picture with anything before the panel: the pot alone takes nearly all light; an empty panel
-fades by less (`LEAST_EVEN` is for its corners)."""
+"""Minimum relative darkness of objects in front of the panel: the pot absorbs nearly all light, an empty panel varies
+by less (`LEAST_EVEN` applies to its corners)."""
 LEAST_EVEN = 0.6
-"""Darkest over brightest part of the panel: the reconstruction divides it out, but photons are lost."""
+"""Minimum ratio of the darkest to the brightest part of the panel: the reconstruction corrects for it, but photons are
+lost."""
 CALIPER_MM = 0.3
-"""0.3 mm across the pot of 159 is 0.2 % of every length and 0.6 % of the volume."""
+"""Tolerance of calliper measurements: 0.3 mm in the pot's 159 mm is 0.2 % of every length and 0.6 % of the volume."""
 JOINTS = (
     "the base turn counter-clockwise, seen from above",
     *[f"the {name} lean toward the canister" for name in ("shoulder", "elbow", "wrist")],
@@ -43,7 +44,7 @@ JOINTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What one step of the walk found."""
+    """Result of one step."""
 
     step: str
     verdict: str
@@ -53,23 +54,23 @@ class Finding:
 
 
 class FirstDay:
-    """A walk through a rig."""
+    """Guided check of a rig."""
 
     def __init__(self, devices: Devices, scene: Scene, *, ask: Ask, say: Say, folder: Path) -> None:
         self._scene, self._ask, self._say, self._folder = scene, ask, say, folder
         self._devices = devices
         self._jog = Jog(devices, scene, say=say)
         self._before_canister = devices.arm is None
-        """Whether the camera stands where it sees strip and water: a tripod does."""
+        """Whether strip and water are in the camera's view, as for a tripod."""
         self.findings: list[Finding] = []
 
     def walk(self, *, wrong_devices: int) -> list[Finding]:
-        """Go through the list; the rig is left safe, and what was found until then is written, whatever happens.
+        """Run all steps. On errors too, the rig is left in a safe state, and previous results are written.
 
         Parameters
         ----------
         wrong_devices : int
-            How many things `rig.bench.check` found wrong.
+            Number of problems found by `rig.bench.check`.
         """
         self._found("devices", wrong_devices == 0, f"{wrong_devices} wrong; see the lines above" if wrong_devices else "all answer")
         steps: list[tuple[str, Callable[[], None]]] = [
@@ -102,32 +103,30 @@ class FirstDay:
         self._found(
             "lamps",
             self._yes("Are the whole panel and the front lamp lit, evenly to the eye and without flicker?"),
-            "as a person sees them",
+            "judged by eye",
         )
 
     def _arm(self) -> None:
-        """Bring the camera before the canister, once every joint is known to go the right way."""
+        """Move the camera in front of the canister, after every joint is known to move in the right direction."""
         if self._devices.arm is None:
             self._note(Finding(step="arm", verdict="skipped", text="this rig has no arm"))
             return
         if any(one.verdict != "ok" for one in self.findings if one.step.startswith("joint")):
-            self._note(
-                Finding(step="arm", verdict="skipped", text="it goes nowhere before all joints are ok; put them right and walk again")
-            )
+            self._note(Finding(step="arm", verdict="skipped", text="not moved before all joints are ok; correct them and repeat"))
             return
         ring = self._scene.plan.rings[0]
         where = f"{ring.distance_mm:g} mm from the axis, {ring.height_mm:g} mm above the rim"
-        if not self._yes(f"A hand on the switch: may the arm bring the camera before the canister ({where})?"):
+        if not self._yes(f"Keep a hand on the switch: may the arm move the camera in front of the canister ({where})?"):
             self._note(Finding(step="arm", verdict="skipped", text="not moved"))
             return
         self._jog.do(["go", f"{ring.distance_mm:g}", f"{ring.height_mm:g}", f"{ring.tilt_deg:g}"])
-        self._before_canister = self._yes("Does the camera look squarely at the canister, strip and water in the picture?")
-        self._found("arm", self._before_canister, f"as a person sees it: {where}")
+        self._before_canister = self._yes("Does the camera face the canister, with strip and water in the picture?")
+        self._found("arm", self._before_canister, f"judged by eye: {where}")
 
     def _out_of_place(self, step: str) -> bool:
         """Skip a step whose picture would not show the canister."""
         if not self._before_canister:
-            self._note(Finding(step=step, verdict="skipped", text="the camera does not stand before the canister"))
+            self._note(Finding(step=step, verdict="skipped", text="the camera is not in front of the canister"))
         return not self._before_canister
 
     def _focus(self) -> None:
@@ -136,7 +135,9 @@ class FirstDay:
         image = self._jog.shot()
         write_bytes(self._folder / "focus.png", encode_png(image))
         if contrast(image) < LEAST_CONTRAST:
-            self._found("focus", False, "nothing dark stands before the panel: bring pot, strip and canister into the picture (focus.png)")
+            self._found(
+                "focus", False, "there is no dark object in front of the panel: bring pot, strip and canister into the picture (focus.png)"
+            )
             return
         width_px, cell_px = edge_width_px(image), self._cell_px()
         sharp = width_px < 0.5 * cell_px
@@ -150,7 +151,7 @@ class FirstDay:
         image = self._jog.shot()
         seen = read_strip(image, self._scene)
         if seen is not None:
-            self._found("strip", True, f"{seen.markers} markers, {seen.reprojection_px:.2f} px off", reprojection_px=seen.reprojection_px)
+            self._found("strip", True, f"{seen.markers} markers, {seen.reprojection_px:.2f} px error", reprojection_px=seen.reprojection_px)
         elif read_strip(np.ascontiguousarray(image[:, ::-1]), self._scene) is not None:
             self._found(
                 "strip", False, "the picture is mirrored: switch off the camera's flip, or print the strip anew if it was printed mirrored"
@@ -180,17 +181,17 @@ class FirstDay:
         self._jog.do(["table", f"-{TURN_DEG:g}"])
         back = self._sighting()
         if before is None or after is None or back is None:
-            self._found("table", seen_right, "as a person sees it; the markers could not be read")
+            self._found("table", seen_right, "judged by eye; the markers could not be read")
             return
         turn, miss = (wrapped(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
         measured = abs(turn - TURN_DEG) <= TURN_TOLERANCE_DEG
-        text = f"told to turn by {TURN_DEG:g} deg, the markers turned by {turn:.2f}, and came back to {miss:+.2f}"
+        text = f"commanded to turn by {TURN_DEG:g} deg, the markers turned by {turn:.2f} and returned to {miss:+.2f}"
         if abs(turn + TURN_DEG) <= TURN_TOLERANCE_DEG:
-            text += ": the other way; swap the motor's coil, set INVERT_X_DIR or hat.reverse, or turntable.direction = -1 in the scene"
+            text += ": wrong direction; swap the motor's coil, set INVERT_X_DIR or hat.reverse, or turntable.direction = -1 in the scene"
         elif not measured:
             text += ": correct the steps per degree"
         elif not seen_right:
-            text += f"; by the markers it is right, but a person saw no turn {sense}: is the strip upside down?"
+            text += f"; the markers confirm it, but no turn {sense} was observed: is the strip upside down?"
         self._found("table", measured and seen_right, text, turned_deg=turn, back_deg=miss)
 
     def _joint_step(self, k: int) -> Callable[[], None]:
@@ -200,7 +201,7 @@ class FirstDay:
             if arm is None:
                 self._note(Finding(step=name, verdict="skipped", text="this rig has no arm"))
                 return
-            if not self._yes(f"A hand on the switch of the arm's supply: may joint {k + 1} move by {JOINT_DEG:g} degrees?"):
+            if not self._yes(f"Keep a hand on the switch of the arm's supply: may joint {k + 1} move by {JOINT_DEG:g} degrees?"):
                 self._note(Finding(step=name, verdict="skipped", text="not moved"))
                 return
             self._jog.do(["joint", str(k + 1), "+0"])  # connects
@@ -209,7 +210,7 @@ class FirstDay:
             moved_deg = arm.read_joints()[k] - before
             right = self._yes(f"Did {JOINTS[k]}?")
             self._jog.do(["joint", str(k + 1), f"-{JOINT_DEG:g}"])
-            text = f"told to move by {JOINT_DEG:g} deg, the servo says {moved_deg:+.1f}"
+            text = f"commanded to move by {JOINT_DEG:g} deg, the servo reports {moved_deg:+.1f}"
             self._found(name, right, text + ("" if right else f"; set sign of arm.joints {k + 1} to the other one"), moved_deg=moved_deg)
 
         return step
@@ -231,14 +232,14 @@ class FirstDay:
                 )
             )
         for what, given_mm, key in asked:
-            answer = self._ask(f"Calipers or tape: how many mm is it {what}? (nothing: skip) ").strip()
+            answer = self._ask(f"Callipers or tape: how many mm is it {what}? (empty to skip) ").strip()
             if not answer:
                 self._note(Finding(step="calipers", verdict="skipped", text=what))
                 continue
             try:
                 measured_mm = finite(answer)
             except ValueError:
-                self._note(Finding(step="calipers", verdict="skipped", text=f"{what}: {answer!r} is no number"))
+                self._note(Finding(step="calipers", verdict="skipped", text=f"{what}: {answer!r} is not a number"))
                 continue
             near = abs(measured_mm - given_mm) <= CALIPER_MM
             text = f"{what} {measured_mm:.2f} mm, in the scene {given_mm:.2f}"
@@ -249,9 +250,9 @@ class FirstDay:
         return read_strip(self._jog.shot(), self._scene)
 
     def _cell_px(self) -> float:
-        """Return how many pixels a cell of a marker has from the first ring.
+        """Return the size in pixels of a marker's cell from the first ring.
 
-        A marker has 8 cells with its border (AprilTag 36h11: 10).
+        A marker has 8 cells including its border (AprilTag 36h11: 10).
         """
         from rhizotwin.scenes.markers import dictionary_named
 
@@ -265,7 +266,7 @@ class FirstDay:
             answer = self._ask(f"{question} [yes/no] ").strip().lower()
             if answer in ("y", "yes", "n", "no"):
                 return answer.startswith("y")
-            self._say("answer yes or no")
+            self._say("please answer yes or no")
 
     def _found(self, step: str, good: bool, text: str, **measured: float) -> None:
         self._note(Finding(step=step, verdict="ok" if good else "wrong", text=text, measured=measured))
@@ -284,7 +285,7 @@ class FirstDay:
 
 
 def report(findings: Sequence[Finding], name: str) -> str:
-    """Return the findings as a page to be sent back."""
+    """Return the results as a Markdown report."""
     rows = [f"| {one.step} | {one.verdict} | {one.text.replace('|', '/')} |" for one in findings]
     wrong = sum(one.verdict == "wrong" for one in findings)
     head = [
@@ -292,18 +293,16 @@ def report(findings: Sequence[Finding], name: str) -> str:
         "",
         f"{len(findings)} steps, {wrong} wrong.",
         "",
-        "| step | verdict | what was found |",
+        "| step | verdict | result |",
         "|---|---|---|",
     ]
     return "\n".join([*head, *rows, ""])
 
 
 def edge_width_px(image: Grey) -> float:
-    """Return how wide the picture's sharpest upright edges are, in px.
+    """Return the width in px of the sharpest vertical edges: the step from dark to bright over the steepest slope.
 
-    The step from dark to bright over the steepest slope.
-
-    The 99.9th percentile of the slopes stands for the steepest, so that single noisy pixels do not count.
+    The 99.9th percentile of the slopes is used, so that single noisy pixels have no effect.
     """
     numbers = image.astype(np.float64)
     slope = np.abs(numbers[:, 2:] - numbers[:, :-2]) / 2.0
@@ -312,15 +311,15 @@ def edge_width_px(image: Grey) -> float:
 
 
 def contrast(image: Grey) -> float:
-    """Return by what share of the bright parts' light (98th percentile) the dark ones (2nd) are darker."""
+    """Return the relative difference between the bright (98th percentile) and the dark parts (2nd) of a picture."""
     dark, bright = np.percentile(image, (2.0, 98.0))
     return float(1.0 - dark / max(bright, 1.0))
 
 
 def panel_evenness(image: Grey) -> float:
-    """Return the light of the panel's darker parts over its brighter ones', in blocks that are mostly panel.
+    """Return the ratio of the panel's darker to its brighter parts, in blocks that are mostly panel.
 
-    The 5th percentile over the 95th.
+    These are the 5th and the 95th percentile.
     """
     height, width = image.shape
     rows, columns = np.array_split(np.arange(height), BLOCKS_XY[1]), np.array_split(np.arange(width), BLOCKS_XY[0])

@@ -1,4 +1,4 @@
-"""Line commands for a person on the bench: every device by hand, with the arm's ways checked before anything moves."""
+"""Interactive commands to operate every device by hand, with collision checks of the arm's paths."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from rhizotwin.rig.scanning.safety import Say, make_safe, park
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Ring, Scene
-from rhizotwin.scenes.pictures import Grey, encode_png
+from rhizotwin.scenes.picture_codec import Grey, encode_png
 
 JOINT_COUNT = 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Word:
-    """A command that can be typed."""
+    """A command of the interactive mode."""
 
     usage: str
     does: str
@@ -37,7 +37,7 @@ class Word:
 
 
 class Jog:
-    """The devices of a rig, moved by typed lines."""
+    """The devices of a rig, operated by typed commands."""
 
     def __init__(self, devices: Devices, scene: Scene, *, say: Say) -> None:
         self._devices = devices
@@ -47,39 +47,43 @@ class Jog:
         self._seen = np.eye(4)
         self._commanded: tuple[float, ...] | None = None
         self._words: Mapping[str, Word] = {
-            "table": Word(usage="table +9 | table 90", does="turn by an angle with a sign, or to one without", run=self._table),
-            "home": Word(usage="home [DEG]", does="find the table's angle by the markers, or say that it stands at DEG", run=self._home),
+            "table": Word(usage="table +9 | table 90", does="turn by an angle (with sign), or to an angle (without)", run=self._table),
+            "home": Word(usage="home [DEG]", does="determine the table's angle by the markers, or declare it as DEG", run=self._home),
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
-            "band": Word(usage="band NAME", does="set lamps and filter as a band of the camera needs them", run=self._band),
+            "band": Word(usage="band NAME", does="set lamps and filter for a band of the camera", run=self._band),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
-            "go": Word(usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go),
+            "go": Word(
+                usage="go DISTANCE HEIGHT [TILT]",
+                does="move the camera to a distance from the axis and a height above the rim",
+                run=self._go,
+            ),
             "look": Word(
                 usage="look X Y Z DX DY DZ | look NAME",
-                does="bring the camera to a place and direction, or a named pose",
+                does="move the camera to a position and direction, or a named pose",
                 run=self._look_from,
             ),
             "align": Word(
                 usage="align [DISTANCE HEIGHT]",
-                does="face the canister level, upright and through its axis, by the markers",
+                does="align the camera with the canister's axis, level and upright, by the markers",
                 run=self._align,
             ),
-            "park": Word(usage="park", does="bring the arm to its place of rest", run=self._park),
+            "park": Word(usage="park", does="move the arm to its parking position", run=self._park),
             "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
-            "pose": Word(usage="pose", does="say where table, joints and camera are", run=self._pose),
-            "markers": Word(usage="markers", does="take a picture and say what the strip shows", run=self._markers),
-            "picture": Word(usage="picture FILE.png", does="take a picture and write it", run=self._picture),
+            "pose": Word(usage="pose", does="show table angle, joint angles and camera position", run=self._pose),
+            "markers": Word(usage="markers", does="take a picture and show the detected markers", run=self._markers),
+            "picture": Word(usage="picture FILE.png", does="take a picture and write it to a file", run=self._picture),
             "help": Word(usage="help", does="say this", run=self._help),
         }
 
     def run(self, lines: Iterable[str], *, stop_at_mistake: bool) -> None:
-        """Do what the lines say until ``quit``, and leave the rig safe.
+        """Execute commands until ``quit``, and leave the rig in a safe state.
 
         Parameters
         ----------
         lines : iterable of str
-            Typed by a person, or from a pipe.
+            Command lines, from a terminal or a pipe.
         stop_at_mistake : bool
-            Raise the first error, as for a pipe; otherwise it is said, and the next line is done.
+            Raise the first error, as for a pipe; otherwise errors are printed, and the next line is executed.
         """
         try:
             for line in lines:
@@ -98,12 +102,12 @@ class Jog:
             self.leave()
 
     def do(self, words: list[str]) -> None:
-        """Do one line, given as its words.
+        """Execute one command, given as its words.
 
         Raises
         ------
         UserError
-            For words that are not understood, and for what is refused or fails.
+            For unknown or invalid commands, and for failures.
         """
         word = self._words.get(words[0])
         if word is None:
@@ -111,12 +115,12 @@ class Jog:
         try:
             word.run(words[1:])
         except (ValueError, IndexError):
-            raise UserError(f"{' '.join(words)!r} is not understood, write: {word.usage}") from None
+            raise UserError(f"{' '.join(words)!r} is invalid; usage: {word.usage}") from None
 
     def leave(self) -> None:
-        """Leave the rig safe: lamps off, the arm parked and let go.
+        """Leave the rig in a safe state: lamps off, the arm parked and without torque.
 
-        The table's motor stays on where its angle is known.
+        The table's motor remains on if its angle is known.
         """
         table = self._devices.table
         known = False
@@ -127,16 +131,16 @@ class Jog:
         finally:
             make_safe(self._devices, self._scene, say=self._say, board=self._table_ready, arm=self._arm_ready, finished=not known)
         if known:
-            self._say("turntable: its motor stays on, so that its angle is kept")
+            self._say("turntable: its motor remains on, so that its angle is kept")
 
     def _board(self) -> None:
-        """Connect to the board when it is first needed."""
+        """Connect to the board when it is first used."""
         if not self._table_ready:
             self._say(preflight.check_table(self._devices.table))
             self._table_ready = True
 
     def _arm(self) -> Arm:
-        """Connect to the arm when it is first needed."""
+        """Connect to the arm when it is first used."""
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -156,7 +160,7 @@ class Jog:
         self._board()
         table = self._devices.table
         if not table.knows_zero():
-            raise RigError("turntable: its angle is not known; type home, or home 0 when the strip's seam faces the camera")
+            raise RigError("turntable: its angle is unknown; type home, or home 0 if the strip's seam faces the camera")
         goal_deg = angle_deg + (table.position_deg() if text[0] in "+-" else 0.0)
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
@@ -233,12 +237,14 @@ class Jog:
         self.align()
 
     def align(self) -> Misalignment:
-        """Correct the joints by the markers until the camera faces the canister, and return what is left (thesis C.2).
+        """Correct the joints by the markers until the camera faces the canister, and return the remaining error.
+
+        This is the correction of the thesis, appendix C.2.
 
         Raises
         ------
         UserError
-            Where the strip cannot be read, the way is not clear, or the arm comes no nearer.
+            If the strip cannot be read, the path is not clear, or the corrections do not converge.
         """
         rig, part = self._devices.rig, arm_of(self._devices.rig)
         here = self._commanded or self._arm().read_joints()
@@ -252,13 +258,13 @@ class Jog:
         self._say(f"after {moves} moves: {left.text()}")
         if not left.is_aligned:
             raise RigError(
-                f"arm: not aligned after {moves} moves ({left.text()}): its servos do not stop where they are sent; "
+                f"arm: not aligned after {moves} moves ({left.text()}): its servos do not reach the commanded positions; "
                 "check its supply and its stops, or calibrate it"
             )
         return left
 
     def _misalignment(self, *, search: bool = False) -> Misalignment:
-        """Take a picture and return how the camera misses the canister's axis, tilting it to find the strip."""
+        """Take a picture and return the misalignment of the camera, tilting it to find the strip."""
         seen, why = self._look()
         here = self._arm().read_joints()
         for tilt_deg in SEARCH_DEG if search and seen is None else ():
@@ -272,7 +278,7 @@ class Jog:
         return misalignment(self._seen)
 
     def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
-        """Move straight from place to place, each way checked before, and return the joints as read."""
+        """Move along a path, checking each segment before, and return the measured joint angles."""
         arm, rig = self._arm(), self._devices.rig
         within_limits(arm_of(rig), path[-1])
         check_path(rig, self._scene, [arm.read_joints(), *path])
@@ -316,7 +322,9 @@ class Jog:
             raise RigError(f"markers: {why}")
         distance_mm, height_mm, tilt_deg = place_of(seen.cam_from_canister)
         facing_deg = facing_angle(seen, self._scene) % 360.0
-        self._say(f"{seen.markers} markers, {seen.reprojection_px:.2f} px off; from the +x side the table stands at {facing_deg:.2f} deg")
+        self._say(
+            f"{seen.markers} markers, {seen.reprojection_px:.2f} px error; seen from the +x side the table is at {facing_deg:.2f} deg"
+        )
         self._say(f"by the markers the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
 
     def _picture(self, words: list[str]) -> None:
@@ -336,7 +344,7 @@ class Jog:
         width = max(len(word.usage) for word in self._words.values())
         for word in self._words.values():
             self._say(f"  {word.usage:<{width}}  {word.does}")
-        self._say(f"  {'quit':<{width}}  lights off, arm parked and let go")
+        self._say(f"  {'quit':<{width}}  lights off, arm parked without torque")
 
     def shot(self) -> Grey:
         """Return a picture of the scene's size."""
@@ -350,7 +358,7 @@ class Jog:
 
 
 def finite(text: str) -> float:
-    """Return a number; words such as nan and inf are none."""
+    """Return a finite number; words such as nan and inf are rejected."""
     value = float(text)
     if not np.isfinite(value):
         raise ValueError(text)
@@ -358,11 +366,11 @@ def finite(text: str) -> float:
 
 
 def nothing(words: list[str]) -> None:
-    """Refuse words that a command does not take."""
+    """Raise an error for arguments of a command without arguments."""
     if words:
         raise ValueError(words)
 
 
 def joints_text(joints_deg: tuple[float, ...]) -> str:
-    """Show joint angles, base to wrist roll."""
+    """Return joint angles as text, base to wrist roll."""
     return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

@@ -1,6 +1,6 @@
-"""The rig file: what the devices are, how they are connected, and where the arm stands.
+"""Rig file: the devices, their connections, and the position of the arm.
 
-TOML, validated, unknown keys refused.
+It is a validated TOML file; unknown keys are rejected.
 """
 
 from dataclasses import dataclass, field
@@ -17,40 +17,34 @@ LSC_BAUD = 9600
 
 @dataclass(frozen=True, kw_only=True)
 class TurntablePart:
-    """Turntable and lights: one Marlin 2.1 board on one serial line, axis X in degrees.
-
-    Or this Raspberry Pi's own pins.
-    """
+    """Turntable and lights: a Marlin 2.1 board on one serial line, or this Raspberry Pi's own pins."""
 
     kind: Literal["marlin", "hat"] = "marlin"
-    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``); ``port`` and
-    ``baud`` are not used."""
+    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``), for which ``port``
+    and ``baud`` are not used."""
     port: str = "/dev/ttyUSB0"
     """A serial port, or any URL of pyserial such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
     speed_deg_per_s: float = bounded(30.0, 0.1, 360.0)
     acceleration_deg_per_s2: float = bounded(60.0, 0.1, 10000.0)
-    """At the beginning and end of each move; a Marlin board takes what its own limits allow."""
+    """Acceleration of each move; a Marlin board limits it to its own maximum."""
     full_step_deg: float = bounded(1.8, 0.001, 30.0)
     """Table angle of one full step of the motor."""
     approach_deg: float = bounded(3.6, 0.0, 45.0)
-    """Moves against the direction of approach go this far beyond and come back, so that play is always taken up on one
+    """Moves against the approach direction overshoot by this angle and return, so that backlash is always on the same
     side."""
     tolerance_deg: float = bounded(0.02, 1e-4, 5.0)
-    """Largest difference between the commanded angle and the one read back."""
+    """Maximum difference between the commanded and the measured angle."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Rest after a move before a picture: the water must be still."""
+    """Pause after a move before a picture, until the water is still."""
     rest: Literal["given", "measured"] = "given"
-    """measured: a scan turns a few times before its first picture, at this acceleration and gentler ones, watches how
-    long the picture moves, and goes on with what is soonest at rest; it rests ``settle_s`` at least."""
+    """measured: before its first picture, a scan turns a few times at this and lower accelerations, measures how long
+    the picture moves, and uses the acceleration with the shortest total time; it pauses at least ``settle_s``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightsPart:
-    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE).
-
-    The backlight panel and the front light over the markers.
-    """
+    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE): backlight panel and front light."""
 
     panel_strip: int = bounded(0, 0, 1)
     front_strip: int = bounded(1, 0, 1)
@@ -61,34 +55,34 @@ class LightsPart:
     """Level during the scan."""
     front_level: float = bounded(1.0, 0.0, 1.0)
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Rest after a change before a picture."""
+    """Pause after a change before a picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HatPart:
-    """The thesis's electronics: a DRV8825 and two NeoPixel strips on a Raspberry Pi's pins, numbered as GPIO."""
+    """Electronics of the thesis: a DRV8825 and two NeoPixel strips on a Raspberry Pi's pins, with GPIO numbers."""
 
     step_pin: int = bounded(23, 0, 27)
     direction_pin: int = bounded(24, 0, 27)
     enable_pin: int = bounded(25, 0, 27)
-    """Low switches the motor on."""
+    """Pin that switches the motor on when low."""
     fault_pin: int = bounded(22, 0, 27)
-    """Low: the driver is too hot, or a coil is shorted."""
+    """Pin that signals a hot driver or a shorted coil when low."""
     microsteps: int = bounded(32, 1, 32)
-    """As the driver's MODE pins are wired."""
+    """Microsteps per step, according to the wiring of the driver's MODE pins."""
     reverse: bool = False
-    """Whether the motor's coils are such that the table turns the other way."""
+    """Whether the wiring of the motor's coils reverses the table's direction."""
     panel_pin: int = bounded(18, 0, 27)
-    """GPIO 12 or 18: channel 0 of rpi_ws281x."""
+    """Pin of the panel, GPIO 12 or 18: channel 0 of rpi_ws281x."""
     front_pin: int = bounded(13, 0, 27)
-    """GPIO 13 or 19: channel 1."""
+    """Pin of the front light, GPIO 13 or 19: channel 1."""
     panel_pixels: int = bounded(300, 1, 5000)
     front_pixels: int = bounded(18, 1, 5000)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """One servo as a joint."""
+    """One servo, as a joint."""
 
     servo: int = bounded(1, 0, 253)
     zero_counts: float = bounded(500.0, -2000.0, 3000.0)
@@ -101,14 +95,14 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmPart:
-    """The arm: six LX servos, of which five move the camera. Leave the section out for a camera on a tripod."""
+    """The arm: six LX servos, five of which move the camera. Omit the section for a camera on a tripod."""
 
     protocol: Literal["lx", "lsc"] = "lx"
     """lx: the servo bus itself (115200 Bd, checksums). lsc: the controller board (9600 Bd, none)."""
     port: str = "/dev/ttyUSB1"
     baud: int = bounded(115200, 1200, 4_000_000)
     echo: Literal["auto", "yes", "no"] = "auto"
-    """Whether the half-duplex adapter returns what is sent (lx only)."""
+    """Whether the half-duplex adapter echoes transmitted bytes (lx only)."""
     joints: tuple[Joint, ...] = (
         Joint(servo=6, min_deg=-90.0, max_deg=90.0),
         Joint(servo=5, min_deg=-86.0, max_deg=91.0),
@@ -118,35 +112,35 @@ class ArmPart:
     )
     """Base, shoulder, elbow, wrist pitch, wrist roll."""
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
-    """Base plate to shoulder axis, shoulder to elbow, elbow to wrist pitch, wrist pitch to the camera's centre."""
+    """Lengths from base plate to shoulder axis, to elbow, to wrist pitch, and to the camera's centre."""
     position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
     """Centre of the base plate's underside in the rig frame; by default 145 mm above the floor, to reach rings of root
     and shoot."""
     rotation_deg: tuple[float, float, float] = bounded((0.0, 0.0, 180.0), -360.0, 360.0)
-    """Rotation vector from the arm's frame (+z along the base's axis, +x where the arm leans at positive shoulder
-    angles) to the rig's."""
+    """Rotation vector from the arm frame (+z along the base's axis, +x the direction in which the arm leans at positive
+    shoulder angles) to the rig frame."""
     max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)
     tolerance_deg: float = bounded(3.0, 0.1, 30.0)
-    """Largest difference between commanded and read angles (sag and dead band included) that still counts as
-    arrived."""
+    """Maximum difference between commanded and measured angles (including sag and dead band) at the end of a move."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
-    """Where the arm rests before its torque goes off; the way to the first ring begins and ends here."""
+    """Parking position of the arm, in which its torque is switched off; the path to the first ring begins and ends
+    here."""
     filter: Joint | None = None
-    """The end effector's motor, where it turns a filter wheel before the lens."""
+    """End effector's motor, if it rotates a filter wheel in front of the lens."""
     min_volt: float = bounded(6.5, 4.5, 12.0)
     max_volt: float = bounded(8.4, 4.5, 12.0)
     max_celsius: float = bounded(65.0, 20.0, 85.0)
     correct: bool = True
-    """After placing the camera for a ring, look at the markers and correct the placing."""
+    """Whether to correct the camera's position for each ring by the markers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BandPart:
-    """How lamps and filter are set for one of the scene's bands."""
+    """Lamp and filter settings for one of the scene's bands."""
 
     name: str = ""
-    """As in the scene."""
+    """Name of the band, as in the scene."""
     panel_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
     """Colour of the panel at level 1. None: as in ``[lights]``."""
     front_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
@@ -156,22 +150,20 @@ class BandPart:
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
     """Level of the front light. None: as in ``[lights]``."""
     output: int | None = field(default=None, metadata={"limits": (0, 27)})
-    """Switched output of a lamp that is on in this band alone, such as near infrared LEDs: number of the Marlin board's
+    """Switched output of a lamp that is only on in this band, such as near-infrared LEDs: number of the Marlin board's
     fan output (M106), or of a Raspberry Pi's GPIO pin (hat)."""
     filter_deg: float | None = field(default=None, metadata={"limits": (-360.0, 360.0)})
-    """Angle of the filter wheel, which the end effector's motor (``arm.filter``) turns."""
+    """Angle of the filter wheel, which is rotated by the end effector's motor (``arm.filter``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPart:
-    """The camera.
-
-    It is on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer that runs `rhizotwin camera` (http).
-    """
+    """The camera: on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer (http)."""
 
     kind: Literal["picamera2", "v4l2", "http"] = "picamera2"
     address: str = "0"
-    """picamera2, v4l2: number of the camera (v4l2: or its device file). http: such as http://raspberrypi:8471."""
+    """picamera2, v4l2: number of the camera (for v4l2 also its device file). http: URL such as http://raspberrypi:8471.
+    """
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
@@ -179,12 +171,12 @@ class CameraPart:
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
     """Fixed white balance (v4l2)."""
     bands: tuple[BandPart, ...] = ()
-    """How each of the scene's ``[[camera.bands]]`` is set."""
+    """Settings for each of the scene's ``[[camera.bands]]``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bar:
-    """A box that the arm must not touch: a piece of the frame, a lamp. Rig frame."""
+    """A box that the arm must avoid, such as a part of the frame or a lamp. Rig frame."""
 
     low_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
     high_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
@@ -192,17 +184,17 @@ class Bar:
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
-    """What paths of the arm are checked against, besides the scene's canister and net pot."""
+    """Obstacles of the arm, in addition to the scene's canister and net pot."""
 
     margin_mm: float = bounded(15.0, 0.0, 500.0)
-    """Least distance between the arm with its camera and anything else: it covers sag and play."""
+    """Minimum distance between the arm with its camera and obstacles, as a margin for sag and backlash."""
     arm_radius_mm: float = bounded(32.0, 1.0, 300.0)
     """Half the width of the arm's links."""
     camera_radius_mm: float = bounded(35.0, 1.0, 300.0)
-    """A sphere about the camera's centre that holds it with its lens."""
+    """Radius of a sphere about the camera's centre that encloses camera and lens."""
     table_radius_mm: float = bounded(110.0, 1.0, 2000.0)
     floor_z_mm: float = bounded(-195.0, -5000.0, 0.0)
-    """What the arm's base and the turntable's feet stand on."""
+    """Height (z) of the surface on which the arm's base and the turntable stand."""
     bars: tuple[Bar, ...] = ()
 
 
@@ -212,14 +204,14 @@ class Pose:
 
     name: str = ""
     position_mm: tuple[float, float, float] = bounded((400.0, 0.0, -42.0), -5000.0, 5000.0)
-    """The camera's centre."""
+    """Centre of the camera."""
     direction: tuple[float, float, float] = bounded((-1.0, 0.0, 0.0), -1e6, 1e6)
-    """Where its optical axis points."""
+    """Direction of the optical axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFile:
-    """A whole rig."""
+    """Complete description of a rig."""
 
     name: str = "rig"
     description: str = ""
@@ -238,8 +230,8 @@ def load_rig(path: Path | str) -> RigFile:
     Raises
     ------
     UserError
-        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or parts that do
-        not fit each other.
+        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or inconsistent
+        values.
     """
     table, text = read_toml(Path(path))
     place = Place(str(path), text)
@@ -249,10 +241,10 @@ def load_rig(path: Path | str) -> RigFile:
 
 
 def check_rig(rig: RigFile, place: Place) -> None:
-    """Refuse what is well-typed but cannot be."""
+    """Check the values of a rig file against each other."""
     if rig.lights.panel_strip == rig.lights.front_strip:
         raise place.at("lights", "front_strip").error(
-            "must differ from panel_strip: each lamp is a strip of its own", rig.lights.front_strip
+            "must differ from panel_strip: each lamp must be a separate strip", rig.lights.front_strip
         )
     _check_hat(rig.hat, place.at("hat"))
     _check_bands(rig, place.at("camera"))
@@ -262,7 +254,7 @@ def check_rig(rig: RigFile, place: Place) -> None:
     names = [pose.name for pose in rig.poses]
     for i, name in enumerate(names):
         if not name or not name.isidentifier() or name in names[:i]:
-            raise place.at("poses", i, "name").error("must be one word of letters and digits, no two the same", name)
+            raise place.at("poses", i, "name").error("must be one word of letters and digits, different for each pose", name)
     if rig.arm is not None:
         _check_arm(rig.arm, place.at("arm"))
 
@@ -272,10 +264,10 @@ def _check_hat(hat: HatPart, place: Place) -> None:
     pins = [getattr(hat, name) for name in names]
     for i, (name, pin) in enumerate(zip(names, pins, strict=True)):
         if pin in pins[:i]:
-            raise place.at(name).error(f"is used for {names[pins.index(pin)]} already", pin)
+            raise place.at(name).error(f"is already used for {names[pins.index(pin)]}", pin)
     for name, allowed in (("panel_pin", (12, 18)), ("front_pin", (13, 19))):
         if getattr(hat, name) not in allowed:
-            raise place.at(name).error(f"must be {allowed[0]} or {allowed[1]}, which can send pixels", getattr(hat, name))
+            raise place.at(name).error(f"must be {allowed[0]} or {allowed[1]}, which support NeoPixels", getattr(hat, name))
     if hat.microsteps & (hat.microsteps - 1):
         raise place.at("microsteps").error("must be 1, 2, 4, 8, 16 or 32", hat.microsteps)
 
@@ -287,11 +279,11 @@ def _check_bands(rig: RigFile, place: Place) -> None:
     for i, band in enumerate(rig.camera.bands):
         here = place.at("bands", i)
         if not band.name or band.name in names[:i]:
-            raise here.at("name").error("must be the name of one of the scene's bands, no two the same", band.name)
+            raise here.at("name").error("must be the name of one of the scene's bands, different for each entry", band.name)
         if band.output in taken:
-            raise here.at("output").error("is a pin that [hat] uses already", band.output)
+            raise here.at("output").error("is a pin already used by [hat]", band.output)
         if band.filter_deg is not None and wheel is None:
-            raise here.at("filter_deg").error("needs [arm.filter], the motor that turns the filter wheel", band.filter_deg)
+            raise here.at("filter_deg").error("requires [arm.filter], the motor of the filter wheel", band.filter_deg)
         if band.filter_deg is not None and wheel is not None and not wheel.min_deg <= band.filter_deg <= wheel.max_deg:
             must = f"must be between arm.filter's {wheel.min_deg:g} and {wheel.max_deg:g} deg"
             raise here.at("filter_deg").error(must, band.filter_deg)
@@ -301,15 +293,15 @@ def _check_arm(arm: ArmPart, place: Place) -> None:
     if len(arm.joints) != JOINTS:
         raise place.at("joints").error(f"must be {JOINTS}: base, shoulder, elbow, wrist pitch, wrist roll", len(arm.joints))
     if len({joint.servo for joint in arm.joints}) != JOINTS:
-        raise place.at("joints").error("must have a servo number each, no two the same", [joint.servo for joint in arm.joints])
+        raise place.at("joints").error("must have different servo numbers", [joint.servo for joint in arm.joints])
     if arm.filter is not None and arm.filter.servo in {joint.servo for joint in arm.joints}:
-        raise place.at("filter", "servo").error("must be none of the joints' servos", arm.filter.servo)
+        raise place.at("filter", "servo").error("must differ from the joints' servos", arm.filter.servo)
     for i, (joint, rest) in enumerate(zip(arm.joints, arm.park_deg, strict=True)):
         if joint.min_deg >= joint.max_deg:
             raise place.at("joints", i, "max_deg").error(f"must be above min_deg {joint.min_deg:g}", joint.max_deg)
         if not joint.min_deg <= rest <= joint.max_deg:
             raise place.at("park_deg").error(f"element {i + 1} must be between its joint's {joint.min_deg:g} and {joint.max_deg:g}", rest)
     if arm.protocol == "lsc" and arm.baud != LSC_BAUD:
-        raise place.at("baud").error(f"must be {LSC_BAUD}: the controller board (protocol lsc) speaks at no other rate", arm.baud)
+        raise place.at("baud").error(f"must be {LSC_BAUD}: the controller board (protocol lsc) supports no other rate", arm.baud)
     if arm.min_volt >= arm.max_volt:
         raise place.at("max_volt").error(f"must be above min_volt {arm.min_volt:g}", arm.max_volt)

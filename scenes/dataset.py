@@ -20,7 +20,7 @@ from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError, parsers_words
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey, decode_light
+from rhizotwin.scenes.picture_codec import Grey, decode_light
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.transfer import LINEAR, Curve, of_camera, stated_in
@@ -178,7 +178,7 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     -------
     ndarray
         (H, W), uint8 or uint16 as in the file if its values are linear in light, else uint16; see
-        `scenes.decode_pictures.decode_light`.
+        `scenes.picture_codec.decode_light`.
 
     Raises
     ------

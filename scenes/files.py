@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rhizotwin.scenes import explained
+from rhizotwin.scenes import key_descriptions
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError, parsers_words
@@ -72,7 +72,7 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
     plain = scene_to_dict(scene)
     if not plants:
         del plain["plants"]  # with an empty list, users could not add a [[plants]] section
-    write_text(path, explained.commented(_without_none(plain)), new=new)
+    write_text(path, key_descriptions.commented(_without_none(plain)), new=new)
 
 
 def _resolved(specimen: Specimen | None, folder: Path) -> Specimen | None:

@@ -27,8 +27,8 @@ from pathlib import Path
 
 from rhizotwin.scenes.atomic import TEMPORARY, explained, is_full, sync_folder
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.lock import locked
-from rhizotwin.scenes.said import printable
 
 LOCK, NEW, OLD, WHOLE = ".rhizotwin-lock", ".rhizotwin-new", ".rhizotwin-old", ".rhizotwin-whole"
 HEADS = ("dataset.json", "result.json")

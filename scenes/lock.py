@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import printable
+from rhizotwin.scenes.formatting import printable
 
 if sys.platform == "win32":
     import msvcrt

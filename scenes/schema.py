@@ -15,7 +15,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -48,7 +48,7 @@ class Place:
 
 def suggestion(name: str, known: list[str]) -> str:
     """Return `` (did you mean "x"?)`` for the most similar known name, or an empty text."""
-    near = nearest(name, known)
+    near = most_similar(name, known)
     return f' (did you mean "{near}"?)' if near else ""
 
 

@@ -1,7 +1,4 @@
-"""Where a specimen from a file stands in the water.
-
-As its file says, as it is told, or hung below the net pot's grid.
-"""
+"""Placement of a specimen from a file: as in the file, as specified, or below the net pot's grid."""
 
 from dataclasses import dataclass, replace
 
@@ -17,54 +14,53 @@ from rhizotwin.scenes.specimens import PlacedFile
 Array = NDArray[np.float64]
 
 TOUCH_MM = 1e-6
-"""A specimen may reach this far past wall, floor or surface: rounding."""
+"""Tolerance for specimens beyond wall, floor or surface, for rounding errors."""
 FREE_MM = 0.5
-"""Water left free between a specimen that is hung and the grid, as between the grid and roots that grow
-(`GrownSpecimen`)."""
+"""Distance between an automatically placed specimen and the grid, as for grown roots (`GrownSpecimen`)."""
 _UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
-"""Half a turn about x: lengths, volumes and handedness stay."""
+"""Rotation by half a turn about x, which preserves lengths, volumes and handedness."""
 
 
 @dataclass(frozen=True)
 class Placing:
-    """A turn by half, a scale and a shift: p -> scale * turn * p + shift."""
+    """A similarity transform: p -> scale * turn * p + shift."""
 
     turn: Array
-    """(3, 3), a rotation."""
+    """(3, 3) rotation."""
     scale: float
     shift_mm: Array
-    """(3,)"""
+    """(3,) translation."""
 
     def of(self, points_mm: Array) -> Array:
-        """Return where points (N, 3) of the file come to lie."""
+        """Return transformed points (N, 3)."""
         placed: Array = self.scale * points_mm @ self.turn.T + self.shift_mm
         return placed
 
     def roots(self, roots: tuple[Root, ...]) -> tuple[Root, ...]:
-        """Return where roots come to lie."""
+        """Return transformed roots."""
         return tuple(replace(root, points_mm=self.of(root.points_mm), diameters_mm=self.scale * root.diameters_mm) for root in roots)
 
 
 def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array | None = None) -> Placing:
-    """Find where a specimen goes.
+    """Compute the placement of a specimen.
 
     Parameters
     ----------
     specimen : PlacedFile
-        What is told of it.
+        Specimen with its placement options.
     points_mm : (N, 3) float64
-        Its surface in the file's frame, in mm.
+        Points of its surface in the file's frame, in mm.
     scene : Scene
-        Grid and axis.
+        Scene with the grid and the axis.
     base_mm : (M, 3) float64 or None
-        Where its axes begin, which tells up from down; None: not known.
+        Bases of its root axes, which determine the upward direction; None if unknown.
 
     Returns
     -------
     Placing
-        With ``place = "auto"``: traced roots that lie flat (all z alike) stand up, with their y down; roots whose base
-        is below their middle are turned over. The highest point is `FREE_MM` below the grid; the smallest circle round
-        it is about the axis.
+        With ``place = "auto"``, flat traced roots (constant z) are rotated upright, with their y pointing down; roots
+        with the base below the centre are turned over. The highest point is `FREE_MM` below the grid; the smallest
+        enclosing circle is centred on the axis.
     """
     shift = np.array(specimen.shift_mm)
     turn = np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)
@@ -80,22 +76,19 @@ def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array
 
 
 def _is_flat(points_mm: Array) -> bool:
-    """Tell whether points lie in one level plane, but for the thickness of roots: far wider than high."""
+    """Return whether points lie in a horizontal plane within the thickness of roots: much wider than high."""
     wide = float(np.ptp(points_mm[:, :2], axis=0).max())
     return float(np.ptp(points_mm[:, 2])) < 0.2 * wide
 
 
 def hung(points_mm: Array, scene: Scene) -> Array:
-    """Return the shift (3,) that hangs points (N, 3) below the grid, about the axis."""
+    """Return the translation (3,) that places points (N, 3) below the grid, centred on the axis."""
     (x, y), _ = _circle(points_mm)
     return np.array([-x, -y, scene.net_pot.grid_z_mm - FREE_MM - float(points_mm[:, 2].max())])
 
 
 def fitting_scale(points_mm: Array, scene: Scene) -> float:
-    """Return by how much points (N, 3) may be enlarged, at most, to hang in the water below the grid.
-
-    Three digits, rounded down.
-    """
+    """Return the maximum scale factor, rounded down to three digits, at which points (N, 3) fit below the grid."""
     height_mm = scene.net_pot.grid_z_mm - FREE_MM - scene.canister.floor_z_mm
     most = min(scene.canister.inner_radius_mm / max(_circle(points_mm)[1], 1e-12), height_mm / max(float(np.ptp(points_mm[:, 2])), 1e-12))
     digit = 10.0 ** (np.floor(np.log10(most)) - 2)
@@ -103,27 +96,27 @@ def fitting_scale(points_mm: Array, scene: Scene) -> float:
 
 
 def _circle(points_mm: Array) -> tuple[tuple[float, float], float]:
-    """Return centre and radius of the smallest circle round points seen from above; the radius holds them all."""
+    """Return centre and radius of the smallest enclosing circle of points seen from above."""
     (x, y), _ = cv2.minEnclosingCircle(np.ascontiguousarray(points_mm[:, None, :2], np.float32))
     return (float(x), float(y)), float(np.hypot(points_mm[:, 0] - x, points_mm[:, 1] - y).max())
 
 
 def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
-    """Refuse points (N, 3), in mm in the canister frame, outside the water: inner wall, floor, surface.
+    """Raise an error for points (N, 3), in mm in the canister frame, outside the water (inner wall, floor, surface).
 
     Parameters
     ----------
     points_mm : (N, 3) array
-        The surface.
+        Points of the surface.
     scene : Scene
-        Canister, grid and water.
+        Scene with canister, grid and water.
     what : str
-        What the points are of, for the message.
+        Name of the object, used in the message.
 
     Raises
     ------
     UserError
-        Says which limit is passed, by how much and where, what all limits are, and what would fit.
+        With the violated limit, the distance and position, all limits, and a placement that fits.
     """
     canister = scene.canister
     radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
@@ -137,8 +130,8 @@ def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
     if distances_mm[worst] > TOUCH_MM:
         x, y, z = points_mm[worst]
         raise UserError(
-            f"The specimen leaves the water: {what} reaches {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
-            f"move or shrink it. It is {said_size(points_mm)} mm; the water reaches to radius {canister.inner_radius_mm:g}, "
+            f"The specimen is not inside the water: {what} extends {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
+            f"move or shrink it. It is {said_size(points_mm)} mm; the water extends to radius {canister.inner_radius_mm:g}, "
             f"from z {canister.floor_z_mm:g} to {scene.water.level_mm:g} mm (z = 0 is the rim, the axis is x = y = 0). "
             f"{_advice(points_mm, scene)}"
         )
@@ -153,9 +146,9 @@ def _advice(points_mm: Array, scene: Scene) -> str:
     most = fitting_scale(points_mm, scene)
     if most >= 1.0:
         x, y, z = hung(points_mm, scene)
-        return f"--place auto hangs it below the grid; so does --shift-mm={x:.1f},{y:.1f},{z:.1f} from where it is."
+        return f"--place auto moves it below the grid, as does --shift-mm={x:.1f},{y:.1f},{z:.1f}."
     x, y, z = hung(most * points_mm, scene)
     return (
-        f"It is too large to hang below the grid; --scale {most:g} --place auto fits (that much smaller than now), "
-        f"as does --scale {most:g} --shift-mm={x:.1f},{y:.1f},{z:.1f}; if it should fit as it is, look at its unit."
+        f"It is too large for the space below the grid; --scale {most:g} --place auto fits (relative to its present size), "
+        f"as does --scale {most:g} --shift-mm={x:.1f},{y:.1f},{z:.1f}; if it should fit unscaled, check its unit."
     )

@@ -14,7 +14,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named, marker_cells
 from rhizotwin.scenes.model import MarkerStrip
-from rhizotwin.scenes.reduced import Picture, reduced
+from rhizotwin.scenes.picture_reduction import Picture, reduced
 
 Bytes = NDArray[np.uint8]
 _ALIKE = 0.7, 1.4

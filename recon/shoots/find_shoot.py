@@ -6,7 +6,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.pictures import Pictures, read_pictures
+from rhizotwin.recon.read_pictures import Pictures, read_pictures
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, shoot_hull, shoot_silhouettes
 from rhizotwin.recon.shoots.shoot import Shoot

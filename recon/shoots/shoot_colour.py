@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.coverage.silhouettes import Mask, Silhouette
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.bands import by_range, vegetation_indices
 from rhizotwin.scenes.dataset import Frame, read_image

@@ -15,7 +15,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import NetPot, Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 _PANEL_ORDER = 4
 """Degree of the polynomial in column and row that is fitted to the light of the diffuse panel."""

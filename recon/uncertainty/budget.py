@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
-from rhizotwin.scenes.said import between_ml
+from rhizotwin.scenes.formatting import between_ml
 
 NINETY = 1.645
 """Half-width of the 90 % interval of a normal distribution, in standard deviations."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.scenes import polyline
+from rhizotwin.scenes.formatting import between_ml
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import between_ml
 
 Array = NDArray[np.float64]
 

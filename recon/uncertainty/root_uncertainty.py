@@ -28,7 +28,7 @@ from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.traced import once
+from rhizotwin.scenes.traced_roots import once
 
 Array = NDArray[np.float64]
 Fixed = NDArray[np.int32]

@@ -12,8 +12,8 @@ from rhizotwin.batch import jobs as listed
 from rhizotwin.batch import local, places
 from rhizotwin.batch.jobs import Job
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.lock import locked
-from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.terminal import COLOUR
 
 LOCK = ".rhizotwin-batch-lock"

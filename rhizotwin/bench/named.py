@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile, load_scene
 from rhizotwin.scenes.model import Ring, Scene
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 HELD_BACK = 1000
@@ -151,6 +151,6 @@ BENCHMARKS = {
 def find(name: str) -> Benchmark:
     """Return a benchmark by its name; UserError where there is none."""
     if name not in BENCHMARKS:
-        near = nearest(name, list(BENCHMARKS))
+        near = most_similar(name, list(BENCHMARKS))
         raise UserError(f"{name!r} is no benchmark{f'; did you mean {near}?' if near else ''}; there are {', '.join(BENCHMARKS)}")
     return BENCHMARKS[name]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, between, list_of, named, option
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -103,7 +103,7 @@ def make(
     from rhizotwin.bench.named import find
 
     benchmark = find(name).chosen(cases)
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(render=float(len(benchmark.cases))) as bar:
         found = render(benchmark, output, monitor=bar, say=print)
     wrong = [one.case for one in found if one.largest != float("inf") and not one.same]
@@ -160,7 +160,7 @@ def run(
     benchmark = find(name).chosen(options.cases)
     run_method.command_of(method)  # a mistake is said before the work
     check_made(benchmark, folder)
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     _run_cases(benchmark, folder, method, output, options, progress)
     print(results.markdown([results.read(output)]))
     print(f"next: rhizotwin bench table {output} -o results.html")

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import OutputResult, Progress, ResultFolder, named
 from rhizotwin.scenes.errors import UserError
 
@@ -41,7 +41,7 @@ def edit(
     """
     if output.resolve() == result.resolve():
         raise UserError(f"{output} is the result itself, which stays as it is; choose another folder")
-    steps.refuse_place(output, result)
+    command_steps.refuse_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
     from rhizotwin.recon.results import result_traits

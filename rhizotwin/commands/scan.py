@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin import rigs, steps
+from rhizotwin import command_steps, rigs
 from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, between, named, option
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -104,7 +104,7 @@ def scan(
         raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     told = subject.told(bench.scene)
-    steps.print_marker_warnings(told)
+    command_steps.print_marker_warnings(told)
     made = _take(bench, told, output, options=options, twin=emulated, watching=watching, progress=progress)
     print(f"{len(made.frames)} pictures in {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
@@ -167,7 +167,7 @@ def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
     served = live_page.serve(live, host=watching.host, port=watching.port)
     stack.callback(served.stop)
     stack.callback(live.close)
-    steps.open_page(served.address, served.port, watching)
+    command_steps.open_page(served.address, served.port, watching)
     return live
 
 

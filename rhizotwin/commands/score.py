@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from rhizotwin import front_door, steps
+from rhizotwin import command_steps, front_door
 from rhizotwin.arguments import DatasetFolder, Flag, Progress, ResultFolder, VolumeMl, named
 from rhizotwin.scenes.errors import UserError
 
@@ -104,7 +104,7 @@ def score(
     rhizotwin score --mesh shape.stl my_dataset
     rhizotwin score --rsml roots.rsml my_dataset --json
     """
-    shares = {"score": 1.0} if pictures is None else {name: steps.SHARES[name] for name in _OF_PICTURES} | {"score": 5.0}
+    shares = {"score": 1.0} if pictures is None else {name: command_steps.SHARES[name] for name in _OF_PICTURES} | {"score": 5.0}
     with progress.bar(**shares) as bar:
         if foreign.given:
             kind, file = foreign.one(dataset, truth, volume_ml, pictures)

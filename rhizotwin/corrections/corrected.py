@@ -16,7 +16,7 @@ from rhizotwin.corrections import against_pictures, surface
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.corrections.state import State
-from rhizotwin.recon.results import by_plant, dividing, result_traits
+from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Budget, Term
@@ -162,14 +162,14 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
     if not planted.roots:
         return (), []
     low, high = summary["volume_interval_mm3"]
-    shape = dividing.Shape(
+    shape = divide_by_plant.Shape(
         leaves=voxels,
         surface=mesh,
         finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
         volume_mm3=float(summary["volume_mm3"]),
         interval_mm3=(float(low), float(high)),
     )
-    return planted.roots, [one.plain() for one in dividing.measure(shape, planted, known, subject.of_summary(summary, where))]
+    return planted.roots, [one.plain() for one in divide_by_plant.measure(shape, planted, known, subject.of_summary(summary, where))]
 
 
 def _voxels(measured: Measured) -> Leaves:

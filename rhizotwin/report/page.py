@@ -28,8 +28,8 @@ from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import between_ml, ml, rounded
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.simpler import simpler

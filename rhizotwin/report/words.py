@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from rhizotwin.scenes.assessment import Assessment
-from rhizotwin.scenes.said import between_ml, ml, rounded
+from rhizotwin.scenes.formatting import between_ml, ml, rounded
 from rhizotwin.scenes.trait_table import Definition
 
 Light = Literal["good", "fair", "bad"]

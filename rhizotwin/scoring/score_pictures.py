@@ -16,7 +16,7 @@ from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, signed_distance
-from rhizotwin.recon.pictures import content_of, read_pictures
+from rhizotwin.recon.read_pictures import content_of, read_pictures
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.results.result import Result
 from rhizotwin.scenes import frames

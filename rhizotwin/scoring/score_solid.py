@@ -9,7 +9,7 @@ import numpy as np
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result import Result, Triple, triple
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import between_ml, ml
+from rhizotwin.scenes.formatting import between_ml, ml
 from rhizotwin.scoring.registration import register
 from rhizotwin.scoring.score_shape import SurfaceScore, compare_surfaces
 from rhizotwin.stored.load import load_result

@@ -114,7 +114,7 @@ _RIG = _with(
         ),
     },
 )
-"""What was calibrated from the pictures (`recon.results.calibrated`)."""
+"""What was calibrated from the pictures (`recon.results.calibration_summary`)."""
 _CHECK = _only(
     _with(
         {"name": _text, "state": _text, "unit": _text, "found": _text, "advice": _text},

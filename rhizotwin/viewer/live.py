@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.rig.scanning.onlooker import Look, Onlooker
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.viewer.sketch import Sketch
 
 CARVE_EVERY = 4

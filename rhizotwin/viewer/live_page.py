@@ -16,7 +16,7 @@ from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.rig.scanning import change, preflight
 from rhizotwin.rig.scanning.onlooker import Look
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.viewer import guard
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.live import FRUSTUM_PX, Live, smaller

@@ -13,7 +13,7 @@ from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.corrections.session import Measured
 from rhizotwin.recon.results import assessments
 from rhizotwin.report import words as said
-from rhizotwin.scenes.said import ml
+from rhizotwin.scenes.formatting import ml
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.viewer.colours import half_width

@@ -1,1 +1,1 @@
-"""The arm: its servos by two protocols, where it is, how it gets somewhere, and what it must not touch."""
+"""The robot arm: two servo protocols, kinematics, path planning and collision checks."""

@@ -1,9 +1,9 @@
-"""Whether a path of the arm keeps clear of canister, net pot, table, tank, floor and bars.
+"""Collision checks of arm paths against canister, net pot, table, tank, floor and bars.
 
-The arm is three capsules and a sphere that holds the camera; what it must not touch are cylinders, boxes and a plane.
-Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
-joint: a piece of the way counts as clear only if its middle is clear by half of that, and is halved until it is. So
-nothing is missed between samples, however long the step.
+The arm is modelled by three capsules, and a sphere around the camera; obstacles are cylinders, boxes and a plane.
+Between two configurations, no point of a link moves farther than the steps of the joints times the lengths beyond each
+joint. A segment of a path is clear if its midpoint keeps a clearance of half of that; otherwise it is bisected. Thus no
+collision between samples can be missed, however long the segment.
 """
 
 from collections.abc import Sequence
@@ -22,31 +22,33 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene, Tank
 
 TABLE_THICKNESS_MM = 20.0
-"""Of the table's disc, below the canister."""
+"""Thickness of the table's disc, below the canister."""
 FINE_MM = 0.1
-"""Intervals of a path are halved until the arm moves by less than this: margins are kept to within it."""
+"""Resolution of the bisection: segments with less motion of the arm are not divided, and margins are kept to within
+this."""
 START_SLACK_MM = 2.0
-"""An arm that begins inside a margin (it sags, it was pushed) may come nearer by this while it moves away."""
+"""Maximum further approach of an arm that starts inside a margin (after sagging or being pushed), while it moves away.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """Every piece of the arm against everything that it could touch, for some joint angles."""
+    """Distances of every part of the arm from every obstacle, for N configurations."""
 
     names: tuple[tuple[str, str], ...]
-    """Of each pair: the piece, the other."""
+    """Names of the two parts of each pair: part of the arm, obstacle."""
     distance_mm: Array
-    """(N, P)."""
+    """(N, P) distances."""
     margin_mm: Array
-    """(P,) that must be kept."""
+    """(P,) required clearances."""
     travel_mm: Array
-    """(P, 5) most that the pair can come nearer per radian of each joint."""
+    """(P, 5) maximum decrease of each distance per radian of each joint."""
     floor: NDArray[np.bool_]
-    """(P,) whether it is about the floor, on which an arm without torque may come to lie."""
+    """(P,) whether the obstacle is the floor, on which an arm without torque may lie."""
 
 
 def solids(rig: RigFile, scene: Scene) -> list[Solid]:
-    """Return what the arm must not touch."""
+    """Return the obstacles of the arm."""
     canister, pot, clearance = scene.canister, scene.net_pot, rig.clearance
     under = -canister.height_mm
     return [
@@ -60,7 +62,7 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 
 
 def _tank(tank: Tank, floor_z_mm: float) -> Box:
-    """Return the box about a tank, however it is turned, from its rim to the floor: its stand is within it."""
+    """Return a box around a tank in any orientation, from its rim to the floor, which includes its stand."""
     turn = np.deg2rad(abs(tank.turn_deg))
     x = tank.front_mm * np.cos(turn) + tank.half_width_mm * np.sin(turn)
     y = tank.half_width_mm * np.cos(turn) + tank.front_mm * np.sin(turn)
@@ -68,19 +70,19 @@ def _tank(tank: Tank, floor_z_mm: float) -> Box:
 
 
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
-    """Measure every pair at joint angles (N, 5).
+    """Compute the distances of all pairs at joint angles (N, 5).
 
-    The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot,
-    table and camera. The arm's own pieces keep no margin to each other: nothing sags between them.
+    The base column is static on the floor or a bar; it is only checked against canister, pot, table and camera. Parts
+    of the arm require no margin to each other, as no sag occurs between them.
 
     Parameters
     ----------
     rig : RigFile
-        Arm, clearances and what stands around.
+        Arm, clearances and obstacles.
     scene : Scene
         Canister, net pot and panel.
     joints_deg : (N, 5) array
-        Places of the arm.
+        Configurations of the arm.
 
     Returns
     -------
@@ -126,62 +128,62 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
 
 
 def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) -> None:
-    """Refuse a path, straight in the joint angles between its places, on which the arm comes too near to something.
+    """Raise an error if the arm violates a margin on a path that is piecewise linear in joint angles.
 
-    Where the arm stands at the beginning may be inside a margin, as long as it touches nothing but the floor, where it
-    may lie, and moves away; every other place may not.
+    The first configuration may be inside a margin, if the arm touches nothing but the floor and moves away; all others
+    must keep the margins.
 
     Parameters
     ----------
     rig : RigFile
-        Arm, clearances and what stands around.
+        Arm, clearances and obstacles.
     scene : Scene
         Canister, net pot and panel.
     joints_path_deg : sequence of Joints
-        Places, the first where the arm stands.
+        Configurations, starting with the present one.
 
     Raises
     ------
     UnsafeError
-        With the piece, what it comes near to, the distance and how far along the way.
+        With part, obstacle, distance and position along the path.
     """
     path = np.array(joints_path_deg, dtype=float).reshape(-1, 5)
     here = pairs(rig, scene, path)
     start = here.distance_mm[0]
     least = np.where(here.floor, -rig.clearance.arm_radius_mm, 0.0)
     if (start < least).any():
-        raise _refusal(here, start - least, "where it stands now", least, remedy="move it away by hand, torque off")
+        raise _refusal(here, start - least, "in its present position", least, remedy="move it away by hand with the torque off")
     slack = np.minimum(here.margin_mm, np.maximum(start - START_SLACK_MM, least))
     for k in range(1, len(path)):
         if (here.distance_mm[k] < here.margin_mm).any():
-            where = "at the end of the way" if k == len(path) - 1 else f"at place {k} of the way"
+            where = "at the end of the path" if k == len(path) - 1 else f"at configuration {k} of the path"
             raise _refusal(here, here.distance_mm[k] - here.margin_mm, where, here.margin_mm)
         _check_between(rig, scene, path[k - 1], path[k], slack if k == 1 else here.margin_mm, (k - 1, len(path) - 1))
 
 
 def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -> list[Joints]:
-    """Return the places to go to one after the other, the goal last.
+    """Plan a path: return the configurations to move to in order, with the goal last.
 
-    Straight there if that is clear, or else by way of a drawn-in arm.
+    The path is direct if that is clear, otherwise it passes through retracted configurations.
 
     Parameters
     ----------
     rig : RigFile
-        Arm, clearances and what stands around.
+        Arm, clearances and obstacles.
     scene : Scene
         Canister, net pot and panel.
     start_deg, goal_deg : Joints
-        Where the arm stands, and where it shall.
+        Present and final configuration.
 
     Returns
     -------
     list of Joints
-        The places after the start.
+        Configurations after the start.
 
     Raises
     ------
     UnsafeError
-        When none of these ways is clear: what is in the straight one's way.
+        If none of these paths is clear; the message states the obstacle of the direct one.
     """
     try:
         check_path(rig, scene, [start_deg, goal_deg])
@@ -190,12 +192,12 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
             path = [*between, tuple(goal_deg)]
             if _is_clear(rig, scene, [start_deg, *path]):
                 return path
-        raise UnsafeError(f"{error}; neither is there a clear way with the arm drawn in") from error
+        raise UnsafeError(f"{error}; there is no clear path with the arm retracted either") from error
     return [tuple(goal_deg)]
 
 
 def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
-    """Return ways through the place of rest, and with the arm drawn in or stretched upward while the base turns."""
+    """Return paths through the parking position, and with a retracted or raised arm while the base rotates."""
     part = arm_of(rig)
     rest = tuple(part.park_deg)
     found: list[list[Joints]] = [[rest]]
@@ -214,7 +216,7 @@ def _is_clear(rig: RigFile, scene: Scene, path_deg: Sequence[Joints]) -> bool:
 
 
 def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array, keep_mm: Array, leg: tuple[int, int]) -> None:
-    """Halve the way between two places until every part of it is known to keep the distances."""
+    """Bisect the segment between two configurations until every part of it is known to keep the distances."""
     step_deg = end_deg - begin_deg
     middles, half = np.array([0.5]), 0.5
     while len(middles):
@@ -223,7 +225,7 @@ def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array,
         if (spare < 0.0).any():
             worst = int(spare.min(axis=1).argmin())
             percent = 100.0 * (leg[0] + middles[worst]) / leg[1]
-            raise _refusal(here, spare[worst], f"{percent:.0f} % along the way", keep_mm)
+            raise _refusal(here, spare[worst], f"{percent:.0f} % along the path", keep_mm)
         travel = half * here.travel_mm @ np.abs(np.deg2rad(step_deg))
         unsure = ((spare < travel) & (travel > FINE_MM)).any(axis=1)
         half /= 2.0
@@ -236,11 +238,11 @@ def _refusal(
     where: str,
     keep_mm: Array | float,
     *,
-    remedy: str = "move the ring, the arm or what is in the way",
+    remedy: str = "move the ring, the arm or the obstacle",
 ) -> UnsafeError:
     k = int(spare_mm.argmin())
     piece, other = here.names[k]
     keep = float(np.broadcast_to(keep_mm, spare_mm.shape)[k])
     distance = float(spare_mm[k]) + keep
-    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} ({keep:.0f} mm must be kept)"
+    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} (minimum {keep:.0f} mm)"
     return UnsafeError(f"arm: the {piece} {how} {where}; {remedy}")

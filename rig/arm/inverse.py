@@ -1,13 +1,13 @@
-"""Joint angles for a wanted place of the camera.
+"""Inverse kinematics: joint angles for a given camera pose.
 
-In closed form (thesis section 3.3), and by Newton's method (appendix C.3).
+The solution is in closed form (thesis section 3.3), or by Newton's method (appendix C.3).
 
-Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and
-the camera. The closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left
-over. Newton's method takes the least squares of both or, where the target may turn about an axis, meets it exactly:
-then there are six unknowns for six equations.
+Five joints can place the camera's centre anywhere in reach, but its optical axis remains in the plane of the base's
+axis and the camera. The closed form keeps the centre exactly, uses the nearest orientation, and returns the remaining
+angle. Newton's method minimises the squares of both or, if the target may rotate about an axis, meets it exactly, with
+six unknowns for six equations.
 
-Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
+All functions accept any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
 """
 
 from dataclasses import dataclass
@@ -20,61 +20,61 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Lengths below this are rounding."""
+"""Lengths below this are rounding errors."""
 NEAR_AXIS_MM = 1.0
-"""Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical
-axis."""
+"""Distance from the base's axis below which the camera's direction from the axis is less certain than that of its
+optical axis."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
-"""Newton's method ends when the camera is this close, or when the joints move by less than CLOSE_RAD."""
+"""Convergence of Newton's method: error of the camera in mm and rad, or step of the joints below CLOSE_RAD."""
 DAMPING = 0.1
-"""Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are
-Newton's own."""
+"""Damping of the normal equations, relative to the squared size of the remaining twist: it limits the steps far from
+the target, and vanishes near it."""
 UNIT_MM = 100.0
-"""Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
+"""Length equivalent to one radian, about that of a link, so that millimetres do not dominate angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
-    """The closed form's answers: base forward or backward, times elbow positive or negative."""
+    """Solutions of the closed form: base forward or backward, combined with elbow positive or negative."""
 
     joints_rad: Array
-    """(..., 4, 5), within -pi to pi; NaN where out of reach."""
+    """(..., 4, 5), within -pi to pi; NaN if out of reach."""
     left_over_rad: Array
-    """(...,) smallest angle between the wanted orientation and one that five joints can give at that place."""
+    """(...,) minimum angle between the target orientation and one that five joints can reach at that position."""
     wrist_mm: Array
-    """(...,) distance of the wrist from the shoulder that is asked for."""
+    """(...,) required distance of the wrist from the shoulder."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Newton's answers."""
+    """Solutions of Newton's method."""
 
     joints_rad: Array
-    """(..., 5)."""
+    """(..., 5) joint angles."""
     steps: NDArray[np.int64]
-    """(...,) steps taken."""
+    """(...,) number of steps."""
     converged: NDArray[np.bool_]
-    """(...,) whether it came to rest."""
+    """(...,) whether the method converged."""
     left_over: Array
-    """(..., 6) twist that is still between the camera and the target: mm, rad."""
+    """(..., 6) remaining twist between camera and target: mm, rad."""
     turned_rad: Array
-    """(...,) how far the target was turned about the free axis."""
+    """(...,) rotation of the target about the free axis."""
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm by its end's place (x, y) and its last link's direction theta.
+    """Return q1, q2, q3 (..., 3) of a planar arm for an end position (x, y) and a direction theta of the last link.
 
-    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
-    digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
+    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which is
+    accurate for a stretched arm. ``elbow`` is the sign of q2: -1 is the thesis's branch. The result is NaN if the wrist
     is out of reach.
 
     Parameters
     ----------
     links_mm : tuple of float
-        From shoulder to elbow, wrist and end.
+        Lengths from shoulder to elbow, to wrist, and to end.
     x_mm, y_mm : (...) array
-        Place of the end, x upwards as the angles are 0.
+        Position of the end; the arm points along x at angles 0.
     theta_rad : (...) array
         Direction of the last link.
     elbow : int
@@ -99,21 +99,21 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles that put the camera's centre where it is wanted.
+    """Return all joint angles with the camera's centre at the target.
 
-    Its orientation is the nearest to the wanted one.
+    Its orientation is the nearest to that of the target.
 
     Parameters
     ----------
     part : ArmPart
-        Its links.
+        Arm with its links.
     arm_from_cam : (..., 4, 4) array
-        Wanted.
+        Target poses.
 
     Returns
     -------
     Branches
-        Joint angles (..., 4, 5) of two bases by two elbows, and what they leave over.
+        Joint angles (..., 4, 5) for two base and two elbow configurations, and the remaining angle.
     """
     base, *links = part.links_mm
     l1, l2, l3 = links
@@ -124,8 +124,8 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
     for base_rad in (azimuth, azimuth + np.pi):
         out = np.cos(base_rad) * at[..., 0] + np.sin(base_rad) * at[..., 1]
         lean = np.arctan2(np.cos(base_rad) * ahead[..., 0] + np.sin(base_rad) * ahead[..., 1], ahead[..., 2])
-        # At roll 0 the camera's x leads to the arm's right; turning the optical axis into the plane scales both of
-        # these alike.
+        # At roll 0 the camera's x points to the arm's right; rotating the optical axis into the plane scales both of
+        # these equally.
         right = np.stack([np.sin(base_rad), -np.cos(base_rad), np.zeros_like(base_rad)], axis=-1)
         x_cam, y_cam = (np.sum(right * rotation[..., k], axis=-1) for k in (0, 1))
         roll = np.arctan2(-y_cam, x_cam)
@@ -139,27 +139,27 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 
 
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
-    """Find joint angles step by step, from a start, by the pseudo-inverse of the body Jacobian.
+    """Compute joint angles iteratively by the pseudo-inverse of the body Jacobian.
 
     Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
     0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
-    fades with |V|^2.
+    decreases with |V|^2.
 
     Parameters
     ----------
     part : ArmPart
-        Its links.
+        Arm with its links.
     arm_from_cam : (..., 4, 4) float64 array
-        Wanted.
+        Target poses.
     start_rad : (..., 5) float64 array
-        Or (5,) for all targets.
+        Initial joint angles, or (5,) for all targets.
     arm_from_axis : float64 array or None
-        A frame about whose z axis the target may be turned at no cost.
+        Frame about whose z axis the target may rotate freely.
 
     Returns
     -------
     Found
-        Angles, and how near they come.
+        Joint angles and remaining errors.
     """
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)
@@ -200,7 +200,7 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 def _azimuth(at: Array, ahead: Array) -> Array:
     """Return the direction (...,) of the plane through the base's axis and the camera.
 
-    On that axis, of the one with the optical axis.
+    For a camera on that axis, it is the plane of the optical axis.
     """
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
@@ -225,7 +225,7 @@ def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
 def _step(jacobian: Array, twist: Array) -> Array:
     """Return the damped step (N, n) of the normal equations."""
     transposed = np.swapaxes(jacobian, -1, -2)
-    damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the least keeps singular poses solvable
+    damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the constant keeps singular poses solvable
     normal = transposed @ jacobian + damping[:, None, None] * np.eye(jacobian.shape[-1])
     return np.linalg.solve(normal, transposed @ twist[..., None])[..., 0]
 
@@ -241,7 +241,7 @@ def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
 
 
 def _turning(arm_from_axis: Array, camera: Array) -> Array:
-    """Return the twist (N, 6) that a camera has in its own frame when it goes round the axis."""
+    """Return the twist (N, 6), in the camera's frame, of a camera that rotates about the axis."""
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)

@@ -1,18 +1,18 @@
-"""The arm's chain: where the camera is for given joint angles, and how it moves with them.
+"""Forward kinematics of the arm: pose of the camera for given joint angles, and its derivative.
 
 Thesis section 3.3 and appendix C.1.
 
 Frames
 ------
-arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links stand in
-line along +z;
-      positive shoulder, elbow and wrist angles lean toward +x; base and roll turn counter-clockwise about +z.
-cam : OpenCV axes at the camera's centre, which is the end of the last link; z along that link. At joint angles 0 x is
-the arm's -y and
-      y the arm's +x, so that leaning forward by a right angle gives a level camera with an upright picture.
+arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links are
+aligned along +z; positive shoulder, elbow and wrist angles lean toward +x; base and roll turn counter-clockwise about
++z.
+cam : OpenCV axes at the camera's centre, which is the end of the last link, with z along that link. At joint angles 0,
+x is the arm's -y and y the arm's +x, so that leaning forward by a right angle gives a level camera with an upright
+picture.
 
-Everything works on any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity
-mm, rotation rad) seen in the camera's frame.
+All functions accept any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity
+mm, rotation rad) in the camera's frame.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ from rhizotwin.scenes.frames import Array
 LINK_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation of the camera on the last link at roll 0."""
 _SERIES_BELOW_RAD = 1e-3
-"""Angle below which the closed form of the logarithm's last factor loses digits."""
+"""Angle below which the closed form of the logarithm's last factor loses precision."""
 
 
 def rig_from_arm(part: ArmPart) -> Array:
@@ -35,7 +35,7 @@ def rig_from_arm(part: ArmPart) -> Array:
 
 
 def arm_from_cam(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return where the camera is in the arm's frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
+    """Return the pose of the camera in the arm's frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
     return forward(part.links_mm, np.deg2rad(np.asarray(joints_deg, dtype=float)))
 
 
@@ -65,9 +65,7 @@ def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
-    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``.
-
-    The camera's twist in its own frame, mm and rad per rad of each joint.
+    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``: the camera's twist in its frame, mm and rad per rad.
 
     V_b is the vee of ``g^-1 g_dot`` with g = ``arm_from_cam`` (Lynch and Park, Modern Robotics, section 5.1.2).
     """

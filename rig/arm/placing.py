@@ -1,6 +1,6 @@
-"""From a ring of the plan to joint angles, and from what the markers show to better ones.
+"""Joint angles for a ring of the plan, and their correction from the markers.
 
-Degrees here, radians below.
+Angles are in degrees here, and in radians in the modules below.
 """
 
 import numpy as np
@@ -20,56 +20,56 @@ Joints = tuple[float, ...]
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 LEFT_OVER_RAD = 1e-9
 MOST_AZIMUTH_DEG = 15.0
-"""Farther round the table's axis the camera would not face the backlight any more."""
+"""Maximum azimuth about the table's axis, beyond which the camera would no longer face the backlight."""
 MOST_CORRECTION_DEG = 25.0
-"""A joint that is off by more than this is not badly calibrated: the picture or the rig file is wrong."""
+"""Maximum correction of a joint; larger ones indicate a wrong picture or rig file instead of a calibration error."""
 ROUNDING_DEG = 1e-6
 MOST_ASIDE_DEG = 0.5
-"""A wanted direction may be missed by so much: servos stop no nearer."""
+"""Tolerance of a target direction, within the accuracy of the servos."""
 UPRIGHT = 1e-3
-"""Sine of the least angle from the vertical at which the picture's up is known."""
+"""Minimum sine of the angle from the vertical at which the picture's up direction is defined."""
 _TRIED = 1001
-"""Places on the way to the shoulder."""
+"""Number of positions tested between target and shoulder."""
 
 
 def camera_wanted(ring: Ring) -> Array:
-    """Return ``cam_from_rig`` where a ring of the plan wants the camera.
+    """Return the planned ``cam_from_rig`` of a ring.
 
     Parameters
     ----------
     ring : Ring
-        Distance, height and tilt.
+        Ring with distance, height and tilt.
 
     Returns
     -------
     (4, 4) array
-        The pose, on the rig's +x side.
+        Pose of the camera, on the rig's +x side.
     """
     return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
 
 
 def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
-    """Return joint angles within the limits that put the camera where it is wanted, the elbow as high as it goes.
+    """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
 
-    Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is
-    turned round the table's axis until they can: the canister turns anyway.
+    If five joints cannot reach the orientation (for an arm that is not exactly in front of the table), the camera is
+    rotated about the table's axis until they can, which the rotation of the canister compensates.
 
     Parameters
     ----------
     rig : RigFile
-        Where the arm stands, and its joints.
+        Rig with position and joints of the arm.
     cam_from_rig : (4, 4) array
-        Wanted.
+        Target pose.
 
     Returns
     -------
     Joints
-        The five angles, deg.
+        Five joint angles, deg.
 
     Raises
     ------
     UnsafeError
-        When the place is out of reach or beyond a joint's limit; with the numbers.
+        If the pose is out of reach or beyond a joint's limit; the message states the numbers.
     """
     part = arm_of(rig)
     arm_from_rig = frames.invert(rig_from_arm(part))
@@ -90,12 +90,12 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
 
 
 def camera_looking(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera at a place that looks in a direction, rig frame.
+    """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction, rig frame.
 
     Raises
     ------
     UnsafeError
-        For a direction without length, or straight up or down, where upright means nothing.
+        For a direction of length 0, or a vertical one, for which upright is undefined.
     """
     forward_ = np.asarray(direction, float)
     right = np.cross(forward_, [0.0, 0.0, 1.0])
@@ -109,23 +109,23 @@ def camera_looking(position_mm: tuple[float, float, float], direction: tuple[flo
 
 
 def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
-    """Return joint angles that put the camera at a place and let it look in a direction.
+    """Return joint angles for a given position and viewing direction of the camera.
 
-    Five joints put the camera anywhere in reach, but its optical axis stays in the upright plane through the base's
-    axis and the camera.
+    Five joints can place the camera anywhere in reach, but its optical axis remains in the vertical plane through the
+    base's axis and the camera.
 
     Parameters
     ----------
     rig : RigFile
-        Where the arm stands, and its joints.
+        Rig with position and joints of the arm.
     position_mm, direction : tuple of float
-        The camera's centre and optical axis, rig frame.
+        Centre and optical axis of the camera, rig frame.
 
     Raises
     ------
     UnsafeError
-        When the place is out of reach, the direction cannot be had there, or a joint would be beyond its limits; with
-        the nearest that can be had.
+        If the position is out of reach, the direction is not possible there, or a joint would exceed its limits; the
+        message states the nearest possible values.
     """
     part, wanted = arm_of(rig), camera_looking(position_mm, direction)
     arm_from_rig = frames.invert(rig_from_arm(part))
@@ -133,13 +133,13 @@ def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direct
     at = ", ".join(f"{value:.4g}" for value in position_mm)
     if np.isnan(branches.joints_rad).all():
         nearest = _nearest_in_reach(part, wanted)
-        raise UnsafeError(f"arm: ({at}) mm is out of reach with that direction; the nearest that can be reached is ({nearest}) mm")
+        raise UnsafeError(f"arm: ({at}) mm is out of reach with that direction; the nearest reachable position is ({nearest}) mm")
     joints_rad = branches.joints_rad[~np.isnan(branches.joints_rad).any(axis=-1)]
     if branches.left_over_rad > np.deg2rad(MOST_ASIDE_DEG):
         axis = (rig_from_arm(part) @ forward(part.links_mm, joints_rad[0]))[:3, 2]
         near = ", ".join(f"{value:.4f}" for value in axis)
         raise UnsafeError(
-            f"arm: at ({at}) mm five joints cannot look there: {np.rad2deg(branches.left_over_rad):.1f} deg would be left; "
+            f"arm: at ({at}) mm five joints cannot reach that direction: it would be {np.rad2deg(branches.left_over_rad):.1f} deg off; "
             f"the nearest direction is ({near})"
         )
     excess, joints_deg = _fitted(part, joints_rad)
@@ -150,7 +150,7 @@ def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direct
 
 
 def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
-    """Return the nearest place toward the arm's shoulder at which the camera can keep its direction, as text."""
+    """Return the nearest position toward the shoulder at which the camera can keep its direction, as text."""
     arm_from_rig, rig_from_cam = frames.invert(rig_from_arm(part)), frames.invert(wanted)
     shoulder = frames.apply(rig_from_arm(part), np.array([[0.0, 0.0, part.links_mm[0]]]))[0]
     for share in np.linspace(0.0, 1.0, _TRIED):
@@ -162,31 +162,32 @@ def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
 
 
 def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
-    """Return joint angles that bring the camera nearer to where it is wanted, at any azimuth.
+    """Return corrected joint angles that bring the camera nearer to its target, at any azimuth.
 
-    It begins from where the markers saw it.
+    The correction starts from the pose measured by the markers.
 
     Parameters
     ----------
     rig : RigFile
-        Where the arm stands, and its joints.
+        Rig with position and joints of the arm.
     joints_deg : Joints
-        What was commanded when the camera was measured.
+        Joint angles commanded at the measurement.
     cam_from_rig_measured : (4, 4) array
-        By the markers.
+        Pose measured by the markers.
     cam_from_rig_wanted : (4, 4) array or None
-        None: the thesis's correction, which keeps distance and height and makes the image plane tangent to the
-        canister.
+        Target pose; None for the thesis's correction, which keeps distance and height and makes the image plane tangent
+        to the canister.
 
     Returns
     -------
     Joints
-        The five angles, deg.
+        Five joint angles, deg.
 
     Raises
     ------
     UnsafeError
-        When no such place is within reach and limits, or the correction is too large to be one; with the numbers.
+        If no such pose is within reach and limits, or the correction is implausibly large; the message states the
+        numbers.
     """
     part = arm_of(rig)
     wanted = tangent(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
@@ -201,8 +202,8 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
     if change.max() > MOST_CORRECTION_DEG:
         k = int(change.argmax())
         raise UnsafeError(
-            f"arm: by the markers the {JOINT_NAMES[k]} would have to go from {joints_deg[k]:.1f} to {fitted[0, k]:.1f} deg, more than a "
-            f"correction of {MOST_CORRECTION_DEG:g} deg: check joints, links_mm and position_mm in the rig file"
+            f"arm: by the markers the {JOINT_NAMES[k]} would have to move from {joints_deg[k]:.1f} to {fitted[0, k]:.1f} deg, more than "
+            f"a correction of {MOST_CORRECTION_DEG:g} deg: check joints, links_mm and position_mm in the rig file"
         )
     if excess[0] > ROUNDING_DEG:
         raise UnsafeError(
@@ -212,7 +213,7 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
 
 
 def arm_of(rig: RigFile) -> ArmPart:
-    """Return the rig's arm, or refuse."""
+    """Return the rig's arm; raise an error if it has none."""
     if rig.arm is None:
         raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
     return rig.arm
@@ -237,14 +238,14 @@ def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
 
 
 def within_limits(part: ArmPart, joints_deg: Joints) -> None:
-    """Refuse joint angles beyond the limits."""
+    """Raise an error for joint angles beyond the limits."""
     for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
         if not joint.min_deg <= angle <= joint.max_deg:
             raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
 
 
 def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
-    """Return the branches (n, 5) of the wanted place turned round the table's axis to where five joints can hold it."""
+    """Return the branches (n, 5) of the target pose, rotated about the table's axis until five joints can reach it."""
     found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
     met = _met(found)
     left_deg = float(np.rad2deg(branches.left_over_rad))
@@ -256,22 +257,22 @@ def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: B
     turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
     if turn_deg > MOST_AZIMUTH_DEG:
         raise UnsafeError(
-            f"arm: to hold {_place(cam_from_rig)} the camera would stand {turn_deg:.1f} deg beside the rig's x axis, at most "
+            f"arm: for {_place(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, and at most "
             f"{MOST_AZIMUTH_DEG:g} deg face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
         )
     return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
 
 
 def _met(found: Found) -> NDArray[np.bool_]:
-    """Return whether the targets were really met, not only approached."""
+    """Return whether the targets were reached, and not only approached."""
     left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
     return found.converged & (left < 1.0)
 
 
 def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
-    """Return joint angles (n, 5) in degrees, and by how much the worst joint is beyond its limit.
+    """Return joint angles (n, 5) in degrees, and the excess of the worst joint over its limit.
 
-    Whole turns are chosen to fit the limits.
+    Multiples of a full turn are chosen to fit the limits.
     """
     low, high = _limits_deg(part)
     middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)
@@ -281,7 +282,7 @@ def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None)
 
 
 def _clipped(part: ArmPart, joints_deg: Array) -> Joints:
-    return tuple(round(float(angle), 9) + 0.0 for angle in np.clip(joints_deg, *_limits_deg(part)))  # + 0.0: no -0.0
+    return tuple(round(float(angle), 9) + 0.0 for angle in np.clip(joints_deg, *_limits_deg(part)))  # + 0.0 avoids -0.0
 
 
 def _limits_deg(part: ArmPart) -> tuple[Array, Array]:
@@ -308,8 +309,8 @@ def _beyond(part: ArmPart, joints_deg: Array) -> str:
 
 
 def _place(cam_from_rig: Array) -> str:
-    """Say where a camera stands in the words of a ring."""
+    """Return a description of the camera's position in terms of a ring."""
     distance_mm, height_mm, tilt_deg = place_of(cam_from_rig)
     beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
-    beside = f", {beside_deg:.1f} deg beside the x axis" if abs(beside_deg) > 0.05 else ""
+    beside = f", {beside_deg:.1f} deg from the x axis" if abs(beside_deg) > 0.05 else ""
     return f"the camera at distance {distance_mm:.0f} mm, height {height_mm:.0f} mm, tilt {tilt_deg:.0f} deg{beside}"

@@ -1,4 +1,4 @@
-"""Find the calibration board in a picture: OpenCV names its corners, `rig.lens.saddle_fit` measures them."""
+"""Detection of the calibration board: corners are identified by OpenCV, and measured by `rig.lens.saddle_fit`."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,15 +11,16 @@ from rhizotwin.rig.lens.saddle_fit import Saddle, fit_saddle
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named
-from rhizotwin.scenes.reduced import Picture, reduced
+from rhizotwin.scenes.picture_reduction import Picture, reduced
 
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
-"""Share of the named corners that must be measurable."""
+"""Minimum fraction of the detected corners that must be measurable."""
 CLEAR: Final = 0.9
-"""How much of the white between a corner and the nearest marker takes part in the fit."""
+"""Fraction of the white margin between a corner and the nearest marker that is used in the fit."""
 MOST_BENT: Final = 0.2
-"""Median distance, in squares, of corners from a flat board's: more, and the corners are named wrongly."""
+"""Maximum median distance, in squares, of the corners from those of a flat board; beyond it, corners were identified
+wrongly."""
 OTHER_DICTIONARIES: Final = (
     "APRILTAG_36h11",
     "4X4_250",
@@ -34,39 +35,39 @@ OTHER_DICTIONARIES: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class BoardView:
-    """Corners of the board that one picture shows."""
+    """Corners of the board in one picture."""
 
     ids: NDArray[np.int64]
-    """(N,) ascending, indices into `CharucoBoard.corners_mm`."""
+    """(N,) indices into `CharucoBoard.corners_mm`, ascending."""
     corners_px: Array
-    """(N, 2) pixel centres at integers."""
+    """(N, 2) corners; pixel centres have integer coordinates."""
     sigma_px: float
-    """Median standard deviation of a coordinate, as the fits to the picture say."""
+    """Median standard deviation of a coordinate, from the fits."""
     blur_px: float
-    """Median standard deviation of the blur, the pixel's own included."""
+    """Median standard deviation of the blur, including that of the pixel."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoBoard:
-    """Why a picture cannot be used."""
+    """Reason why a picture cannot be used."""
 
     reason: str
 
 
 def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
-    """Find the corners of the board in a picture and measure them.
+    """Detect and measure the corners of the board in a picture.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
         Grey levels.
     board : CharucoBoard
-        What was printed.
+        The printed board.
 
     Returns
     -------
     BoardView or NoBoard
-        With at least `LEAST_CORNERS` corners, not all in one row; or the reason against it.
+        At least `LEAST_CORNERS` corners, not all in one row; or the reason for a failure.
     """
     ids, start_px, markers = _search(image, board)
     if len(ids) < LEAST_CORNERS:
@@ -100,13 +101,13 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
-    """Return ids (N,) and rough corners (N, 2) in the full picture, and how many markers were seen."""
+    """Return ids (N,) and approximate corners (N, 2) in the full picture, and the number of detected markers."""
     small, scale = reduced(image)
     parameters = cv2.aruco.CharucoParameters()
-    parameters.minMarkers = 1  # one marker beside a corner names it; measuring comes after
+    parameters.minMarkers = 1  # one marker beside a corner identifies it; corners are measured later
     detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)
     best: tuple[NDArray[np.int64], Array, int] = (np.zeros(0, np.int64), np.zeros((0, 2)), 0)
-    for power in (1.0, 0.5):  # the square root lifts what is much darker than the brightest
+    for power in (1.0, 0.5):  # the square root raises the contrast of dark parts
         corners, ids, _, marker_ids = detector.detectBoard(_tone(small, power))
         markers = 0 if marker_ids is None else len(marker_ids)
         if ids is not None and len(ids) > len(best[0]):
@@ -121,7 +122,7 @@ def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Arr
 
 
 def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
-    """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
+    """Scale to 8 bits, clipping only the brightest 0.5 %."""
     top = max(float(np.percentile(image[::3, ::3], 99.5)), 1.0)
     return np.asarray(255.0 * np.clip(image.astype(np.float32) / top, 0.0, 1.0) ** power, np.uint8)
 
@@ -129,7 +130,7 @@ def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
 def _flat(board: CharucoBoard, ids: NDArray[np.int64], corners_px: Array) -> tuple[Array | None, Array]:
     """Return the homography (3, 3) from board to picture, and the corners (N, 2) on the board.
 
-    None where the corners lie in one row.
+    None if the corners are in one row.
     """
     at_mm = board.corners_mm[ids, :2]
     if np.linalg.svd(at_mm - at_mm.mean(axis=0), compute_uv=False)[1] < 0.5 * board.square_mm:
@@ -144,14 +145,14 @@ def _map(flat: Array, at_mm: Array) -> Array:
 
 
 def _sides(board: CharucoBoard, flat: Array, at_mm: Array) -> Array:
-    """Return the half sides (2, 2), px, of the part round a corner that is clear of markers."""
+    """Return the half sides (2, 2), px, of the area around a corner without markers."""
     clear_mm = CLEAR * (board.square_mm - board.marker_mm) / 2.0
     here, right, down = _map(flat, at_mm + clear_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return np.stack([right - here, down - here], axis=1)
 
 
 def _square_px(board: CharucoBoard, flat: Array, at_mm: Array) -> float:
-    """Return the geometric mean of a square's sides in the middle of what is seen."""
+    """Return the geometric mean of a square's sides in the middle of the visible part."""
     here, right, down = _map(flat, at_mm.mean(axis=0) + board.square_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return float(np.sqrt(np.linalg.norm(right - here) * np.linalg.norm(down - here)))
 
@@ -161,7 +162,7 @@ def _size(board: CharucoBoard) -> str:
 
 
 def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int) -> str:
-    """Say what kept a picture's corners from being found."""
+    """Return the reason why few corners were found in a picture."""
     if corners:
         return f"only {corners} corners of the board are in it, {LEAST_CORNERS} are needed; show more of the board"
     if markers >= 3:
@@ -179,6 +180,6 @@ def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int)
 
 
 def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
-    """Return how many markers of a dictionary a picture shows."""
+    """Return the number of markers of a dictionary in a picture."""
     ids = cv2.aruco.ArucoDetector(dictionary_named(dictionary)).detectMarkers(picture)[1]
     return 0 if ids is None else len(ids)

@@ -1,7 +1,4 @@
-"""Calibrate a camera from pictures of the board.
-
-What can be used, the lens, what to be careful about, and the files.
-"""
+"""Camera calibration from pictures of the board: selection of pictures, lens, warnings and output files."""
 
 import re
 from collections import Counter
@@ -23,70 +20,73 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.picture_codec import decode_grey
+from rhizotwin.scenes.picture_reduction import Picture
 from rhizotwin.scenes.provenance import versions
-from rhizotwin.scenes.reduced import Picture
 from rhizotwin.scenes.schema import to_plain
 
 CELLS_WH: Final = (8, 6)
-"""The picture's field is divided into so many cells, to see how much of it the corners cover."""
+"""Number of cells into which the picture is divided to measure its coverage by corners."""
 ENOUGH_PICTURES: Final = 10
 COVERAGE: Final = (0.15, 0.6)
-"""Share of the cells with corners: below the first refused, below the second warned of."""
+"""Fraction of the cells with corners: below the first value the calibration is rejected, below the second a warning is
+issued."""
 TILT_DEG: Final = (8.0, 20.0)
-"""Largest tilt of the board against the picture's plane: below the first refused, below the second warned of."""
+"""Maximum tilt of the board relative to the image plane: below the first value the calibration is rejected, below the
+second a warning is issued."""
 ONE_WAY_DEG: Final = 6.0
-"""Spread of the tilts in the direction in which they spread least: below it, warned of."""
+"""Standard deviation of the tilts in the direction of least variation, below which a warning is issued."""
 MOST_RMS_PX: Final = (3.0, 0.5)
-"""Residual: above the first refused, above the second warned of."""
+"""Residual: above the first value the calibration is rejected, above the second a warning is issued."""
 MOST_FOCAL_STD: Final = 0.001
 MOST_BLUR_PX: Final = 3.0
 SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
-"""Two pictures show the board held the same way when it turned and moved (as a share of its distance) by less than
-this."""
+"""Maximum rotation and displacement (relative to the distance) of the board between two pictures with the same
+orientation."""
 ENOUGH_WAYS: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A calibrated camera and what it rests on."""
+    """A calibrated camera with its input data."""
 
     camera: Camera
     board: CharucoBoard
     fit: LensFit
     rejected: dict[str, str]
-    """Pictures that were not used, with the reason."""
+    """Pictures that were not used, with the reasons."""
     warnings: tuple[str, ...]
     coverage: float
-    """Share of the cells of the field with corners."""
+    """Fraction of the cells of the picture with corners."""
     tilts_deg: dict[str, float]
-    """Angle between the board and the picture's plane, by picture."""
+    """Angle between the board and the image plane, by picture."""
 
 
 def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | None = None) -> Calibration:
-    """Calibrate the camera that took pictures of the board.
+    """Calibrate a camera from pictures of the board.
 
     Parameters
     ----------
     paths : sequence of path
-        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera at one focus, of one size.
+        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera, with the same focus and size.
     board : CharucoBoard
-        What was printed; its size is of no matter for the lens, its squares' numbers and markers are.
+        The printed board; the number of squares and the markers must be correct, but its scale does not affect the
+        lens.
     monitor : Monitor or None
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     Calibration
-        Lens, its fit and what a person should know of it.
+        Lens, fit and warnings.
 
     Raises
     ------
     RigError
-        When the pictures are too few, too alike, show the board too little tilted or in too little of the field, or fit
-        no lens.
+        If there are too few pictures, they are too similar, the board is tilted too little or covers too little of the
+        picture, or no lens fits.
     UserError
-        For a board that cannot be.
+        For an invalid board.
     """
     check_board(board)
     seen: dict[str, BoardView] = {}
@@ -116,7 +116,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     for name, (width, height) in sizes.items():
         if (width, height) != image_wh:
             del seen[name]
-            rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; a lens is calibrated at one size"
+            rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; all pictures must have the same size"
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
     return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
 
@@ -124,30 +124,30 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
 def calibrate_views(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, bits: int = 8, rejected: dict[str, str] | None = None
 ) -> Calibration:
-    """Calibrate a camera from the corners that its pictures show.
+    """Calibrate a camera from the corners in its pictures.
 
     Parameters
     ----------
     views : dict of BoardView
-        The corners, by picture.
+        Corners, by picture.
     board : CharucoBoard
-        What was printed.
+        The printed board.
     image_wh : tuple of int
         Size of the pictures.
     bits : int
-        Depth of the camera's converter.
+        Bit depth of the camera's converter.
     rejected : dict of str or None
-        Pictures that were left out before, with the reason.
+        Pictures that were excluded before, with the reasons.
 
     Returns
     -------
     Calibration
-        Lens, its fit and what a person should know of it.
+        Lens, fit and warnings.
 
     Raises
     ------
     RigError
-        As `calibrate`.
+        See `calibrate`.
     """
     fit = fit_lens(views, board, image_wh)
     made = Calibration(
@@ -164,7 +164,7 @@ def calibrate_views(
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return 1 for each cell of the field (rows, columns) with corners in it, 0 for the others."""
+    """Return 1 for each cell of the picture (rows, columns) with corners in it, 0 for the others."""
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -174,7 +174,7 @@ def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
 
 
 def write_calibration(made: Calibration, folder: Path) -> list[Path]:
-    """Write ``camera.toml`` and ``calibration.json`` into a folder; return their paths."""
+    """Write ``camera.toml`` and ``calibration.json`` into a folder, and return their paths."""
     camera_path, numbers_path = folder / "camera.toml", folder / "calibration.json"
     write_text(camera_path, _camera_text(made))
     write_json(numbers_path, numbers(made))
@@ -182,7 +182,7 @@ def write_calibration(made: Calibration, folder: Path) -> list[Path]:
 
 
 def numbers(made: Calibration) -> dict[str, Any]:
-    """Return every number of a calibration as JSON values."""
+    """Return all numbers of a calibration as a JSON object."""
     fit = made.fit
     return {
         "program": "rhizotwin calibrate camera",
@@ -219,7 +219,7 @@ def numbers(made: Calibration) -> dict[str, Any]:
 
 
 def model_text(fit: LensFit) -> str:
-    """Say in words which lens was fitted, and what was left out of it."""
+    """Return a description of the lens model, and of the terms that were left out."""
     terms = [term for term in TERMS if not any(term in gone.split(", ") for gone in fit.left_out)]
     focal = "one focal length" if "fx / fy" in fit.left_out else "two focal lengths (fx, fy)"
     text = f"{focal}, principal point, {'distortion ' + ' '.join(terms) if terms else 'no distortion'}"
@@ -249,7 +249,7 @@ def _none_usable(rejected: dict[str, str], pictures: int) -> str:
 
 
 def _lowest_bit(value: int) -> int:
-    """Return how many of the lowest bits no picture uses (12 bits left-aligned in 16 leave 4), at most 8."""
+    """Return the number of unused low-order bits of all pictures (4 for 12 bits left-aligned in 16), at most 8."""
     return min(8, (value & -value).bit_length() - 1) if value else 8
 
 
@@ -258,12 +258,12 @@ def _tilt_deg(cam_from_board: Array) -> float:
 
 
 def _normal(cam_from_board: Array) -> Array:
-    """Return the board's normal in the camera's frame, away from the camera."""
+    """Return the board's normal in the camera's frame, pointing away from the camera."""
     return cam_from_board[:3, 2]
 
 
 def _ways(fit: LensFit) -> int:
-    """Return in how many clearly different ways the board was held."""
+    """Return the number of clearly different orientations of the board."""
     different: list[Array] = []
     for pose in fit.cam_from_board.values():
         for other in different:
@@ -277,18 +277,18 @@ def _ways(fit: LensFit) -> int:
 
 
 def _refuse(made: Calibration) -> None:
-    """Raise where the pictures cannot give a lens that is worth having."""
+    """Raise an error if the pictures are insufficient for a useful calibration."""
     fit = made.fit
     if fit.rms_px > MOST_RMS_PX[0]:
         raise RigError(
-            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms, usual is below 0.3; was the focus or zoom changed, "
+            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms, typically below 0.3; was the focus or zoom changed, "
             "is the board flat, and are --squares right?"
         )
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[0]:
         raise RigError(
-            f"the board was hardly tilted, at most {tilt_deg:.0f} degrees: the focal length cannot be told from the distance; "
-            "take pictures with the board tilted by 20 to 45 degrees, every way"
+            f"the board was hardly tilted, at most {tilt_deg:.0f} degrees: focal length and distance cannot be distinguished; "
+            "take pictures with the board tilted by 20 to 45 degrees in all directions"
         )
     if made.coverage < COVERAGE[0]:
         raise RigError(
@@ -299,7 +299,7 @@ def _refuse(made: Calibration) -> None:
 
 
 def _warnings(made: Calibration) -> list[str]:
-    """Return one sentence for each thing that makes the lens less sure than it could be."""
+    """Return one sentence for each cause of a larger uncertainty of the lens."""
     fit, said = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
         said.append(f"only {len(fit.views)} pictures were used; take about 20")
@@ -307,22 +307,22 @@ def _warnings(made: Calibration) -> list[str]:
         said.append(f"the board was held in {ways} different ways only; hold it differently for each picture")
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[1]:
-        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 for a sure focal length")
+        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 for an accurate focal length")
     else:
         normals = np.array([_normal(pose) / np.sign(_normal(pose)[2]) for pose in fit.cam_from_board.values()])[:, :2]
         least_deg = float(np.rad2deg(np.linalg.svd(normals, compute_uv=False)[1] / np.sqrt(len(normals))))
         if least_deg < ONE_WAY_DEG:
             said.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
     if made.coverage < COVERAGE[1]:
-        said.append(f"the corners cover {made.coverage:.0%} of the field; distortion is guessed where they do not reach")
+        said.append(f"the corners cover {made.coverage:.0%} of the field; distortion is extrapolated elsewhere")
     if fit.rms_px > MOST_RMS_PX[1]:
         said.append(f"the residual of {fit.rms_px:.2f} px rms is high; is the board flat, the focus fixed, and nothing moved?")
     focal = fit.focal_std_px[0] / fit.focal_px[0]
     if focal > MOST_FOCAL_STD:
-        said.append(f"the focal length is sure to {focal:.2%} only (one standard deviation); take more pictures, tilted and near")
+        said.append(f"the focal length is only known to {focal:.2%} (one standard deviation); take more tilted and closer pictures")
     blur_px = float(np.median([view.blur_px for view in fit.views.values()]))
     if blur_px > MOST_BLUR_PX:
-        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus where the canister will stand, and hold the board still")
+        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
     if fit.dropped_corners > 0.02 * (fit.corners + fit.dropped_corners):
-        said.append(f"{fit.dropped_corners} corners lay far off and were left out; look for glare, dirt or a bent board")
+        said.append(f"{fit.dropped_corners} corners were far off and were left out; look for glare, dirt or a bent board")
     return said

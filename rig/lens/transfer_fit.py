@@ -1,8 +1,8 @@
-"""A camera's curve from pictures of one still scene at several exposure times.
+"""Transfer curve of a camera, measured from pictures of a static scene at several exposure times.
 
-A number v in picture j stands for the light ``f(v) = E t_j``: what changes from picture to picture is the exposure time
-t alone. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
-piecewise straight between knots, as smooth as the pictures allow, and 0 at full scale. It is linear least squares.
+A pixel value v in picture j corresponds to the light ``f(v) = E t_j``, where only the exposure time t changes between
+pictures. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
+piecewise linear between knots, regularised to be smooth, and 0 at full scale. The problem is linear least squares.
 """
 
 from collections.abc import Sequence
@@ -15,54 +15,54 @@ from scipy.sparse.linalg import lsqr
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.scenes import transfer
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 KNOTS = 65
 PIXELS = 2000
-"""Pixels that are used, spread over the brightness of the middle picture."""
+"""Number of pixels used, distributed over the brightness of the middle picture."""
 USABLE = 0.02, 0.98
-"""Numbers nearer than this to the ends of the range are noise or clipped."""
+"""Range of pixel values that are used, as fractions of full scale; outside it they are noisy or clipped."""
 SMOOTH = 2.0
-"""Weight of g's second differences against a pixel's equation: noise of a pixel is about 0.01 in g, bends between knots
-are less."""
+"""Weight of the second differences of g relative to the equation of a pixel: the noise of a pixel is about 0.01 in g,
+and changes of slope between knots are smaller."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 KNOWN = 0.01
-"""A measured curve this near to a known one everywhere, but for a common factor (exposures tell none), is that one."""
+"""Maximum difference from a known curve, up to a common factor (which exposures do not determine), at which a measured
+curve is identified with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransferFit:
-    """A measured curve."""
+    """A measured transfer curve."""
 
     curve: Curve
     residual: float
-    """Root mean square of what is left, as a share of the light."""
+    """Root mean square residual, relative to the light."""
     reached: tuple[float, float]
-    """Lowest and highest number, of full scale, that the pictures show: beyond, the curve goes on smoothly, and nobody
-    looked."""
+    """Lowest and highest pixel value in the pictures, as fractions of full scale; the curve is extrapolated beyond."""
 
 
 def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> TransferFit:
-    """Measure a camera's curve.
+    """Measure the transfer curve of a camera.
 
     Parameters
     ----------
     images : (H, W) sequence of uint8 or uint16 array
-        Numbers as stored, of one scene before a camera at rest.
+        Stored pictures of one scene, from a static camera.
     exposures_s : sequence of float
-        Their exposure times.
+        Exposure times of the pictures.
 
     Raises
     ------
     RigError
-        Where they are too few, too alike, or do not fit one curve.
+        If there are too few pictures, they are too similar, or are not consistent with one curve.
     """
     times = np.asarray(exposures_s, np.float64)
     if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():
         raise RigError(
-            f"{len(images)} pictures of {times.min():g} to {times.max():g} s tell no curve: take {LEAST_PICTURES} or more, "
-            f"the longest exposed at least {LEAST_RANGE:g} times as long as the shortest"
+            f"{len(images)} pictures of {times.min():g} to {times.max():g} s do not determine a curve: take {LEAST_PICTURES} or more, "
+            f"with the longest exposure at least {LEAST_RANGE:g} times the shortest"
         )
     if len({image.shape for image in images}) > 1:
         raise RigError("the pictures differ in size; take them of one scene with one camera")
@@ -73,7 +73,7 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     use = (number > USABLE[0]) & (number < USABLE[1])
     use &= use.sum(axis=0) >= 2
     if use.sum() < 10 * KNOTS:
-        raise RigError("too few pixels are neither dark nor clipped in two pictures: light the scene evenly from dark to bright")
+        raise RigError("too few pixels are neither dark nor clipped in two pictures: use a scene with all levels from dark to bright")
     g, left = _solve(number, use, times)
     share = np.linspace(0.0, 1.0, KNOTS)
     light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))
@@ -84,19 +84,19 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
 
 
 def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
-    """Return how far two curves (KNOTS,) are apart at most within `USABLE`, but for a common factor."""
+    """Return the maximum difference of two curves (KNOTS,) within `USABLE`, up to a common factor."""
     inside = np.s_[int(np.ceil(USABLE[0] * KNOTS)) : int(USABLE[1] * KNOTS)]
     factor = float(light[inside] @ known[inside]) / float(known[inside] @ known[inside])
     return float(np.abs(light[inside] - factor * known[inside]).max())
 
 
 def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return g (KNOTS,) and the residual, from numbers (J, I) and which of them are used."""
+    """Return g (KNOTS,) and the residual, from pixel values (J, I) and the mask of those to use."""
     picture, pixel = np.nonzero(use)
     place = number[use] * (KNOTS - 1)
     low = np.minimum(place.astype(np.int64), KNOTS - 2)
     part = place - low
-    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat: both ends are worse known
+    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat function: both ends are less certain
     row = np.arange(len(place))
     bend = len(place) + np.arange(KNOTS - 2)
     last = len(place) + KNOTS - 2

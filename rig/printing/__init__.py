@@ -1,1 +1,1 @@
-"""Boards and marker strips for the printer, at true scale."""
+"""Boards and marker strips for printing at true scale."""

@@ -1,4 +1,4 @@
-"""The calibration board as one page."""
+"""Page with the calibration board."""
 
 from typing import Final
 
@@ -24,16 +24,16 @@ from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board
 from rhizotwin.scenes.errors import UserError
 
 GAP_MM: Final = 6.0
-"""White round the pattern."""
+"""White margin around the pattern."""
 
 
 def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
-    """Lay the board out on a page, with ruler and square below it or beside it.
+    """Lay out the board on a page, with ruler and square below or beside it.
 
     Raises
     ------
     UserError
-        When it does not fit, or the board cannot be.
+        If the board does not fit or is invalid.
     """
     check_board(board)
     notes = [*printing_notes(paper), *_board_notes(board)]
@@ -57,7 +57,7 @@ def _board_notes(board: CharucoBoard) -> list[str]:
     columns, rows = board.squares_xy
     return [
         f"ChArUco board, {columns}x{rows} squares of {board.square_mm:g} mm, markers {board.marker_mm:g} mm, {board.dictionary}.",
-        "Glue it on something flat and stiff (glass, acrylic), without bubbles.",
+        "Glue it to a flat and stiff plate (glass, acrylic), without bubbles.",
     ]
 
 

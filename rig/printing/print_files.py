@@ -1,4 +1,4 @@
-"""Write pages as PDF or SVG at true scale, in vectors."""
+"""Writing of pages as PDF or SVG vector graphics at true scale."""
 
 import io
 import re
@@ -12,40 +12,40 @@ from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Strokes, 
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
-if TYPE_CHECKING:  # matplotlib takes long to load, and a Raspberry Pi scans without it
+if TYPE_CHECKING:  # loading matplotlib takes long, and a Raspberry Pi scans without it
     from matplotlib.figure import Figure
 
 SUFFIXES: Final = (".pdf", ".svg")
 MM_PER_INCH: Final = 25.4
 POINTS_PER_MM: Final = 72.0 / MM_PER_INCH
 CAPITALS: Final = 0.73
-"""Height of capitals over the font's size (DejaVu Sans)."""
+"""Height of capitals relative to the font size (DejaVu Sans)."""
 CREATOR: Final = "rhizotwin"
 
 
 def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     """Write pages to one PDF file, or to SVG files.
 
-    One under its own name, several with ``-1``, ``-2``, ... behind the name.
+    A single page keeps the name, several get ``-1``, ``-2``, ... appended to it.
 
     Parameters
     ----------
     pages : sequence of Page
-        What is drawn.
+        Pages to write.
     path : Path
-        Ends in .pdf or .svg.
+        Path with the suffix .pdf or .svg.
     title : str
-        Of the document.
+        Title of the document.
 
     Returns
     -------
     list of Path
-        The files written.
+        Written files.
 
     Raises
     ------
     UserError
-        For another suffix, or a file that is there already.
+        For another suffix, or an existing file.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -62,7 +62,7 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
 
 
 def figure_of(page: Page) -> "Figure":
-    """Return a page as a figure of its size, 1 unit of its axes 1 mm on the paper."""
+    """Return a page as a figure of the same size, with 1 mm on paper per unit of its axes."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import PathPatch
@@ -78,7 +78,7 @@ def figure_of(page: Page) -> "Figure":
         if isinstance(part, Fill | Shape):
             outlines = _corners(part.rectangles_mm) if isinstance(part, Fill) else part.points_mm[None]
             outline = Outline.make_compound_path(*(Outline(np.vstack([o, o[:1]]) * stretch, closed=True) for o in outlines))
-            # one path, so that no viewer shows seams between neighbours; no snapping to pixels, which would move edges
+            # a single path avoids seams between neighbours; no snapping to pixels, which would move edges
             axes.add_artist(PathPatch(outline, facecolor=str(part.grey), linewidth=0.0, snap=False))
         elif isinstance(part, Strokes):
             if part.lines_mm:
@@ -112,7 +112,7 @@ def _corners(rectangles: Any) -> Any:
 
 
 def _settings() -> Any:
-    """Return matplotlib's own settings for a while: a user's might crop the page (savefig.bbox) or change its fonts."""
+    """Return a context with matplotlib's default settings, as a user's might crop the page or change fonts."""
     import matplotlib as mpl
 
     return mpl.rc_context(dict(mpl.rcParamsDefault) | {"svg.hashsalt": CREATOR, "pdf.fonttype": 42})
@@ -123,7 +123,7 @@ def _svg(page: Page, title: str) -> bytes:
     with _settings():
         figure_of(page).savefig(stored, format="svg", metadata={"Title": title, "Creator": CREATOR, "Date": None})
     wide_mm, high_mm = page.size_mm
-    # points are rounded, and not every program takes them for points
+    # points are rounded, and some programs do not interpret them as points
     head = re.compile(rb'width="[0-9.]+pt" height="[0-9.]+pt"')
     return head.sub(f'width="{wide_mm:g}mm" height="{high_mm:g}mm"'.encode(), stored.getvalue(), count=1)
 
@@ -139,16 +139,16 @@ def _pdf(pages: Sequence[Page], title: str) -> bytes:
 
 
 def _at_true_scale(pdf: bytes) -> bytes:
-    """Append to a PDF that viewers shall not offer to scale it.
+    """Append to a PDF a setting that disables scaling in viewers.
 
-    ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update.
+    The setting is ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update.
     """
     root, size = re.search(rb"/Root (\d+) 0 R", pdf), re.search(rb"/Size (\d+)", pdf)
     starts = re.findall(rb"startxref\s+(\d+)", pdf)
     catalog = root and re.search(rb"(?:^|\n)" + root[1] + rb" 0 obj\s*<<(.*?)>>\s*endobj", pdf, re.DOTALL)
     info = re.search(rb"/Info (\d+) 0 R", pdf)
     if not (root and size and starts and catalog and info):
-        return pdf  # a writer that numbers otherwise: the page itself says 100 %
+        return pdf  # unknown numbering by the writer: the text on the page states 100 %
     changed = root[1] + b" 0 obj\n<<" + catalog[1] + b" /ViewerPreferences << /PrintScaling /None >> >>\nendobj\n"
     start, table = len(pdf), len(pdf) + len(changed)
     trailer = b"trailer\n<< /Size " + size[1] + b" /Root " + root[1] + b" 0 R /Info " + info[1] + b" 0 R /Prev " + starts[-1] + b" >>\n"

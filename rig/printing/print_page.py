@@ -1,7 +1,4 @@
-"""Pages to be printed at true scale.
-
-What stands on them, in millimetres, and the ruler and square by which the printer is checked.
-"""
+"""Pages for printing at true scale: their contents in millimetres, with a ruler and a square to check the printer."""
 
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
@@ -11,28 +8,28 @@ import numpy as np
 from rhizotwin.scenes.frames import Array
 
 PAGES_MM: Final = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
-"""Width and height of upright pages."""
+"""Width and height of pages in portrait orientation."""
 MARGIN_MM: Final = 10.0
-"""Left free all round: printers do not reach the edge."""
+"""Margin on all sides, as printers do not print up to the edge."""
 RULER_MM: Final = 100.0
 SQUARE_MM: Final = 50.0
 LINE_MM: Final = 0.1
 TEXT_MM: Final = 2.2
-"""Height of capitals in the text."""
+"""Height of capitals in text."""
 LEADING: Final = 1.75
 TEXT_WIDE_MM: Final = 118.0
-"""Room that the lines of text need; the ruler needs less."""
+"""Width required for lines of text; the ruler requires less."""
 RULER_HIGH_MM: Final = 11.0
-"""What a ruler takes up with its figures."""
+"""Height of a ruler with its numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fill:
-    """Rectangles (N, 4), filled as one: left, top, right, bottom."""
+    """Rectangles (N, 4) filled as one shape: left, top, right, bottom."""
 
     rectangles_mm: Array
     grey: float = 0.0
-    """0 black, 1 white."""
+    """Grey level: 0 black, 1 white."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +52,7 @@ class Line:
 
 @dataclass(frozen=True, kw_only=True)
 class Strokes:
-    """Lines (N, 2) each through its points, all of one width."""
+    """Polylines (N, 2) of one width."""
 
     lines_mm: tuple[Array, ...]
     width_mm: float = LINE_MM
@@ -72,7 +69,7 @@ class Text:
     grey: float = 0.0
     align: Literal["left", "center", "right"] = "left"
     turned: bool = False
-    """Read from below upwards."""
+    """Whether to rotate the text to read upwards."""
 
 
 Part: TypeAlias = Fill | Shape | Line | Strokes | Text
@@ -80,54 +77,54 @@ Part: TypeAlias = Fill | Shape | Line | Strokes | Text
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """One page; x to the right and y down from its top left corner, in mm on the paper."""
+    """One page, with x to the right and y down from its top left corner, in mm on paper."""
 
     size_mm: tuple[float, float]
-    """Of the paper."""
+    """Size of the paper."""
     parts: tuple[Part, ...]
     stretch_xy: tuple[float, float] = (1.0, 1.0)
-    """How much larger everything is drawn, for a printer that prints too small."""
+    """Enlargement of all contents, for a printer that prints too small."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Paper:
-    """What is printed on, and how true the printer is."""
+    """Paper size and scale of the printer."""
 
     size_mm: tuple[float, float] = PAGES_MM["a4"]
     turn: Literal["either", "portrait", "landscape", "as given"] = "either"
     printed_ruler_mm: tuple[float, float] = (RULER_MM, RULER_MM)
-    """What 100 mm came out as on this printer, across and down the page, printed without this correction."""
+    """Printed length of 100 mm, across and down the page, without this correction."""
 
     @property
     def stretch_xy(self) -> tuple[float, float]:
-        """How much larger everything must be drawn."""
+        """Required enlargement across and down the page."""
         return RULER_MM / self.printed_ruler_mm[0], RULER_MM / self.printed_ruler_mm[1]
 
     def sizes_mm(self) -> list[tuple[float, float]]:
-        """Return the page's size in each way it may be turned."""
+        """Return the page's size in each possible orientation."""
         low, high = sorted(self.size_mm)
         turned = {"portrait": [(low, high)], "landscape": [(high, low)], "either": [(low, high), (high, low)]}
         return turned.get(self.turn, [self.size_mm])
 
     def room_mm(self, size_mm: tuple[float, float]) -> tuple[float, float]:
-        """Return the width and height within the margins of a page, as they come out of the printer."""
+        """Return the width and height within the margins of a page, as printed."""
         across, down = self.stretch_xy
         return (size_mm[0] - 2.0 * MARGIN_MM) / across, (size_mm[1] - 2.0 * MARGIN_MM) / down
 
     def corner_mm(self) -> tuple[float, float]:
-        """Return where the room within the margins begins."""
+        """Return the upper left corner of the area within the margins."""
         return MARGIN_MM / self.stretch_xy[0], MARGIN_MM / self.stretch_xy[1]
 
 
 def ruler(left_mm: float, top_mm: float, *, upright: bool = False) -> list[Part]:
     """Return a ruler of 100 mm.
 
-    They lie between the middles of its first line, at ``left_mm`` (upright: ``top_mm``), and its last.
+    The length is between the centres of its first line, at ``left_mm`` (upright: ``top_mm``), and its last.
 
     Parameters
     ----------
     left_mm, top_mm : float
-        Its corner, from the page's upper left.
+        Position of its corner, from the page's upper left.
     upright : bool
         Whether it runs down the page.
 
@@ -160,21 +157,21 @@ def square(left_mm: float, top_mm: float) -> list[Part]:
 
 
 def lines(left_mm: float, top_mm: float, texts: list[str], *, height_mm: float = TEXT_MM) -> list[Part]:
-    """Return lines of text below each other, the first one's capitals beginning at ``top_mm``.
+    """Return lines of text below each other, with the capitals of the first one beginning at ``top_mm``.
 
     Parameters
     ----------
     left_mm, top_mm : float
-        Where the first line's capitals begin, from the page's upper left.
+        Position of the first line's capitals, from the page's upper left.
     texts : list of str
-        The lines.
+        Lines of text.
     height_mm : float
-        Of capitals.
+        Height of capitals.
 
     Returns
     -------
     list of Part
-        A text each.
+        One text per line.
     """
     return [
         Text(at_mm=(left_mm, top_mm + height_mm * (1.0 + LEADING * number)), text=text, height_mm=height_mm)
@@ -183,7 +180,7 @@ def lines(left_mm: float, top_mm: float, texts: list[str], *, height_mm: float =
 
 
 def printing_notes(paper: Paper) -> list[str]:
-    """Return what every page says about checking the printer."""
+    """Return the notes, on every page, about checking the printer."""
     across, down = paper.printed_ruler_mm
     notes = [
         "Print at 100 % (actual size, no fitting to the page), then measure:",
@@ -192,7 +189,7 @@ def printing_notes(paper: Paper) -> list[str]:
     if (across, down) == (RULER_MM, RULER_MM):
         return [
             *notes,
-            "If not, write this file again with --printed-ruler-mm and what 100 mm",
-            "became across and down the page, such as 99.6x99.8.",
+            "If not, write this file again with --printed-ruler-mm and the measured",
+            "length of 100 mm across and down the page, such as 99.6x99.8.",
         ]
     return [*notes, f"Drawn for a printer that makes {across:g} mm across and", f"{down:g} mm down of 100 mm."]

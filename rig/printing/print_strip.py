@@ -1,4 +1,4 @@
-"""The marker strip as pages: pieces to be cut out and glued round the net pot."""
+"""Pages with the marker strip: pieces to be cut out and glued around the net pot."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -29,24 +29,24 @@ from rhizotwin.scenes.markers import black_rectangles, marker_cells
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 TAB_MM: Final = 6.0
-"""Paper behind the end of a piece, glued under the beginning of the next."""
+"""Length of the tab at the end of a piece, which is glued under the beginning of the next."""
 ABOVE_MM: Final = 8.0
-"""Above a piece: its name and cut marks."""
+"""Space above a piece for its name and cut marks."""
 BELOW_MM: Final = 5.0
 MARK_MM: Final = 3.0
 BESIDE_MM: Final = 8.0
-"""Between the square and the text."""
+"""Space between the square and the text."""
 LABEL_MM: Final = 1.3
 """Height of the ids on the strip."""
 EDGE_MM: Final = 0.4
 QUIET_CELLS: Final = 1.5
-"""White that is kept between a marker and the ids, in the marker's cells."""
+"""White margin between a marker and the ids, in cells of the marker."""
 CUT_GREY: Final = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """Columns ``first`` to ``last`` (not included) of the strip."""
+    """Columns ``first`` (included) to ``last`` (excluded) of the strip."""
 
     number: int
     first: int
@@ -55,54 +55,55 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class FlatStrip:
-    """The strip laid flat."""
+    """The unrolled strip."""
 
     strip: MarkerStrip
     net_pot: NetPot
     paper_mm: float
-    """Thickness. Bent round the pot, the paper's outside is stretched; the middle of its thickness keeps its length."""
+    """Thickness of the paper. When bent around the pot, its outer side is stretched, while the middle of its thickness
+    keeps its length."""
 
     @property
     def bend(self) -> float:
-        """Length on the flat paper over length along the outside of the wrapped strip."""
+        """Ratio of the length on flat paper to that along the outside of the wrapped strip."""
         return (self.net_pot.outer_radius_mm - self.paper_mm / 2.0) / self.net_pot.outer_radius_mm
 
     @property
     def length_mm(self) -> float:
-        """Once round, on the flat paper."""
+        """Circumference, on flat paper."""
         return 2.0 * np.pi * self.net_pot.outer_radius_mm * self.bend
 
     @property
     def height_mm(self) -> float:
-        """From the skirt's lower edge to the net pot's top."""
+        """Height from the skirt's lower edge to the net pot's top."""
         return self.net_pot.top_mm - self.net_pot.skirt_bottom_mm
 
     @property
     def pitch_mm(self) -> float:
-        """From column to column."""
+        """Distance between columns."""
         return self.length_mm / self.strip.columns
 
 
 def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Page]:
-    """Lay the strip out on pages, with as few pieces as fit.
+    """Lay out the strip on pages, with as few pieces as possible.
 
     Parameters
     ----------
     scene : Scene
-        Its ``net_pot.outer_radius_mm`` is taken to be the radius over the wrapped paper, where the markers lie.
+        Scene, whose ``net_pot.outer_radius_mm`` must be the radius of the wrapped paper, at the markers.
     paper : Paper
     paper_mm : float
-        Thickness of what is printed on.
+        Thickness of the paper.
 
     Returns
     -------
     list of Page
-        A page for each piece, or for several.
+        Pages with one or several pieces each.
 
     Raises
     ------
     UserError
-        When not even one column, or the strip's height with the ruler, fits on a page.
+        If a single column, or the strip's height with the ruler, does not fit on a page.
     """
     flat = FlatStrip(strip=scene.strip, net_pot=scene.net_pot, paper_mm=paper_mm)
     notes = [*printing_notes(paper), *_wrapping_notes(flat)]
@@ -141,9 +142,9 @@ def _wrapping_notes(flat: FlatStrip) -> list[str]:
     across_mm = 2.0 * flat.net_pot.outer_radius_mm
     return [
         "Cut along the grey lines. Glue each piece's left edge on the line where the",
-        "white tab of the piece before it begins; the last tab goes under the first",
+        "white tab of the previous piece begins; the last tab goes under the first",
         f"piece, which closes at the seam: {flat.length_mm:.1f} mm round, for paper {flat.paper_mm:g} mm thick.",
-        "Arrows point up; ids rise to the right. Wrapped, measure across the pot over",
+        "Arrows point up; ids increase to the right. After wrapping, measure across the pot over",
         f"the paper: it must be {across_mm:.1f} mm. If not, put half of what you measure into",
         "the scene as net_pot.outer_radius_mm, and print the strip again.",
     ]
@@ -165,7 +166,7 @@ def _page(flat: FlatStrip, paper: Paper, size_mm: tuple[float, float], pieces: l
 
 
 def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
-    """Return one piece with its markers, cut marks and tab; its markers' row 0 is at the top."""
+    """Return one piece with its markers (row 0 at the top), cut marks and tab."""
     strip, pot = flat.strip, flat.net_pot
     last_of_all = piece.last == strip.columns
     end_mm, bottom_mm = left_mm + (piece.last - piece.first) * flat.pitch_mm, top_mm + flat.height_mm
@@ -208,7 +209,7 @@ def _name(strip: MarkerStrip, piece: Piece) -> str:
 def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> list[Part]:
     """Return the outline of a piece and its tab, with cut marks.
 
-    A line shows where the next one begins; the marks lead to the corners.
+    A line marks the beginning of the next piece; the marks lead to the corners.
     """
     tab_mm = end_mm + TAB_MM
     grey = {"grey": CUT_GREY}
@@ -228,7 +229,7 @@ def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> lis
 
 
 def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
-    """Return each column's ids, on the strip's upper edge if the markers' quiet zone allows it, else above the cut."""
+    """Return each column's ids, on the strip's upper edge if the markers' quiet zone permits, else above the cut."""
     strip = flat.strip
     highest_mm = strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm + strip.marker_mm
     cell_mm = strip.marker_mm / len(marker_cells(strip.dictionary, strip.first_id))
@@ -245,6 +246,6 @@ def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> lis
 
 
 def _arrow(x_mm: float, foot_mm: float, *, high_mm: float = 4.5) -> Shape:
-    """Return an arrow that points up, standing on ``foot_mm``."""
+    """Return an upward arrow with its lower end at ``foot_mm``."""
     outline = np.array([[-0.12, 0.0], [-0.12, -0.5], [-0.35, -0.5], [0.0, -1.0], [0.35, -0.5], [0.12, -0.5], [0.12, 0.0]])
     return Shape(points_mm=outline * high_mm + np.array([x_mm, foot_mm]), grey=0.3)

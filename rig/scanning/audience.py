@@ -1,4 +1,4 @@
-"""Who hears of a scan, and who can be asked."""
+"""Observers of a scan, and the user who can be asked."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,15 +13,15 @@ from rhizotwin.scenes.monitor import Monitor
 
 @dataclass(frozen=True, kw_only=True)
 class Audience:
-    """Those beside the devices who have to do with a scan."""
+    """Everyone beside the devices who takes part in a scan."""
 
     ask: Ask | None = None
-    """Puts a question to a person; None when nobody is there."""
+    """Asks the user a question; None if there is no user."""
     say: Say = tqdm.write
-    """Takes lines for people."""
+    """Receives lines for the user."""
     onlooker: Onlooker = field(default_factory=Onlooker)
-    """Hears what every picture shows, and may hold the scan."""
+    """Receives the contents of every picture, and can pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
-    """Hears how far the scan is."""
+    """Receives the progress of the scan."""
     begun: Callable[[], object] = lambda: None
-    """Called once it is known that the folder can be used, before anything moves."""
+    """Called when the folder is known to be usable, before any motion."""

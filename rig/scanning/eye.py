@@ -1,4 +1,4 @@
-"""The camera of a scan: pictures, tried again when it fails or hangs, and what the strip in them says."""
+"""Camera of a scan: pictures, with retries on failures, and the detected strip."""
 
 import hashlib
 from collections.abc import Callable
@@ -23,25 +23,25 @@ class Eye:
         self._scene = scene
         self._note = note
         self._angles_deg: dict[bytes, float] = {}
-        """At which table angle a picture was taken, by its digest."""
+        """Table angles of the pictures, by their digests."""
 
     def picture(self, *, table_deg: float | None = None) -> Shot:
-        """Take a picture; a camera that fails is opened anew and asked again, with growing pauses.
+        """Take a picture; a camera that fails is reopened and tried again, with increasing pauses.
 
-        With ``table_deg``, where the table stands, a picture that was given before at another angle is a failure, too:
-        no two pictures are the same byte for byte, least of all from two sides, unless the camera hangs.
+        With ``table_deg``, the present table angle, a picture identical to one at another angle also counts as a
+        failure: because of noise, no two pictures are byte-identical unless the camera hangs.
 
         Raises
         ------
         RigError
-            When the camera fails again and again, or its pictures have another size than the scene says.
+            If the camera fails repeatedly, or its pictures differ in size from the scene's camera.
         """
         shot = self._tried(table_deg)
         check_size(shot.image, self._scene.camera)
         return shot
 
     def look(self) -> tuple[Shot, Sighting | None]:
-        """Take a picture and read the strip in it."""
+        """Take a picture and detect the strip in it."""
         shot = self.picture()
         return shot, read_strip(shot.image, self._scene)
 
@@ -59,7 +59,7 @@ class Eye:
                     if before_deg != table_deg:
                         raise RigError(
                             f"camera: gave the same picture at {table_deg:g} deg as at {before_deg:g} deg, byte for byte: it hangs "
-                            "or shows nothing of what turns; look at the picture, and connect the camera again"
+                            "or shows nothing that turns; check the picture, and reconnect the camera"
                         )
                 return shot
             except RigError as error:

@@ -1,4 +1,4 @@
-"""How gently the table turns and how long each picture waits, chosen by what is soonest at rest before this camera."""
+"""Choice of the table's acceleration and of the pause before each picture, so that pictures are still soonest."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,31 +7,31 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.rig_file import TurntablePart
 from rhizotwin.rig.scanning.settling import MARGIN, WATCH_S, settling, watch
 from rhizotwin.rig.scanning.turning import Turning
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 GENTLER = (1.0, 0.5, 0.25, 0.125)
-"""Shares of the rig file's acceleration that are tried, one after the other, for as long as a view could be sooner
-ready by it. A turn of 9 degrees at 60 degrees a second squared takes 0.8 s, at an eighth of it 2.2 s."""
+"""Factors of the rig file's acceleration that are tried in turn, as long as a view could be ready sooner. A turn of 9
+degrees at 60 degrees per second squared takes 0.8 s, and at an eighth of it 2.2 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Resting:
-    """What a turn by one view's step, and the rest after it, take."""
+    """Duration of a turn by one view's step, and of the pause after it."""
 
     acceleration_deg_per_s2: float
     turn_s: float
     moves_s: float | None
-    """For so long the picture moved after the stop; None: to the end of the watch."""
+    """Time for which the picture moves after the stop; None if it moves until the end of the measurement."""
     rest_s: float
-    """What each picture waits."""
+    """Pause before each picture."""
 
     @property
     def view_s(self) -> float:
-        """From the beginning of a turn to its picture; what never came to rest is worse than all that did."""
+        """Time from the beginning of a turn to its picture; endless motion counts as longest."""
         return self.turn_s + self.rest_s + (0.0 if self.moves_s is not None else 1e3)
 
     def text(self) -> str:
-        """Say what was found."""
+        """Return the result as text."""
         at = f"at {self.acceleration_deg_per_s2:g} deg/s2"
         if self.moves_s is None:
             return (
@@ -42,29 +42,29 @@ class Resting:
 
 
 def choose(turning: Turning, look: Callable[[], Grey], clock: Clock, *, angles_deg: Sequence[float], part: TurntablePart) -> Resting:
-    """Turn by a view's step at one acceleration after the other, watch the picture, and keep the table at the best.
+    """Turn by a view's step at several accelerations, measure the motion of the picture, and set the best acceleration.
 
     Parameters
     ----------
     turning : Turning
-        The table; its angle is known.
+        Turntable with a known angle.
     look : callable
-        Takes a picture.
+        Function that takes a picture.
     clock : Clock
-        In which it turns and rests.
+        Clock for waiting times.
     angles_deg : (N,) float
-        The next views' angles, two or more; a trial turns from one to the next.
+        Angles of the next views, two or more; each trial turns from one to the next.
     part : TurntablePart
-        Of the rig file: the highest acceleration, and the least rest.
+        Section of the rig file with the highest acceleration and the minimum pause.
 
     Returns
     -------
     Resting
-        With the least time from the beginning of a turn to its picture.
+        Result with the shortest time from the beginning of a turn to its picture.
     """
     turning.accelerate(part.acceleration_deg_per_s2)
     turning.turn(angles_deg[0])
-    clock.sleep(WATCH_S)  # so that no trial sees what an earlier turn left
+    clock.sleep(WATCH_S)  # so that no trial is affected by a previous turn
     best: Resting | None = None
     for share, angle_deg in zip(GENTLER, angles_deg[1:], strict=False):
         tried = share * part.acceleration_deg_per_s2
@@ -77,7 +77,7 @@ def choose(turning: Turning, look: Callable[[], Grey], clock: Clock, *, angles_d
         found = Resting(acceleration_deg_per_s2=tried, turn_s=turn_s, moves_s=moves_s, rest_s=rest_s)
         if best is None or found.view_s < best.view_s or best.moves_s is None:
             best = found
-        if turn_s + part.settle_s >= best.view_s:  # what is gentler turns longer
+        if turn_s + part.settle_s >= best.view_s:  # lower accelerations take even longer
             break
     if best is None:
         raise ValueError(f"{angles_deg=} but expected two or more")

@@ -1,8 +1,8 @@
-"""A scan: every view of a plan taken on real or emulated devices, so that it survives faults, Ctrl-C and power cuts.
+"""Scan: takes every view of a plan on real or emulated devices, and recovers from faults, Ctrl-C and power cuts.
 
-A frame's angle is what the turntable answered after the move and again after the picture. A turntable that was reset or
-plugged out is connected again and its angle found anew by the markers; a camera that fails is opened again; all else
-stops the scan with its cause. What was taken stays, and a later run takes only what is missing.
+The angle of a frame is read from the turntable after the move and again after the picture. A turntable that was reset
+or unplugged is reconnected and its angle determined again from the markers; a camera that fails is reopened; any other
+error stops the scan with its cause. Pictures already taken are kept, and a later run takes only the missing ones.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,13 +31,13 @@ from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import held
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import View
 
 MOST_FAULTS = 3
-"""So many faults of the board one after the other, without a picture between them, end the scan."""
+"""Maximum number of successive faults of the board without a picture between them."""
 DIMMER, BRIGHTER = 0.6, 1.6
-"""A picture whose panel is beyond this factor of its ring's first one was taken with failing lights."""
+"""Factors of the panel's brightness relative to the ring's first picture, beyond which the lights are failing."""
 
 T = TypeVar("T")
 Picture: TypeAlias = tuple[Frame, Grey]
@@ -54,27 +54,27 @@ def scan(
     table_angle_deg: float | None = None,
     audience: Audience | None = None,
 ) -> Dataset:
-    """Take every view of a scene's plan that the folder does not have yet.
+    """Take every view of a scene's plan that is missing in a folder.
 
     Parameters
     ----------
     devices : Devices
-        Open; they stay open, but are left safe: lights off, arm parked and let go, the table's motor off after a
-        finished scan and on after a stopped one, so that its angle is not lost.
+        Open devices. They remain open, but are left in a safe state: lights off, arm parked without torque, the table's
+        motor off after a finished scan and on after a stopped one, so that its angle is not lost.
     scene : Scene
-        Rig and plan as given, with the calibrated lens.
+        Scene with rig and plan, and the calibrated lens.
     folder : path
-        New or empty, or left by a stopped scan.
+        New or empty folder, or that of a stopped scan.
     resume : bool
-        Whether a stopped scan is taken up.
+        Whether to resume a stopped scan.
     settings : mapping of object or None
-        What else the scan is made with; written to the dataset, and compared when it is taken up.
+        Further settings of the scan, which are written to the dataset, and compared when it is resumed.
     seed : int or None
-        Of the twin's errors.
+        Random seed of the twin's errors.
     table_angle_deg : float or None
-        The table's present angle as a person says, for a strip that cannot be read at the start.
+        Present table angle given by the user, for a strip that cannot be read at the start.
     audience : Audience or None
-        Who hears of it, and can be asked.
+        Observers of the scan, and the user who can be asked.
 
     Returns
     -------
@@ -84,9 +84,9 @@ def scan(
     Raises
     ------
     RigError
-        When a device failed; the scan can be taken up.
+        If a device failed; the scan can be resumed.
     UserError
-        For a folder, plan or scene that does not fit, or a full disk.
+        For an unsuitable folder, plan or scene, or a full disk.
     """
     folder, audience = Path(folder), audience or Audience()
     planned = plan.views(scene)
@@ -123,14 +123,14 @@ class _Scan:
         self._rest_s = devices.rig.turntable.settle_s
         self._rest_known = devices.rig.turntable.rest == "given"
         self._bright = 0.0
-        """How bright the ring's pictures are."""
+        """Brightness of the ring's pictures."""
 
     def run(self, planned: list[View]) -> Dataset:
-        """Take what is missing, and leave the rig safe whatever happens."""
+        """Take the missing pictures, and leave the rig in a safe state in any case."""
         self._drop_slipped(self._turning.pictures_of(self._session))
         remaining = self._session.remaining()
         if not remaining:
-            self._say(f"{self._session.folder}: all {len(planned)} pictures are there")
+            self._say(f"{self._session.folder}: all {len(planned)} pictures exist")
             return self._session.save(complete=True)
         rings = sorted({view.ring for view in remaining})
         self._stand.refuse([self._scene.plan.rings[ring] for ring in rings])
@@ -145,7 +145,7 @@ class _Scan:
             self._say_unchecked(len(planned))
             dataset = self._session.save(complete=True)
             finished = True
-        except BoardFaultError as fault:  # one that came while another was being cured, or before the first picture
+        except BoardFaultError as fault:  # a fault during the recovery from another one, or before the first picture
             self._turning.lost = True
             self._stopped(fault.cause)
             raise fault.cause from fault
@@ -167,7 +167,7 @@ class _Scan:
         return dataset
 
     def _preflight(self, pictures: int) -> None:
-        """Look at every device, one line each; the first that is not well stops the scan before it begins."""
+        """Check every device, with one line each; the first problem stops the scan before it begins."""
         devices = self._devices
         self._report("disk", preflight.check_disk(self._session.folder, pictures, self._scene.camera))
         self._report("turntable", preflight.check_table(devices.table))
@@ -200,14 +200,14 @@ class _Scan:
         self._refuse_still()
 
     def _wait(self) -> None:
-        """Wait for as long as the onlooker holds the scan; the arm is watched meanwhile."""
+        """Wait as long as the observer pauses the scan; the arm is monitored meanwhile."""
         while self._onlooker.holds():
             self._stand.joints()
 
     def _refuse_still(self) -> None:
-        """Stop where the picture before does not show that the table turned as it says.
+        """Stop if the previous picture does not confirm the rotation of the table.
 
-        That picture is taken out, the others stay.
+        That picture is removed, the others are kept.
         """
         wrong = self._watch.wrong()
         if wrong is None:
@@ -217,12 +217,12 @@ class _Scan:
             self._session.drop([file])
             self._onlooker.on_drop([file])
         raise RigError(
-            f"turntable: {why}, so that the table slipped or stands still, or the camera was pushed or hangs; this picture is taken out: "
-            "free the table, look at the camera, then finish the scan with --resume"
+            f"turntable: {why}: the table slipped or does not move, or the camera was pushed or hangs; this picture is removed: "
+            "free the table, check the camera, then finish the scan with --resume"
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
-        """Choose acceleration and rest by how long the picture moves after a turn."""
+        """Choose acceleration and pause by the duration of the picture's motion after a turn."""
         if self._rest_known or len(views) < 2:
             return
         devices = self._devices
@@ -234,17 +234,17 @@ class _Scan:
         self._note("rest", f"turntable: {chosen.text()}")
 
     def _say_unchecked(self, planned: int) -> None:
-        """Say of what nobody knows that it is right."""
+        """Report properties of the scan that could not be verified."""
         unread = len(self._watch.unread)
         if unread:
             self._note(
                 "unchecked",
-                f"the markers of {unread} of {planned} pictures could not be read: that they show the commanded angles is the turntable's "
-                "word alone; only that each differs from the one before was looked at",
+                f"the markers of {unread} of {planned} pictures could not be read: their angles are only known from the turntable's "
+                "reports; it was only checked that each picture differs from the previous one",
             )
 
     def _look_about(self, index: int, near_deg: float) -> None:
-        """Judge the picture, make the table's angle known, and correct the camera's place."""
+        """Check the picture, determine the table's angle, and correct the camera's position."""
         shot, seen = self._stand.search(self._scene.plan.rings[index])
         self._turning.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
@@ -256,16 +256,18 @@ class _Scan:
             self._homed = True
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turning.angle_deg)
         self._turning.remember_sighting(seen)
-        self._report("markers", "cannot be read from here" if seen is None else f"{seen.markers} read, {seen.reprojection_px:.2f} px off")
+        self._report(
+            "markers", "cannot be read from this position" if seen is None else f"{seen.markers} read, {seen.reprojection_px:.2f} px error"
+        )
 
     def _cured(self, action: Callable[[], T], *, near_deg: float) -> T:
-        """Do something; where the board of table and lights fails in it, cure that and do it again."""
+        """Run an action; if the board of table and lights fails in it, recover the board and repeat it."""
         faults = 0
         fault: BoardFaultError | None = None
         while True:
             try:
                 if fault is not None:
-                    self._session.flush()  # the pictures tell the angle
+                    self._session.flush()  # the pictures determine the angle
                     if self._turning.recover(fault, near_deg=near_deg, again=faults > 1):
                         self._placement += 1
                 return action()
@@ -276,7 +278,7 @@ class _Scan:
                     raise
 
     def _select(self, band: str) -> None:
-        """Set lamps and filter as a band of the camera needs them, unless they are."""
+        """Set lamps and filter for a band of the camera, unless they are already set."""
         if band == self._turning.band:
             return
         self._turning.light(band)
@@ -285,9 +287,9 @@ class _Scan:
             self._devices.arm.turn_filter(part.filter_deg)
 
     def _shoot(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
-        """Turn, wait, take the picture, and make sure that the table still stands where it went.
+        """Turn, wait, take the picture, and verify that the table has not moved.
 
-        Then the same view in the camera's other bands, and again for one who watches motion.
+        Then take the same view in the camera's other bands, and again for an observer that measures motion.
         """
         main = plan.main_band(self._scene, view.ring)
         clock = self._devices.clock
@@ -316,7 +318,7 @@ class _Scan:
         return (frame, shot.image), self._other_bands(view, frame), again
 
     def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
-        """Take the same view in the camera's other bands, and set the first one again."""
+        """Take the same view in the camera's other bands, and restore the first one."""
         taken: list[Picture] = []
         for band in plan.bands_of(self._scene, view.ring):
             if band == frame.band:
@@ -332,14 +334,17 @@ class _Scan:
         return taken
 
     def _lit_picture(self, angle_deg: float) -> Shot:
-        """Take a picture; prove that the table still stands, and that the lamps are as bright as they were.
+        """Take a picture; verify that the table is static, and that the brightness of the lamps has not changed.
 
-        Lamps cannot be read back.
+        The lamps cannot be read back.
         """
         bright = 0.0
         for again in (False, True):
             if again:
-                self._note("lights", f"lights: the panel went from {self._bright:.2f} to {bright:.2f} of full scale; switched on again")
+                self._note(
+                    "lights",
+                    f"lights: the brightness of the panel changed from {self._bright:.2f} to {bright:.2f} of full scale; switched on again",
+                )
                 self._turning.light()
             shot = self._eye.picture(table_deg=angle_deg)
             self._turning.verify(angle_deg)
@@ -348,13 +353,13 @@ class _Scan:
                 return shot
         raise RigError(
             f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, "
-            "their supply and what stands before the camera, then finish the scan with --resume"
+            "their supply and the view of the camera, then finish the scan with --resume"
         )
 
     def _drop_slipped(self, pictures: list[Taken]) -> str:
-        """Take pictures out that show another angle than commanded, and say which.
+        """Remove pictures at other angles than commanded, and return a description of them.
 
-        Lost steps cannot be read back, but stay lost.
+        Lost steps cannot be read back, but they affect all subsequent pictures.
         """
         self._session.flush()
         slipped = self._turning.slipped(pictures)
@@ -367,18 +372,18 @@ class _Scan:
         text = (
             f"turntable: the markers of {names} show other angles than commanded, so that the table slipped or the camera was pushed, and "
         )
-        text += "these pictures are taken out"
+        text += "these pictures are removed"
         self._note("slipped", text)
         return text
 
     def _stopped(self, error: BaseException) -> None:
-        """Write the log, and say how the scan goes on; the first error is what counts."""
+        """Write the log, and report how to resume the scan; the first error is the one that is reported."""
         with suppress(Exception):
             self._drop_slipped(self._turning.pictures)
         with suppress(Exception):
             self._note("stopped", str(error) or type(error).__name__, quiet=True)
             done = len(self._session.save().frames)
-            motor = "" if self._turning.lost else "; the table's motor stays on, so that its angle is kept"
+            motor = "" if self._turning.lost else "; the table's motor remains on, so that its angle is kept"
             if done:
                 self._say(f"{done} pictures are kept{motor}: finish the scan with --resume")
 
@@ -387,7 +392,7 @@ class _Scan:
         self._onlooker.on_line(text)
 
     def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
-        """Say what happened, and keep it in the dataset's log."""
+        """Report an event, and add it to the dataset's log."""
         self._session.note(event, text, time_s=self._now_s())
         if not quiet:
             self._say(text)
@@ -400,13 +405,13 @@ class _Scan:
 
 
 def _refuse_plan(scene: Scene, planned: list[View]) -> None:
-    """Refuse what a plan may hold for the renderer, but not for a rig."""
+    """Reject plans that are valid for the renderer, but not for a rig."""
     for i, ring in enumerate(scene.plan.rings, start=1):
         if ring.jitter_mm or ring.jitter_deg:
-            raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan: its camera stands still")
+            raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan, whose camera is static")
     for view in planned:
         if not LEAST_DEG <= view.table_deg <= MOST_DEG:
             raise UserError(
-                f"plan.rings {view.ring + 1}: first_deg brings the table to {view.table_deg:g} deg, but a scan's angles lie between "
-                f"{LEAST_DEG:g} and {MOST_DEG:g}: add or take away 360"
+                f"plan.rings {view.ring + 1}: first_deg moves the table to {view.table_deg:g} deg, but a scan's angles must be between "
+                f"{LEAST_DEG:g} and {MOST_DEG:g}: add or subtract 360"
             )

@@ -1,4 +1,4 @@
-"""How long pictures still move after the table has stopped: the rest that a scan needs, measured by its own camera."""
+"""Duration of the motion in pictures after a stop of the table, from which the pause before a picture is derived."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,52 +6,52 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 WATCH_S = 12.0
-"""So long the camera looks: water of 15 cm sloshes at 2 to 3 Hz and is still after some ten periods; roots swing more
-slowly."""
+"""Duration of the measurement: water of 15 cm sloshes at 2 to 3 Hz and is still after some ten periods; roots swing
+more slowly."""
 LATE = 1.0 / 3.0
-"""The last share of the looks, in which nothing may move any more, tells the noise."""
+"""Last fraction of the pictures, which must be still, and determine the noise."""
 ABOVE_NOISE = 1.15
-"""A picture that differs by this much more than by noise has moved: the rms of 1e5 pixels scatters by far less."""
+"""Ratio of a picture's difference to the noise above which it has moved: the rms over 1e5 pixels varies far less."""
 MARGIN = 1.5
-"""What was measured after one move is made longer by this for the others."""
+"""Safety factor of a duration measured after one move, applied to the others."""
 STRIDE = 2
-"""Every so-manieth pixel each way is looked at."""
+"""Step of the sampled pixels in both directions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settling:
-    """What was seen after a stop."""
+    """Motion after a stop."""
 
     rest_s: float | None
-    """After which nothing moves beyond noise; None: it still moved at the end."""
+    """Time after which nothing moves beyond noise; None if motion continued to the end."""
     moved: float
-    """How far the first picture differs from those at rest, over what noise makes of two that do not."""
+    """Ratio of the first picture's difference from the still ones to the difference by noise alone."""
 
 
 def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
-    """Return when pictures stopped moving.
+    """Measure the time at which pictures stopped moving.
 
     Parameters
     ----------
     pictures : (N) of (H, W)
-        In the order of time, from the stop on; at least 6.
+        Pictures in the order of time, beginning at the stop; at least 6.
     times_s : (N) float
-        After the stop.
+        Times after the stop.
 
     Returns
     -------
     Settling
-        The rest is the time of the first picture from which on none differs more than by noise from the mean of the
-        late ones.
+        Its rest is the time of the first picture after which none differs from the mean of the late ones by more than
+        noise.
 
     Notes
     -----
     With M late pictures of noise s, an early one differs from their mean by ``s sqrt(1 + 1/M)`` (rms), a late one by
-    ``s sqrt(1 - 1/M)``. What still swings at the end shows where the spread of the late pictures and the difference of
-    neighbours, each a measure of the noise, disagree.
+    ``s sqrt(1 - 1/M)``. Motion that continues to the end is detected by a disagreement of two estimates of the noise:
+    the spread of the late pictures, and the difference of neighbours.
     """
     if len(pictures) < 6 or len(pictures) != len(times_s):
         raise ValueError(f"{len(pictures)=} and {len(times_s)=} but expected 6 or more of both")
@@ -61,7 +61,7 @@ def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
     mean = late.mean(axis=0)
     noise = float(np.sqrt(np.mean((late - mean) ** 2) * count / (count - 1)))
     steps = np.diff(late, axis=0)
-    stepping = float(np.sqrt(np.mean(steps**2) / 2.0))  # noise alone makes sqrt(2) of its own between neighbours
+    stepping = float(np.sqrt(np.mean(steps**2) / 2.0))  # the difference of neighbours contains sqrt(2) times the noise
     apart = np.sqrt(np.mean((stack - mean) ** 2, axis=(1, 2)))
     floor = min(noise, stepping) * np.sqrt(1.0 + 1.0 / count)
     moving = apart > ABOVE_NOISE * max(floor, 1e-9)
@@ -72,23 +72,23 @@ def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
 
 
 def watch(look: Callable[[], Grey], clock: Clock, *, seconds: float = WATCH_S, every_s: float = 0.25) -> tuple[list[Grey], list[float]]:
-    """Take pictures from now on, and return them with the times at which each was begun.
+    """Take pictures for a given duration, and return them with their start times.
 
     Parameters
     ----------
     look : callable
-        Takes a picture.
+        Function that takes a picture.
     clock : Clock
-        For the times.
+        Clock for the times.
     seconds : float
-        How long.
+        Duration.
     every_s : float
-        Pause from picture to picture.
+        Pause between pictures.
 
     Returns
     -------
     list of (H, W) arrays, list of float
-        At least six pictures, and seconds since now.
+        At least six pictures, and their times in seconds from the call.
     """
     begun_s, pictures, times_s = clock.now_s(), list[Grey](), list[float]()
     while (now_s := clock.now_s() - begun_s) < seconds or len(pictures) < 6:

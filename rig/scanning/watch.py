@@ -1,4 +1,4 @@
-"""Whether the pictures of a scan show that the table turned, told while the next one is being taken."""
+"""Verification of the table's rotation in each picture of a scan, while the next one is being taken."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -9,13 +9,13 @@ from rhizotwin.rig.scanning.preflight import exposure_of
 from rhizotwin.rig.scanning.turning import Turning
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 
 class Watch:
-    """Reads the strip in each picture beside the next movement.
+    """Detects the strip in each picture during the next movement.
 
-    Without a strip it looks whether the picture changed with the turn.
+    Without a strip it checks whether the rotation changed the picture.
     """
 
     def __init__(self, turning: Turning, scene: Scene, onlooker: Onlooker) -> None:
@@ -26,30 +26,30 @@ class Watch:
         self._before: tuple[Frame, Grey] | None = None
         self._pending: tuple[Frame, Future[tuple[Sighting | None, float | None]]] | None = None
         self.unread: list[str] = []
-        """Files whose angle no marker proves."""
+        """Files whose angle is not confirmed by markers."""
 
     def begin_ring(self) -> None:
-        """Forget the picture before: the camera stands elsewhere now."""
+        """Discard the previous picture, as the camera has moved."""
         self._before = self._pending = None
 
     def begin_look(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
-        """Begin to look at a picture; what was found of the one before must have been read (`wrong`).
+        """Begin to check a picture; the result for the previous one must have been read (`wrong`).
 
         Parameters
         ----------
         frame : Frame
-            The picture's place in the plan.
+            Frame of the picture.
         image : (H, W) uint8 or uint16 array
             The picture.
         again : (H, W) uint8 or uint16 array or None
-            A second picture at the same stop; None where none was taken.
+            Second picture at the same stop; None if there is none.
         """
         before = None if self._before is None or self._before[0].table_deg == frame.table_deg else self._before[1]
         self._pending = frame, self._reader.submit(self._look, frame, image, before, again)
         self._before = frame, image
 
     def wrong(self) -> tuple[str, str] | None:
-        """Return the file of the last picture and what is wrong with it; None when it shows what it should."""
+        """Return the file of the last picture and a description of its fault; None if it is as expected."""
         if self._pending is None:
             return None
         frame, looked = self._pending
@@ -59,15 +59,15 @@ class Watch:
         if seen is not None:
             off_deg = self._turning.off_deg(commanded_deg, seen)
             if abs(off_deg) > self._turning.slip_deg:
-                return frame.file, f"the markers of {frame.file} show {off_deg:+.2f} deg beside the commanded {commanded_deg:g} deg"
+                return frame.file, f"the markers of {frame.file} deviate by {off_deg:+.2f} deg from the commanded {commanded_deg:g} deg"
             return None
         if changed is not None and changed < LEAST_SHARE:
-            return frame.file, f"{frame.file} looks like the picture before, although the table was turned"
+            return frame.file, f"{frame.file} does not differ from the previous picture, although the table was turned"
         self.unread.append(frame.file)
         return None
 
     def close(self) -> None:
-        """End the reader."""
+        """Stop the reader."""
         self._reader.shutdown(wait=True, cancel_futures=True)
 
     def _look(self, frame: Frame, image: Grey, before: Grey | None, again: Grey | None) -> tuple[Sighting | None, float | None]:

@@ -1,4 +1,4 @@
-"""A serial port, with errors that a person can act on.
+"""Serial port with error messages that state a remedy.
 
 It is a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial.
 """
@@ -27,31 +27,31 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 
 
 class Wire(Protocol):
-    """What a driver needs of a port: `Port`, and `rig.serial_line.recording.ReplayPort` in its place."""
+    """Interface of a port used by drivers: `Port`, or `rig.serial_line.recording.ReplayPort` as its replacement."""
 
     @property
     def clock(self) -> Clock:
-        """Whose time the time-outs are in."""
+        """Clock of the time-outs."""
 
     @property
     def url(self) -> str:
-        """Where it leads to."""
+        """URL of the port."""
 
     @property
     def device(self) -> str:
-        """What is at the other end, for messages."""
+        """Name of the connected device, used in messages."""
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what is there as soon as something is there; nothing after the time-out."""
+        """Return received bytes as soon as there are any; empty after the time-out."""
 
     def discard_input(self) -> None:
-        """Drop what has come in."""
+        """Discard received bytes."""
 
     def close(self) -> None:
-        """Close it."""
+        """Close the port."""
 
 
 class Port:
@@ -60,21 +60,21 @@ class Port:
     Parameters
     ----------
     url
-        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``.
-        Held against other programs, a socket against those of this computer.
+        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``. It is locked against other programs, a
+        socket against those of this computer.
     baud
         Bits per second.
     clock
-        Stamps the recording; drivers take their deadlines from it.
+        Clock of the recording's time stamps and of the drivers' deadlines.
     device
-        What is at the other end, for messages: "turntable", "arm".
+        Name of the connected device, used in messages: "turntable", "arm".
     recorder
-        Keeps every byte.
+        Records every transmitted byte.
 
     Raises
     ------
     RigError
-        When the port cannot be opened, with what to do.
+        If the port cannot be opened, with a remedy.
     """
 
     def __init__(self, url: str, *, baud: int, clock: Clock, device: str, recorder: Recorder | None = None) -> None:
@@ -106,9 +106,9 @@ class Port:
         Raises
         ------
         LostError
-            When the device was unplugged.
+            If the device was unplugged.
         NoAnswerError
-            When it takes no bytes.
+            If it does not accept bytes.
         """
         if self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, ">", data)
@@ -117,36 +117,36 @@ class Port:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
             raise NoAnswerError(
-                f"{self.device} on {self.url}: took no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
+                f"{self.device} on {self.url}: accepted no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
             ) from error
         except OSError as error:
             raise self._lost(error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what is there as soon as something is there; nothing after the time-out (0: do not wait).
+        """Return received bytes as soon as there are any; empty after the time-out (0 to not wait).
 
         Raises
         ------
         LostError
-            When the device was unplugged.
+            If the device was unplugged.
         """
         self._check_open()
         try:
             data = self._waiting() or self._wait(timeout_s)
-        except OSError as error:  # in_waiting raises a bare OSError where read and write raise SerialException
+        except OSError as error:  # in_waiting raises a bare OSError, while read and write raise SerialException
             raise self._lost(error) from error
         if data and self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, "<", data)
         return data
 
     def discard_input(self) -> None:
-        """Drop what has come in; it is recorded all the same, so that a replay sees it."""
-        for _ in range(16):  # a device that babbles without end is not waited for
+        """Discard received bytes; they are recorded nevertheless, so that a replay contains them."""
+        for _ in range(16):  # do not wait for a device that sends without end
             if not self.read(0.0):
                 return
 
     def close(self) -> None:
-        """Close the port; nothing when it is closed already."""
+        """Close the port; no effect if it is already closed."""
         self._is_open = False
         with suppress(OSError):
             self._serial.close()
@@ -157,7 +157,7 @@ class Port:
             raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
 
     def _waiting(self) -> bytes:
-        """Read what has arrived. A socket never admits to more than one byte, so it is asked until it has none."""
+        """Read the bytes that have arrived. A socket reports at most one byte, so it is read until it is empty."""
         data = b""
         while len(data) < _READ_AT_ONCE and (waiting := self._serial.in_waiting):
             data += self._serial.read(min(waiting, _READ_AT_ONCE))
@@ -167,7 +167,7 @@ class Port:
         left_s = timeout_s
         while left_s > 0.0:
             slice_s = _slice_s(left_s)
-            if slice_s != self._timeout_s:  # each change makes pyserial configure the port anew
+            if slice_s != self._timeout_s:  # each change makes pyserial reconfigure the port
                 self._serial.timeout = self._timeout_s = slice_s
             first: bytes = self._serial.read(1)
             if first:
@@ -180,20 +180,20 @@ class Port:
 
 
 def _hold(url: str, device: str, stack: ExitStack) -> None:
-    """Hold a network port against other programs of this computer, as the system does with device files."""
+    """Lock a network port against other programs of this computer, as the system does for device files."""
     name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
     try:
         stack.enter_context(locked(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
     except UserError as error:
         raise RigError(str(error)) from error
     except PermissionError as error:
-        raise RigError(f"{device}: {url} is used by another person on this computer ({error.filename}); wait until that ends") from error
+        raise RigError(f"{device}: {url} is used by another user of this computer ({error.filename}); wait until that ends") from error
 
 
 def _slice_s(left_s: float) -> float:
-    """Return the power of two that is not longer (but for the last millisecond).
+    """Return the largest power of two that is not longer (except for the last millisecond).
 
-    Ever the same few time-outs, seldom set anew.
+    Thus only a few different time-outs are used, and they rarely change.
     """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
@@ -210,5 +210,5 @@ def _why_not_open(url: str, error: OSError | ValueError) -> str:
         return f"{url} is used by another program; close that one and try again"
     if code in _ABSENT:
         there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"{url} is not there (serial ports that are: {there}); plug the device in, or correct its port in the rig file"
+        return f"{url} does not exist (existing serial ports: {there}); plug the device in, or correct its port in the rig file"
     return f"{url} cannot be opened as a serial port ({error}); check the device, and its port in the rig file"

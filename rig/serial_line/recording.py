@@ -1,10 +1,9 @@
-"""Every byte on the wire as JSON lines, and a port that plays them back.
+"""Recording of every transmitted byte as JSON lines, and a port that replays a recording.
 
-A session on the bench becomes a test of the drivers.
-
-A file holds sessions one after the other. A session begins with a line ``{"recording": 1, "time": ..., "versions":
-...}``; then come ``{"t_s", "device", "open": {"url", "baud"}}`` for each port that is opened and ``{"t_s", "device",
-"dir": ">" or "<", "hex"}`` for what is sent to (``>``) and heard from (``<``) a device.
+With it, a session on the bench becomes a test of the drivers. A file contains successive sessions. A session begins
+with a line ``{"recording": 1, "time": ..., "versions": ...}``, followed by ``{"t_s", "device", "open": {"url",
+"baud"}}`` for each opened port and ``{"t_s", "device", "dir": ">" or "<", "hex"}`` for bytes sent to (``>``) and
+received from (``<``) a device.
 """
 
 import json
@@ -23,12 +22,12 @@ FORMAT = 1
 
 
 class Recorder:
-    """Appends to a recording; every line reaches the system at once, so that a crash loses none.
+    """Writer that appends to a recording; every line is flushed immediately, so that a crash loses none.
 
     Raises
     ------
     RigError
-        When the file cannot be written; from `record` as well, but once only: a full disk must not keep the lamps from
+        If the file cannot be written; also from `record`, but only once, as a full disk must not prevent the lamps from
         being switched off.
     """
 
@@ -51,32 +50,32 @@ class Recorder:
             raise
 
     def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Note that a port was opened, with its settings.
+        """Record the opening of a port with its settings.
 
         Parameters
         ----------
         t_s : float
-            When.
+            Time.
         device : str
-            Its name, as ``turntable``.
+            Name of the device, such as ``turntable``.
         url, baud : str, int
-            Of the port.
+            URL and baud rate of the port.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})
 
     def record(self, t_s: float, device: str, direction: Literal[">", "<"], data: bytes) -> None:
-        """Note bytes that were sent (``>``) or heard (``<``).
+        """Record bytes that were sent (``>``) or received (``<``).
 
         Parameters
         ----------
         t_s : float
-            When.
+            Time.
         device : str
-            Its name, as ``turntable``.
+            Name of the device, such as ``turntable``.
         direction : {'>', '<'}
-            To the device, or from it.
+            Direction: to the device, or from it.
         data : bytes
-            As they were on the wire.
+            Transmitted bytes.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
 
@@ -103,8 +102,8 @@ class Recorder:
 
 
 def _end_line(path: Path) -> None:
-    """Cut off a last line that a crash or a full disk left without its end."""
-    if not path.is_file():  # a pipe, a device
+    """Remove an incomplete last line that a crash or a full disk left."""
+    if not path.is_file():  # a pipe or a device
         return
     with path.open("r+b") as stream:
         whole = stream.read().rfind(b"\n") + 1
@@ -113,42 +112,41 @@ def _end_line(path: Path) -> None:
 
 
 class ReplayError(UserError):
-    """A driver did something else than at the time of the recording.
+    """A driver deviated from the recording.
 
-    No `RigError`, so that no driver takes it for a device's failure.
+    It is not a `RigError`, so that drivers do not handle it as a failure of the device.
     """
 
 
 class ReplayClock:
-    """Time that passes only by `sleep`, at once."""
+    """Clock whose time advances only by `sleep`, without waiting."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
 
     def now_s(self) -> float:
-        """Return seconds since the beginning of the replay."""
+        """Return seconds since the start of the replay."""
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         self._now_s += max(seconds, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Entry:
     line: int
-    """Of the file, from 1."""
+    """Line number in the file, from 1."""
     sent: bool
     data: bytes
 
 
 class ReplayPort:
-    """Stands in for a `rig.serial_line.port.Port`.
+    """Replacement of a `rig.serial_line.port.Port` that replays a recording.
 
-    Demands the bytes that were sent in the recording, and answers what was heard.
-
-    Only the order counts, not the times: a read returns the next bytes that were heard, unless something was sent
-    before them; then time passes up to the time-out. After the first difference every call fails with it.
+    It requires the same sent bytes as in the recording, and returns the received ones. Only the order matters, not the
+    times: a read returns the next received bytes, unless something was sent before them; then time advances up to the
+    time-out. After the first difference every call fails with it.
     """
 
     def __init__(self, path: Path, device: str, entries: list[_Entry], clock: Clock) -> None:
@@ -157,16 +155,16 @@ class ReplayPort:
         self.clock = clock
         self._entries = entries
         self._at = 0
-        self._done = 0  # bytes of the present entry that were sent already
+        self._done = 0  # bytes of the present entry that were already sent
         self._difference: ReplayError | None = None
 
     def write(self, data: bytes) -> None:
-        """Take what the driver sends.
+        """Compare the bytes that the driver sends with the recording.
 
         Raises
         ------
         ReplayError
-            When something else was sent at this point of the recording.
+            If other bytes were sent at this point of the recording.
         """
         self._check()
         left = data
@@ -175,7 +173,7 @@ class ReplayPort:
             if entry is None:
                 raise self._differs(f"the recording ends, but {left!r} was sent after it")
             if not entry.sent:
-                raise self._differs(f"line {entry.line} has {entry.data!r} heard, but {left!r} was sent before it was read")
+                raise self._differs(f"line {entry.line} has {entry.data!r} received, but {left!r} was sent before it was read")
             wanted = entry.data[self._done : self._done + len(left)]
             if not left.startswith(wanted):
                 same = next(i for i, (a, b) in enumerate(zip(wanted, left, strict=False)) if a != b)
@@ -189,7 +187,7 @@ class ReplayPort:
                 self._at, self._done = self._at + 1, 0
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what was heard at this point of the recording, or nothing after the time-out."""
+        """Return the bytes received at this point of the recording, or nothing after the time-out."""
         self._check()
         entry = self._entry()
         if entry is None or entry.sent:
@@ -199,7 +197,7 @@ class ReplayPort:
         return entry.data
 
     def discard_input(self) -> None:
-        """Skip what was heard up to the next sent bytes."""
+        """Skip received bytes up to the next sent ones."""
         while self.read(0.0):
             pass
 
@@ -207,18 +205,18 @@ class ReplayPort:
         """Do nothing; see `finish`."""
 
     def finish(self) -> None:
-        """Demand that the whole recording was gone through.
+        """Check that the whole recording was replayed.
 
         Raises
         ------
         ReplayError
-            When something of it is left.
+            If a part of it is left.
         """
         self._check()
         entry = self._entry()
         if entry is not None:
             raise self._differs(
-                f"line {entry.line} has {entry.data!r} {'sent' if entry.sent else 'heard'}, but the driver stopped before it"
+                f"line {entry.line} has {entry.data!r} {'sent' if entry.sent else 'received'}, but the driver stopped before it"
             )
 
     def _entry(self) -> _Entry | None:
@@ -239,48 +237,48 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     Parameters
     ----------
     path : path
-        The recording.
+        Path of the recording.
     device : str
-        Its name in the recording: "turntable", "arm".
+        Name of the device in the recording: "turntable", "arm".
     clock : Clock or None
-        Passed on to the driver; needs virtual time to be quick. None: a `ReplayClock`.
+        Clock of the driver, virtual for a fast replay; None for a `ReplayClock`.
     session : int
-        Which session of the file, counted as in a list; the last one by default.
+        Index of the session in the file, as in a list; the last one by default.
 
     Returns
     -------
     ReplayPort
-        Gives back what the device once said.
+        Port that returns the recorded answers of the device.
 
     Raises
     ------
     UserError
-        When the file cannot be read, is damaged, or knows no such device.
+        If the file cannot be read, is damaged, or does not contain the device.
     """
     path = Path(path)
     try:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: cannot be read as a recording ({error})") from error
-    # a last line without its end was cut off by a crash
+    # an incomplete last line was truncated by a crash
     plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
         raise UserError(f"{path}: is not a recording of format {FORMAT}")
     if not -len(begins) <= session < len(begins):
-        raise UserError(f"{path}: has {len(begins)} sessions, but session {session} was asked for")
+        raise UserError(f"{path}: has {len(begins)} sessions, but session {session} was requested")
     first = begins[session]
     end = min((i for i in begins if i > first), default=len(plain))
     mine = [(i, entry) for i, entry in enumerate(plain[first:end], start=first + 1) if entry.get("device") == device]
     if not mine:
         names = sorted({str(entry["device"]) for entry in plain[first:end] if "device" in entry})
-        raise UserError(f"{path}: has nothing of a device {device!r} in this session, only {', '.join(names) or 'none'}")
+        raise UserError(f"{path}: has no device {device!r} in this session, only {', '.join(names) or 'none'}")
     entries = [_Entry(line=i, sent=entry["sent"], data=entry["data"]) for i, entry in mine if "dir" in entry]
     return ReplayPort(path, device, entries, ReplayClock() if clock is None else clock)
 
 
 def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
-    """Read one line; everything that `replay_port` takes out of it is checked here."""
+    """Parse one line, and check all entries that `replay_port` uses."""
     try:
         plain = json.loads(line)
         if not isinstance(plain, dict):

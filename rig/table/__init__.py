@@ -1,1 +1,1 @@
-"""The board of turntable and lights, which speaks Marlin: from bytes to angles and levels."""
+"""Turntable and lights: the Marlin board, or a Raspberry Pi's own pins."""

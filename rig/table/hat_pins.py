@@ -1,4 +1,4 @@
-"""A Raspberry Pi's pins and pixels: `lgpio` and `rpi_ws281x`, loaded when they are first needed."""
+"""Pins and pixels of a Raspberry Pi by `lgpio` and `rpi_ws281x`, which are loaded when first used."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -9,38 +9,38 @@ from rhizotwin.rig.errors import NoAnswerError, RigError
 PIXEL_HZ = 800_000
 """Bit rate of WS2812B."""
 DMA = (10, 11)
-"""DMA channels of the two strips, as in rpi_ws281x's own example of two strips."""
+"""DMA channels of the two strips, as in rpi_ws281x's example for two strips."""
 HIGH_S = 2e-6
-"""How long a step's pulse is high: the DRV8825 wants 1.9 us (data sheet, timing requirements)."""
+"""Duration of a step's pulse: the DRV8825 requires 1.9 us (data sheet, timing requirements)."""
 
 
 class Pins(Protocol):
-    """Digital pins by their GPIO numbers."""
+    """Digital pins by GPIO number."""
 
     def output(self, pin: int, level: int) -> None:
-        """Make a pin an output, or change one that is."""
+        """Configure a pin as an output, or change its level."""
 
     def read(self, pin: int) -> int:
-        """Read an input; with a pull-up it is 1 unless something pulls it down."""
+        """Read an input; with its pull-up it is 1 unless it is pulled down."""
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses, each followed by its pause, timed by the library's own thread."""
+        """Begin to send pulses, each followed by its pause, timed by a thread of the library."""
 
     def busy(self, pin: int) -> bool:
         """Whether pulses are still being sent."""
 
     def close(self) -> None:
-        """Give the pins back."""
+        """Release the pins."""
 
 
 class Pixels(Protocol):
     """Two NeoPixel strips."""
 
     def fill(self, strip: int, rgb: tuple[int, int, int]) -> None:
-        """Give all pixels of strip 0 (panel) or 1 (front) one colour, at once."""
+        """Set all pixels of strip 0 (panel) or 1 (front) to one colour."""
 
     def close(self) -> None:
-        """Switch both off."""
+        """Switch both strips off."""
 
 
 class LgpioPins:
@@ -53,10 +53,10 @@ class LgpioPins:
         try:
             self._chip = self._library.gpiochip_open(0)
         except self._library.error as error:
-            raise NoAnswerError(f"hat: the pins cannot be opened ({error}); it needs a Raspberry Pi and the group gpio") from None
+            raise NoAnswerError(f"hat: the pins cannot be opened ({error}); this requires a Raspberry Pi and the group gpio") from None
 
     def output(self, pin: int, level: int) -> None:
-        """Make a pin an output, or change one that is."""
+        """Configure a pin as an output, or change its level."""
         if pin in self._outputs:
             self._call("gpio_write", pin, level)
         else:
@@ -83,21 +83,21 @@ class LgpioPins:
         return bool(self._call("tx_busy", pin, self._library.TX_WAVE))
 
     def close(self) -> None:
-        """Give the pins back."""
+        """Release the pins."""
         self._library.gpiochip_close(self._chip)
 
     def _call(self, name: str, *arguments: Any) -> Any:
         try:
             return getattr(self._library, name)(self._chip, *arguments)
         except self._library.error as error:
-            raise RigError(f"hat: {name} of GPIO {arguments[0]} failed ({error}); see that no other program uses this pin") from None
+            raise RigError(f"hat: {name} of GPIO {arguments[0]} failed ({error}); check that no other program uses this pin") from None
 
 
 class Ws281xPixels:
     """`Pixels` by rpi_ws281x."""
 
     def __init__(self, pins: tuple[int, int], counts: tuple[int, int]) -> None:
-        library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (a Raspberry Pi 5 has no such library: use a Marlin board there)")
+        library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5: use a Marlin board there)")
         self._colour = library.Color
         self._strips = [
             library.PixelStrip(count, pin, PIXEL_HZ, DMA[strip], channel=strip)
@@ -107,17 +107,19 @@ class Ws281xPixels:
             try:
                 strip.begin()
             except RuntimeError as error:
-                raise RigError(f"hat: the NeoPixels cannot be driven ({error}); it needs root's rights and dtparam=audio=off") from None
+                raise RigError(
+                    f"hat: the NeoPixels cannot be driven ({error}); this requires root permissions and dtparam=audio=off"
+                ) from None
 
     def fill(self, strip: int, rgb: tuple[int, int, int]) -> None:
-        """Give all pixels of a strip one colour."""
+        """Set all pixels of a strip to one colour."""
         one = self._strips[strip]
         for pixel in range(one.numPixels()):
             one.setPixelColor(pixel, self._colour(*rgb))
         one.show()
 
     def close(self) -> None:
-        """Switch both off."""
+        """Switch both strips off."""
         for strip in range(len(self._strips)):
             self.fill(strip, (0, 0, 0))
 
@@ -126,4 +128,4 @@ def _load(name: str, install: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise RigError(f"hat: the library {name} is not there; {install}") from None
+        raise RigError(f"hat: the library {name} is missing; {install}") from None

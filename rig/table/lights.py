@@ -1,4 +1,4 @@
-"""The lamps: two NeoPixel strips of a Marlin board, and what hangs on its fan outputs."""
+"""Lamps: two NeoPixel strips of a Marlin board, and loads on its fan outputs."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ _FULL = 255
 
 
 class MarlinLights:
-    """A `rig.devices.Lights`; shares its link with the turntable."""
+    """A `rig.devices.Lights` that shares its link with the turntable."""
 
     def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._link = link
@@ -22,14 +22,14 @@ class MarlinLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set the lamps and wait until they burn steadily.
+        """Set the lamps and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
-            0 to 1, as fractions of the colours in the rig file.
+            Levels from 0 to 1, as fractions of the colours in the rig file.
         band : BandPart or None
-            Colours and output of a band; None: those of ``[lights]``, and no output.
+            Colours and output of a band; None for those of ``[lights]``, without output.
         """
         check_levels(panel=panel, front=front)
         if not self._link.ready:
@@ -38,14 +38,14 @@ class MarlinLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch both off, whatever happened before; a board that was lost is connected anew for it.
+        """Switch both off in any state; a lost board is reconnected.
 
         Raises
         ------
         NoAnswerError
-            When nobody knows whether they are off: the board does not answer. It was told all the same.
+            If the board does not confirm that they are off; the command was sent nevertheless.
         LostError
-            When the board is not there any more.
+            If the board is no longer connected.
         """
         try:
             self._surely_off()
@@ -63,7 +63,7 @@ class MarlinLights:
             self._link.start()
         try:
             self._show(0.0, 0.0)
-        except LostError:  # it was reset meanwhile: it answers again after a new start
+        except LostError:  # it was reset, and answers after its restart
             self._link.start()
             self._show(0.0, 0.0)
 
@@ -78,4 +78,4 @@ class MarlinLights:
             self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
         for output in self._outputs:
             self._link.command(f"M106 P{output} S{_FULL}" if output == band.output else f"M107 P{output}")
-        self._link.ask("M114", POSITION)  # what was sent before is done when this is answered
+        self._link.ask("M114", POSITION)  # previous commands are done when this one is answered

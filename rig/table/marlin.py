@@ -1,12 +1,9 @@
-"""The link to a Marlin board.
+"""Link to a Marlin board: numbered lines with checksums, one at a time, repeated until they are received.
 
-Numbered, checksummed lines, one in flight, each sent again until it is certain that the board took it.
-
-The board takes lines only in the order of their numbers, so a line that is sent twice is done once: the second copy is
-refused, and the number that the refusal asks for proves that the first was taken. Whatever happens to an answer is
-cured in this way. What cannot be seen from a single answer is an ``ok`` that belongs to an earlier line (late, or
-doubled). Therefore nothing is believed to be done until a command that prints something, asked after it, has printed
-it: see `MarlinLink.ask`.
+The board accepts lines only in the order of their numbers, so that a repeated line is executed once: the second copy is
+rejected, and the requested number in the rejection confirms that the first one was received. This handles every loss of
+an answer. A single answer cannot reveal an ``ok`` that belongs to an earlier line (late or duplicated). Therefore
+commands only count as executed after a subsequent command that prints a reply was answered, see `MarlinLink.ask`.
 """
 
 import re
@@ -18,47 +15,47 @@ from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kin
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
-"""Boards that start anew when their port is opened greet within this time; others say nothing."""
+"""Time within which boards that reset on connection send their greeting; others send nothing."""
 STARTS = 3
 ASKS = 3
 
 
 class MarlinLink:
-    """The board behind a port. Turntable and lights share one."""
+    """Link to the board on a port, shared by turntable and lights."""
 
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
         self._journal = Journal()
-        # how long the command may take that was broken off, by Ctrl-C or for want of an answer
+        # possible duration of an interrupted or unanswered command
         self._unsettled_s: float | None = None
         self._lost: str | None = f"{self._wire.name}: not connected yet"
         self.firmware = ""
-        """What M115 says, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
+        """Firmware as reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
         self.capabilities: frozenset[str] = frozenset()
         self.sessions = 0
-        """How often the link was started: what was known of the board before is to be asked again."""
+        """Number of starts of the link; earlier knowledge of the board's state is then invalid."""
 
     @property
     def name(self) -> str:
-        """Device and port, for messages."""
+        """Device and port, used in messages."""
         return self._wire.name
 
     @property
     def ready(self) -> bool:
-        """Whether the link was started and the board was not lost since."""
+        """Whether the link was started and the board has not been lost since."""
         return self._lost is None
 
     def start(self) -> None:
-        """Agree on line numbers, ask for the firmware, switch off what it would do by itself.
+        """Synchronise line numbers, query the firmware, and switch off its automatic reports.
 
-        Table and lights are left as they are.
+        Table and lights are not changed.
 
         Raises
         ------
         NoAnswerError
-            When nothing answers, or what answers is not Marlin.
+            If there is no answer, or it is not from Marlin.
         LostError
-            When the board keeps starting anew, is halted, or was unplugged.
+            If the board resets repeatedly, is halted, or was unplugged.
         """
         for tries_left in reversed(range(STARTS)):
             try:
@@ -71,81 +68,81 @@ class MarlinLink:
                 return
 
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
-        """Have a command taken; return what the board printed meanwhile.
+        """Send a command until it is received; return the lines printed by the board.
 
-        That it was taken does not mean that it is done: moves are only queued, and an ``ok`` may have belonged to an
-        earlier command. Whoever needs to know goes on with `ask`.
+        A received command is not necessarily executed: moves are only queued, and an ``ok`` may have belonged to an
+        earlier command. Use `ask` to verify execution.
 
         Parameters
         ----------
         text : str
-            Without number and checksum.
+            Command without number and checksum.
         expect_s : float
-            How long the board may need until its ``ok``.
+            Maximum time of the board until its ``ok``.
         optional : bool
-            Whether a firmware that does not know the command will do.
+            Whether the firmware need not support the command.
 
         Returns
         -------
         list of str
-            Its lines before ``ok``.
+            Lines before ``ok``.
 
         Raises
         ------
         NoAnswerError
-            When the board did not take it after every retry; the link may be used on.
+            If the board did not receive it after every retry; the link remains usable.
         LostError
-            When the board was reset, halted or unplugged, now or since the last `start`.
+            If the board was reset, halted or unplugged, now or since the last `start`.
         RigError
-            When the firmware does not know the command.
+            If the firmware does not support the command.
         """
         return self._guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
-        """Have a command answered.
+        """Send a command and return its reply.
 
-        The board works in order: everything sent before is done then (moves: if M400 was sent behind them).
+        The board executes commands in order, so that all previous ones are done (moves only if followed by M400).
 
         Parameters
         ----------
         text : str
             The command.
         pattern : Pattern[str]
-            Searched for in each line of the answer. It must refuse lines that were cut short; a digit may still be
+            Pattern searched for in each line of the answer. It must not match truncated lines; a digit may still be
             wrong.
         expect_s : float
-            How long it may take.
+            Maximum duration of the command.
 
         Returns
         -------
         re.Match[str]
-            The line that answers.
+            Match in the line of the reply.
 
         Raises
         ------
         NoAnswerError, LostError, RigError
-            As `command`; and when the answers cannot be understood.
+            See `command`; also if the answers are invalid.
         """
         return self._ask(text, pattern, expect_s=expect_s)[0]
 
     def send_unheard(self, *texts: str) -> None:
-        """Send commands to a board that may hear though it is not heard.
+        """Send commands to a board whose answers cannot be received.
 
-        Three times, unnumbered, so that lost lines do no harm.
+        They are sent three times without numbers, so that lost lines have no effect.
         """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move at once, where the firmware can (EMERGENCY_PARSER); return whether it can.
+        """Stop a move immediately, if the firmware supports it (EMERGENCY_PARSER); return whether it does.
 
-        The table's angle is forgotten.
+        The table's angle becomes unknown.
         """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
         try:
-            self._wire.send(b"M410\n")  # acts as it is received, whatever waits before it
+            self._wire.send(b"M410\n")  # acts on reception, regardless of the queue
         except LostError as error:
             self._lost = str(error)
             raise
@@ -156,7 +153,7 @@ class MarlinLink:
         return True
 
     def close(self) -> None:
-        """Close the port; nothing when it is closed already."""
+        """Close the port; no effect if it is already closed."""
         self._lost = f"{self._wire.name}: closed"
         self._wire.close()
 
@@ -171,14 +168,14 @@ class MarlinLink:
         self.capabilities = frozenset(found[1] for line in lines if (found := CAPABILITY.search(line)))
         self.sessions += 1
         self.command(f"M113 S{BUSY_EVERY_S}", optional=True)
-        for reports in ("M155 S0", "M154 S0"):  # they would get between the answers
+        for reports in ("M155 S0", "M154 S0"):  # unsolicited reports would interfere with the answers
             self.command(reports, optional=True)
         self.command("M211 S0", optional=True)  # software endstops
-        self.command("M18 S0")  # or the idle motor is released, and the angle with it
+        self.command("M18 S0")  # otherwise the idle motor is released, and its angle lost
         self.ask("M114", POSITION)
 
     def _listen_to_greeting(self) -> None:
-        """Wait for the greeting of a board that starts, to its end, or for the silence of one that runs already."""
+        """Wait for the end of the greeting of a starting board, or for the silence of a running one."""
         clock = self._wire.clock
         self._wire.fresh()
         until_s = clock.now_s() + BOOT_S
@@ -212,10 +209,7 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Find a new beginning after a command that was broken off.
-
-        The answers still to come must not be taken for those of the next.
-        """
+        """Resynchronise after an interrupted command, so that its late answers are not attributed to the next one."""
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 
     def _number_and_exchange(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:

@@ -1,4 +1,4 @@
-"""How one command comes to be taken by the board: sent, answered, refused, sent again."""
+"""Transmission of one command to the board until it is received: sending, answers, rejections and repetitions."""
 
 import re
 from dataclasses import dataclass, field
@@ -8,22 +8,20 @@ from rhizotwin.rig.table.marlin_lines import Kind, Line, numbered
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 ANSWER_S = 10.0
-"""Silence beyond the time that a command is expected to take, after which it is sent again."""
+"""Silence, in addition to the expected duration of a command, after which it is sent again."""
 BUSY_S = 3.0
-"""The same once the board has said that it is busy; it says so every `BUSY_EVERY_S`."""
+"""The same after the board has reported that it is busy, which it does every `BUSY_EVERY_S`."""
 BUSY_EVERY_S = 2
 AGAIN_S = 3.0
-"""Silence after a line that was sent again because of silence."""
+"""The same after a repetition because of silence."""
 TRAILING_S = 0.5
-"""How long a line that should come at once is waited for: the ``ok`` behind ``Resend``, which some versions leave
-out."""
+"""Time-out of a line that should follow immediately: the ``ok`` after ``Resend``, which some versions omit."""
 LONGEST_S = 60.0
-"""No command lasts longer than this beyond twice the time it is expected to take, whatever the board sends
-meanwhile."""
+"""Maximum duration of a command in addition to twice its expected duration, regardless of the board's output."""
 MOST_REFUSALS = 10
 MOST_SILENCES = 5
 MOST_HINTS = 2
-"""So often a line is sent again early because what was heard resembles an ``ok``."""
+"""Maximum number of early repetitions because of a line that resembles an ``ok``."""
 MOST_COPIES = 6
 MOST_LINES = 2000
 _KEPT = 50
@@ -38,21 +36,21 @@ class Sent:
 
     @property
     def command(self) -> str:
-        """The first word, such as G1."""
+        """First word of the command, such as G1."""
         return self.text.split()[0]
 
 
 @dataclass
 class Journal:
-    """The lines of a session, by their numbers, in case the board wants one again."""
+    """Lines of a session by number, in case the board requests one again."""
 
     last: int = 0
     lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", numbered(0, "M110 N0"))})
     optional: set[str] = field(default_factory=set)
-    """Commands that the firmware need not know."""
+    """Commands that the firmware need not support."""
 
     def add(self, text: str, *, optional: bool) -> None:
-        """Give a command the next number. Broken off anywhere, it leaves the journal in order."""
+        """Add a command with the next number; an interruption leaves the journal consistent."""
         number = self.last + 1
         sent = Sent(text, numbered(number, text))
         if optional:
@@ -63,14 +61,14 @@ class Journal:
 
 
 class Exchange:
-    """The exchange about the last line of a journal.
+    """Transmission of the last line of a journal.
 
     Parameters
     ----------
     expect_s
-        How long the board may need until its ``ok``.
+        Maximum time of the board until its ``ok``.
     awaited
-        What must be among the answers.
+        Pattern that must occur in the answers.
     """
 
     def __init__(self, wire: MarlinWire, journal: Journal, *, expect_s: float, awaited: re.Pattern[str] | None) -> None:
@@ -78,30 +76,30 @@ class Exchange:
         self._journal = journal
         self._expect_s = expect_s
         self._awaited = awaited
-        # the line in flight: the last one, or an earlier one that the board turned out not to have
+        # line in transmission: the last one, or an earlier one that the board did not receive
         self._number = journal.last
-        self._quiet_s = wire.clock.now_s()  # when silence has lasted too long
+        self._quiet_s = wire.clock.now_s()  # time at which silence becomes too long
         self._end_s = self._quiet_s + LONGEST_S + 2.0 * expect_s
         self._output: list[str] = []
         self._answered = awaited is None
         self._acknowledged = False
-        self._wanted: set[int] = set()  # numbers in the refusal that is just being read
+        self._wanted: set[int] = set()  # numbers in the rejection that is being read
         self._refused = False
-        self._doubtful = False  # an error came that was not understood: the next ok proves nothing
-        self._copies = 0  # of the line, not answered yet
+        self._doubtful = False  # an unrecognised error occurred: the next ok confirms nothing
+        self._copies = 0  # number of unanswered copies of the line
         self._refusals = self._silences = self._hints = self._waits = 0
         self._hinted = False
         self._unknown_text: str | None = None
 
     def run(self) -> list[str]:
-        """Send the line and see to it that the board takes it; return what the board printed.
+        """Send the line until the board has received it; return the printed lines.
 
         Raises
         ------
         NoAnswerError
-            When it does not take it after every retry.
+            If the board has not received it after every retry.
         LostError
-            When it was reset, has stopped itself, or was unplugged.
+            If the board was reset, halted, or was unplugged.
         """
         self._wire.fresh()
         self._send()
@@ -113,10 +111,10 @@ class Exchange:
                 self._hear(line)
             elif self._silence():
                 return self._output
-        raise self._no_answer("kept sending other things")
+        raise self._no_answer("kept sending other lines")
 
     def check_known(self) -> None:
-        """Raise `RigError` when the firmware said that it does not know a command."""
+        """Raise `RigError` if the firmware reported an unknown command."""
         if self._unknown_text is not None:
             raise RigError(
                 f'{self._wire.name}: the firmware does not know "{self._unknown_text}"; '
@@ -132,7 +130,7 @@ class Exchange:
         self._quiet_s = self._wire.clock.now_s() + (self._expect_s + ANSWER_S if patience_s is None else patience_s)
 
     def _silence(self) -> bool:
-        """Deal with an answer that does not come; return whether the exchange is over."""
+        """Handle a missing answer; return whether the exchange is over."""
         if self._refused:
             self._refusal()
             return False
@@ -165,7 +163,7 @@ class Exchange:
                 self._quiet_s = now_s + BUSY_S
         elif line.kind is Kind.WAIT:
             self._waits += 1
-            # the first may have crossed our line; the second says that no ok will come
+            # the first may have crossed with our line; the second means that no ok will follow
             if self._waits == 2 and not self._refused:
                 self._quiet_s = now_s
         elif line.kind is Kind.UNKNOWN:
@@ -180,7 +178,7 @@ class Exchange:
                 self._quiet_s = now_s + TRAILING_S
 
     def _taken(self, line: Line) -> None:
-        """Deal with an ``ok``."""
+        """Handle an ``ok``."""
         now_s = self._wire.clock.now_s()
         if self._refused:
             self._refusal()
@@ -203,30 +201,30 @@ class Exchange:
             self._copies -= 1
 
     def _acknowledge(self) -> None:
-        """Wait a little more, if answers to further copies, or what must be printed, have yet to come.
+        """Wait a little longer if answers to further copies, or the required output, are still to come.
 
-        What must be printed may take as long as the command: the ``ok`` may have been that of an earlier one.
+        The required output may take as long as the command, as the ``ok`` may have been that of an earlier one.
         """
         self._acknowledged = True
         self._quiet_s = self._wire.clock.now_s() + TRAILING_S + (0.0 if self._answered else self._expect_s)
 
     def _refusal(self) -> None:
-        """Deal with a refusal that was read to its end: send what the board wants."""
-        # its two lines contradict each other: one is damaged
+        """Handle a complete rejection: send the requested line."""
+        # its two lines contradict each other, so that one is damaged
         wanted = self._wanted.pop() if len(self._wanted) == 1 else None
         self._wanted.clear()
         self._refused = self._doubtful = False
         self._copies -= 1
         if wanted == self._journal.last + 1:
             if not self._acknowledged:
-                self._copies -= 1  # answers come in order: the ok of the first copy was lost
+                self._copies -= 1  # answers arrive in order: the ok of the first copy was lost
             self._acknowledge()
             return
         if wanted == 1 and self._number > 1:
-            raise self._wire.was_reset("it counts its lines from the beginning")
+            raise self._wire.was_reset("its line numbers restarted")
         self._refusals += 1
         if self._refusals > MOST_REFUSALS:
-            raise self._no_answer(f"refused it {MOST_REFUSALS} times")
+            raise self._no_answer(f"rejected it {MOST_REFUSALS} times")
         if wanted is not None and wanted in self._journal.lines and wanted <= self._journal.last:
             if wanted != self._number:
                 self._copies = 0
@@ -235,7 +233,7 @@ class Exchange:
         self._send()
 
     def _unknown(self, quoted: str) -> None:
-        """Deal with a command that the firmware does not know: one of ours, or one that became unknown on its way."""
+        """Handle a command reported as unknown: one of ours, or one that was damaged in transmission."""
         name = quoted.split()[0] if quoted.split() else ""
         if name in self._journal.optional:
             return
@@ -249,6 +247,6 @@ class Exchange:
         self._answered = self._answered or (self._awaited is not None and self._awaited.search(text) is not None)
 
     def _no_answer(self, what: str) -> NoAnswerError:
-        heard = f" (last heard: {self._output[-1]!r})" if self._output else ""
+        heard = f" (last received: {self._output[-1]!r})" if self._output else ""
         text = self._journal.lines[self._number].text
         return NoAnswerError(f"{self._wire.name}: {what} after {text}{heard}; check supply, cable, port and baud rate, then start again")

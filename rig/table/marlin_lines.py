@@ -1,6 +1,6 @@
-"""The lines of Marlin's serial protocol: what is sent, and what each line that comes back means.
+"""Lines of Marlin's serial protocol: encoding of commands, and meaning of the board's lines.
 
-After Marlin 2.1's queue.cpp and language.h.
+After queue.cpp and language.h of Marlin 2.1.
 """
 
 import re
@@ -11,37 +11,37 @@ MAX_LINE = 96
 """MAX_CMD_SIZE of the firmware."""
 
 POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
-"""The answer to M114. Versions differ behind X (no E, spaces after the colons); a line cut short has no Count and is
-not believed."""
+"""Reply to M114. Versions differ after X (no E, spaces after the colons); a truncated line has no Count and does not
+match."""
 FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
-"""The answer to M115."""
+"""Reply to M115."""
 CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]+):1$")
 
 
 class Kind(Enum):
-    """What a line from the board means."""
+    """Meaning of a line from the board."""
 
     OK = auto()
-    """A command was taken."""
+    """A command was received."""
     LIKE_OK = auto()
-    """An ``ok`` that was damaged, or glued to another line: nothing is certain, but asking again will not have to wait
-    long."""
+    """A damaged ``ok``, or one joined with another line: reception is uncertain, but sending again need not wait long.
+    """
     BUSY = auto()
-    """A command takes its time."""
+    """A command is still being executed."""
     WAIT = auto()
-    """The board has nothing to do."""
+    """The board is idle."""
     REFUSED = auto()
-    """A line was not taken; the number is the one that the board wants."""
+    """A line was rejected; the number is that of the requested line."""
     ERROR = auto()
-    """Some other error, or a refusal that was damaged."""
+    """Another error, or a damaged rejection."""
     UNKNOWN = auto()
-    """The firmware does not know the command; its ``ok`` follows all the same."""
+    """The firmware does not support the command; an ``ok`` follows nevertheless."""
     RESET = auto()
     """Part of the greeting after a reset."""
     HALTED = auto()
-    """The firmware was killed, or stopped itself."""
+    """The firmware was killed, or halted."""
     OTHER = auto()
-    """What a command prints, or noise."""
+    """Output of a command, or noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class Line:
     kind: Kind
     text: str
     number: int | None = None
-    """Of REFUSED: the line that is wanted. Of OK with ADVANCED_OK: the line that was taken."""
+    """For REFUSED: number of the requested line. For OK with ADVANCED_OK: number of the received line."""
 
 
 _HALTED = re.compile(r"Printer halted|kill\(\) called|M112 Shutdown|Printer stopped due to errors")
@@ -69,7 +69,7 @@ def numbered(number: int, text: str) -> bytes:
     Raises
     ------
     ValueError
-        When the command would break the line format, or is too long for the firmware's buffer.
+        If the command violates the line format, or is too long for the firmware's buffer.
     """
     body = f"N{number} {text}"
     checksum = 0
@@ -77,15 +77,14 @@ def numbered(number: int, text: str) -> bytes:
         checksum ^= byte
     line = f"{body}*{checksum}\n"
     if not text.isprintable() or any(letter in text for letter in "*;") or len(line) > MAX_LINE:
-        raise ValueError(f"{text!r} is no command that a line of {MAX_LINE} bytes can carry")
+        raise ValueError(f"{text!r} is not a command that fits a line of {MAX_LINE} bytes")
     return line.encode("ascii")
 
 
 def read_line(raw: bytes) -> Line:
-    """Say what a line means.
+    """Return the meaning of a line.
 
-    Noise at its ends is dropped; within it is kept, since a number from which a damaged digit were dropped would be
-    another number.
+    Noise at its ends is removed; noise inside is kept, since a number without a damaged digit would be another number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
     if _HALTED.search(text):

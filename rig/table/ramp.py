@@ -1,4 +1,4 @@
-"""When a stepper's steps are due: speed up evenly, go on, slow down evenly."""
+"""Times of a stepper motor's steps: constant acceleration, constant speed, constant deceleration."""
 
 import numpy as np
 
@@ -6,17 +6,17 @@ from rhizotwin.scenes.frames import Array
 
 
 def move_s(way: float, *, speed: float, acceleration: float) -> float:
-    """Return the seconds of a move from rest to rest; way, speed and acceleration in one unit of length.
+    """Return the duration of a move from rest to rest; distance, speed and acceleration use the same unit of length.
 
     Parameters
     ----------
     way, speed, acceleration : float
-        Of the move, its fastest part, and its ramps.
+        Distance, maximum speed and acceleration of the move.
 
     Returns
     -------
     float
-        s.
+        Duration in s.
     """
     ramp = min(speed**2 / (2.0 * acceleration), way / 2.0)
     top = np.sqrt(2.0 * acceleration * ramp)
@@ -24,27 +24,26 @@ def move_s(way: float, *, speed: float, acceleration: float) -> float:
 
 
 def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
-    """Return when each step of a move is due, after its beginning.
+    """Return the times of the steps of a move, from its beginning.
 
     Parameters
     ----------
     steps : int
-        How many, 0 or more.
+        Number of steps, 0 or more.
     speed : float
-        Highest speed, steps per second.
+        Maximum speed, steps per second.
     acceleration : float
-        Steps per second squared, at the beginning and at the end.
+        Acceleration at the beginning and deceleration at the end, steps per second squared.
 
     Returns
     -------
     (steps,) float64 array
-        Seconds; they rise. A move too short for the highest speed turns from speeding up to slowing down in its
-        middle.
+        Increasing times in seconds. A move too short for the maximum speed changes from acceleration to deceleration in
+        its middle.
 
     Notes
     -----
-    From s = a t^2 / 2, step s of the first ramp is due at sqrt(2 s / a), and the last ramp is the first one's mirror
-    image.
+    From s = a t^2 / 2, the time of step s of the first ramp is sqrt(2 s / a); the last ramp is its mirror image.
     """
     s = np.arange(1, steps + 1, dtype=np.float64)
     ramp = min(speed**2 / (2.0 * acceleration), steps / 2.0)

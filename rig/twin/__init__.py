@@ -1,17 +1,16 @@
-"""An emulated rig: devices with physical errors, and a camera that looks at what they have really done.
+"""An emulated rig: devices with physical errors, and a camera that shows their true state.
 
-They speak the bytes that the real ones speak.
+The devices use the same protocols as the real ones.
 
-Layers, each of which knows only those listed before it:
+Layers, each of which depends only on those listed before it:
 
-clock, imperfections, servo, stepper,  device models in virtual time; no protocol
+clock, imperfections, servo, stepper,  device models in virtual time, without protocols
 lamps
-world                                  what the devices have really done, in the rig's frame
-adapter, marlin_commands,              bytes in, bytes with due times out; no physics
-marlin_adapter, lx_adapter,
-lsc_adapter
-faults, line                           a serial line with its wire time and its faults
-protocol_twin, pty_ports               the line as a pyserial URL in virtual time, or behind pseudo-terminals
-sketch, pictures, camera, record       pictures of the world, drawn quickly or rendered by `sim`; its truth
-twin, server                           all of it together, within this process or alone
+world                                  true state of the devices, in the rig's frame
+adapter, marlin_commands,              protocols: bytes in, bytes with due times out, without physics
+marlin_adapter, lx_adapter, lsc_adapter
+faults, line                           serial line with transmission times and faults
+protocol_twin, pty_ports               the line as a pyserial URL in virtual time, or as a pseudo-terminal
+sketch, pictures, camera, record       pictures of the world, drawn quickly or rendered by `sim`, and its truth
+twin, server                           the complete twin, within this process or as a server
 """

@@ -1,6 +1,6 @@
-"""What an adapter is: the protocol of one device.
+"""Interface of an adapter: the protocol of one device.
 
-It is fed with the host's bytes and answers with bytes that are due at a time.
+It receives the host's bytes, and returns bytes with the times at which they are due.
 """
 
 from dataclasses import dataclass
@@ -9,28 +9,28 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Reply:
-    """One message of a device: a line of text, a frame."""
+    """One message of a device: a line of text, or a frame."""
 
     due_s: float
-    """When the device begins to send it."""
+    """Time at which the device begins to send it."""
     data: bytes
 
 
 class Adapter(Protocol):
-    """Speaks for a device; knows nothing of wires."""
+    """Implements the protocol of a device, without transmission."""
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host."""
+        """Receive bytes from the host."""
 
     def next_s(self) -> float:
-        """Return when `poll` has something to do; infinity when it has not."""
+        """Return the time of the next action of `poll`; infinity if there is none."""
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Do what is due by itself."""
+        """Perform the actions that are due."""
 
 
 class Motor(Protocol):
-    """What a board drives; angles are degrees of the motor's own count since power-up."""
+    """Motor driven by a board; angles are degrees of the motor's own count since power-up."""
 
     steps_per_deg: float
     acceleration_deg_per_s2: float
@@ -38,15 +38,15 @@ class Motor(Protocol):
 
     @property
     def steps(self) -> int:
-        """Microsteps given."""
+        """Number of microsteps given."""
 
     @property
     def full(self) -> bool:
-        """Whether no further move fits the queue."""
+        """Whether the queue is full."""
 
     @property
     def moving(self) -> bool:
-        """Whether it moves."""
+        """Whether the motor moves."""
 
     def remaining_s(self, *, moves: int = 0) -> float:
         """Return the time until at most ``moves`` are left."""
@@ -55,26 +55,26 @@ class Motor(Protocol):
         """Add a move."""
 
     def energise(self) -> None:
-        """Switch on."""
+        """Switch the coils on."""
 
     def release(self) -> None:
-        """Switch off."""
+        """Switch the coils off."""
 
     def stop(self) -> None:
-        """Stop at once."""
+        """Stop immediately."""
 
     def power_up(self) -> None:
-        """Start anew."""
+        """Reset to the state after power-up."""
 
 
 class Strip(Protocol):
     """A strip of LEDs."""
 
     def show(self, rgb: tuple[int, int, int], *, led: int | None = None) -> None:
-        """Give LEDs a colour."""
+        """Set the colour of LEDs."""
 
     def dim(self, brightness: int) -> None:
-        """Scale all LEDs."""
+        """Set the brightness of all LEDs."""
 
     def power_up(self) -> None:
-        """Go dark."""
+        """Switch off, as after power-up."""

@@ -1,44 +1,43 @@
-"""How far the emulated devices are from perfect: one set of numbers a profile."""
+"""Errors of the emulated devices: one set of numbers per profile."""
 
 from dataclasses import dataclass, replace
 
 Key = tuple[int, ...]
-"""Key of a random stream: the seed first."""
+"""Key of a random stream, beginning with the seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imperfections:
-    """Errors of the devices. Every zero means perfect; quantisation is always there."""
+    """Errors of the devices. Zero stands for no error; quantisation is always present."""
 
     servo_zero_deg: float = 0.0
-    """Each joint's zero is off by up to this much either way, drawn once."""
+    """Maximum error of each joint's zero in both directions, drawn once."""
     servo_scale: float = 0.0
-    """Each joint turns this fraction too far or not far enough, at most, drawn once."""
+    """Maximum relative error of each joint's angle, drawn once."""
     servo_repeat_deg: float = 0.0
-    """Standard deviation of where a servo stops, drawn for each move."""
+    """Standard deviation of a servo's final position, drawn for each move."""
     servo_backlash_deg: tuple[float, float] = (0.0, 0.0)
-    """Play of the gears: a servo stops half of it before or beyond, by the side from which it came; drawn once between
-    these."""
+    """Range of the gears' backlash, drawn once: a servo stops half of it before or beyond its target, depending on the
+    direction."""
     servo_sag_deg: tuple[float, float] = (0.0, 0.0)
-    """How far the shoulder gives way under the arm stretched out level; other joints, and other poses, by their torque.
-    Drawn once."""
+    """Range of the shoulder's sag with the arm stretched horizontally, drawn once; the sag of other joints and poses is
+    proportional to the torque."""
     servo_dead_band_counts: int = 0
-    """A command this near to where the servo stands does not move it."""
+    """Maximum distance of a commanded position that does not move the servo."""
     table_microstep_deg: float = 0.0
-    """Amplitude of the table's error within four full steps: a function of the motor's position."""
+    """Amplitude of the table's periodic error within four full steps, as a function of the motor's position."""
     table_play_deg: float = 0.0
-    """Play between the motor and the table."""
+    """Backlash between motor and table."""
     table_jump_steps: float = 0.0
-    """When the motor is first energised after power-up, the rotor jumps by up to this many full steps."""
+    """Maximum jump of the rotor, in full steps, when the motor is first switched on after power-up."""
     swing_hz: float = 0.0
-    """At which the roots would twist to and fro in the water without damping; 0: they hang still whatever the table
-    does."""
+    """Frequency of undamped torsional oscillation of the roots in water; 0 for rigid roots."""
     swing_damping: float = 1.0
-    """Of it, as a fraction of the critical one."""
+    """Damping of this oscillation, as a fraction of critical damping."""
     lamp_ramp_s: float = 0.0
-    """Time a lamp takes from dark to full."""
+    """Time of a lamp from dark to full brightness."""
     lamp_level_error: float = 0.0
-    """Relative error of a lamp's brightness, at most, drawn once."""
+    """Maximum relative error of a lamp's brightness, drawn once."""
 
 
 CLEAN = Imperfections()
@@ -56,16 +55,16 @@ BENCH = Imperfections(
     lamp_ramp_s=0.1,
     lamp_level_error=0.02,
 )
-"""A hobby arm of LX servos and a stepper behind a DRV8825; sources of the numbers: docs/twin.md."""
+"""A hobby arm with LX servos and a stepper motor with a DRV8825; sources of the numbers: docs/twin.md."""
 
 REAL = replace(BENCH, swing_hz=0.86, swing_damping=1.4)
-"""A bench with soft roots: one of 0.5 mm across and 100 mm long, of 30 MPa, is a cantilever in water of 0.86 Hz, and
-its drag is 1.4 of the critical one (docs/twin.md has the sums)."""
+"""A bench with soft roots: a root of 0.5 mm diameter, 100 mm length and 30 MPa is a cantilever with 0.86 Hz in water,
+and its drag is 1.4 of critical damping (calculations in docs/twin.md)."""
 
 
 def imperfections_of(profile_name: str) -> Imperfections:
-    """Return the device errors that go with a disturbance profile.
+    """Return the device errors of a disturbance profile.
 
-    None for ``clean``, roots that swing for ``real``, those of a bench for every other.
+    There are none for ``clean``; ``real`` has flexible roots; all others are those of a bench.
     """
     return {"clean": CLEAN, "real": REAL}.get(profile_name, BENCH)

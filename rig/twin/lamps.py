@@ -1,6 +1,6 @@
-"""The model of a lamp: a strip of LEDs, each with its colour, and a brightness for all; light follows with a ramp.
+"""Model of a lamp: a strip of LEDs with individual colours and a common brightness; its light follows with a ramp.
 
-Knows no protocol.
+It is independent of protocols.
 """
 
 import numpy as np
@@ -17,11 +17,11 @@ class Lamp:
     Parameters
     ----------
     full_rgb
-        The colour that gives level 1 at full brightness.
+        Colour of level 1 at full brightness.
     imperfections
         Ramp and error of the brightness.
     key
-        Of the lamp's random stream.
+        Key of the lamp's random stream.
     """
 
     def __init__(self, *, full_rgb: Rgb, imperfections: Imperfections, key: Key) -> None:
@@ -35,21 +35,21 @@ class Lamp:
 
     @property
     def level(self) -> float:
-        """The light now, as a fraction of full."""
+        """Present light, as a fraction of the maximum."""
         return self._level
 
     @property
     def goal(self) -> float:
-        """The level that the lamp has or is on its way to."""
+        """Level that the lamp has or approaches."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:
-        """Return the factor to levels of which this colour is full; None where it shows another colour or is dark."""
+        """Return the ratio to levels for which this colour is the maximum; None for another colour, or a dark lamp."""
         shown = self._brightness > 0 and all(led == rgb for led in self._rgb) and sum(rgb) > 0
         return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
-        """Give all LEDs (or one, if there is such a one) a colour, 0-255 each."""
+        """Set the colour of all LEDs, or of one if it exists, 0-255 each."""
         if led is None:
             self._rgb = [rgb] * LEDS
         elif 0 <= led < LEDS:
@@ -57,18 +57,18 @@ class Lamp:
         self._settle()
 
     def dim(self, brightness: int) -> None:
-        """Scale all LEDs, 0-255; kept until changed."""
+        """Set the brightness of all LEDs, 0-255; it remains until changed."""
         self._brightness = brightness
         self._settle()
 
     def power_up(self) -> None:
-        """Go dark, as the LEDs do when their board starts."""
+        """Switch off, as LEDs do when their board starts."""
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
         self._settle()
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         if self._level != self.goal:
             step = dt_s / self._ramp_s if self._ramp_s > 0.0 else np.inf
             self._level += float(np.clip(self.goal - self._level, -step, step))

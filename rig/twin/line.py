@@ -1,7 +1,4 @@
-"""A serial line: what the host writes reaches the device after its time on the wire, so do the answers.
-
-Faults sit in between.
-"""
+"""A serial line with transmission times in both directions, and faults."""
 
 import math
 from bisect import insort
@@ -17,22 +14,22 @@ NOISE = bytes((0xFF, 0x00, 0x55, 0x13, 0x9C, 0x0A, 0x55, 0x55, 0xFE, 0x7F, 0x01,
 BUSY = b"echo:busy: processing\n"
 BUSY_EVERY_S = 2.0
 SPLIT_EVERY = 4
-"""One message in so many reaches the host in two pieces."""
+"""One in this number of messages reaches the host in two pieces."""
 
 
 class Line:
-    """The cable between the host and one device.
+    """Connection between the host and one device.
 
     Parameters
     ----------
     device
-        Its name, which faults refer to.
+        Name of the device, to which faults refer.
     adapter
-        What answers.
+        Adapter of the device.
     baud
-        For the time on the wire, 10 bits a byte.
+        Baud rate, which determines the transmission time with 10 bits per byte.
     pending
-        Faults still to come.
+        Faults that have not yet occurred.
     break_device
         Called with a fault of kind "device" that is due at a message.
     """
@@ -43,20 +40,20 @@ class Line:
         self._byte_s = BITS_A_BYTE / baud
         self._pending = pending
         self._break_device = break_device
-        self._requests: deque[tuple[float, bytes]] = deque()  # when the last byte is there
+        self._requests: deque[tuple[float, bytes]] = deque()  # with the arrival time of the last byte
         self._request_free_s = 0.0
-        self._replies: list[Reply] = []  # by due time, before their time on the wire
-        self._arrivals: list[tuple[float, bytes]] = []  # by the time when the host has it
+        self._replies: list[Reply] = []  # by due time, before transmission
+        self._arrivals: list[tuple[float, bytes]] = []  # by arrival time at the host
         self._reply_free_s = 0.0
         self._received = bytearray()
         self._sent_count = self._reply_count = self._message_count = 0
         self._mute_ok = False
         self.plugged = True
         self.plugs = 0
-        """How often the cable was pulled: a port that was open before is dead after it."""
+        """Number of disconnections; ports opened before the last one are invalid."""
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the host."""
+        """Receive bytes from the host."""
         self._sent_count += 1
         for fault in self._pending.due(self.device, "request", self._sent_count, now_s):
             self._pending.use(fault, now_s)
@@ -71,7 +68,7 @@ class Line:
         self._requests.append((self._request_free_s, data))
 
     def take(self, size: int | None = None) -> bytes:
-        """Hand the host up to ``size`` of the bytes that have arrived."""
+        """Return up to ``size`` of the bytes that have arrived at the host."""
         size = len(self._received) if size is None else size
         data = bytes(self._received[:size])
         del self._received[:size]
@@ -79,15 +76,15 @@ class Line:
 
     @property
     def waiting(self) -> int:
-        """How many bytes have arrived for the host."""
+        """Number of bytes that have arrived at the host."""
         return len(self._received)
 
     def drop_input(self) -> None:
-        """Forget what has arrived, as the flush of a serial port does."""
+        """Discard bytes that have arrived, as the flush of a serial port does."""
         self._received.clear()
 
     def unplug(self) -> None:
-        """Pull the cable: what is on the wire is lost."""
+        """Disconnect the cable; bytes in transmission are lost."""
         self.plugged = False
         self.plugs += 1
         self._requests.clear()
@@ -98,15 +95,15 @@ class Line:
         self._mute_ok = False
 
     def plug(self) -> None:
-        """Put the cable back."""
+        """Reconnect the cable."""
         self.plugged = True
 
     def silence(self) -> None:
-        """Forget the replies that the device has not sent yet: it was reset."""
+        """Discard replies that the device has not sent, as it was reset."""
         self._replies.clear()
 
     def next_s(self) -> float:
-        """Return when the next byte arrives anywhere."""
+        """Return the time of the next arrival of a byte."""
         times = [self.adapter.next_s()]
         if self._requests:
             times.append(self._requests[0][0])
@@ -117,7 +114,7 @@ class Line:
         return min(times)
 
     def advance_to(self, now_s: float) -> None:
-        """Carry what is due."""
+        """Deliver the bytes that are due."""
         while self._requests and self._requests[0][0] <= now_s:
             self._answer(self.adapter.receive(self._requests.popleft()[1], now_s))
         self._answer(self.adapter.poll(now_s))
@@ -134,7 +131,7 @@ class Line:
         insort(self._arrivals, (at_s, data), key=lambda arrival: arrival[0])
 
     def _send(self, reply: Reply, now_s: float) -> None:
-        """Put a reply on the wire, with the faults that hit it."""
+        """Transmit a reply, with the faults that affect it."""
         self._reply_count += 1
         for fault in self._pending.due(self.device, "device", self._reply_count, now_s):
             self._break_device(fault)
@@ -169,7 +166,7 @@ class Line:
 
 
 def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
-    """Return the messages that are left of some when a fault of the wire has hit them."""
+    """Return the messages that result from some messages after a transmission fault."""
     if fault.kind in ("reply_dropped", "ok_missing"):
         return []
     if fault.kind == "reply_corrupted":
@@ -186,7 +183,7 @@ def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
 
 
 def corrupted(data: bytes, amount: float) -> bytes:
-    """Return a message with one bit turned; ``amount`` (0 to 1) says which."""
+    """Return a message with one inverted bit, which ``amount`` (0 to 1) selects."""
     if not data:
         return data
     bit = min(int(amount * 8 * len(data)), 8 * len(data) - 1)

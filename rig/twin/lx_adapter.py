@@ -1,4 +1,4 @@
-"""The bus-servo protocol of LX servos: binary frames in, frames out. Knows no physics and no wire (echo is the wire's).
+"""Protocol of LX bus servos: binary frames, without physics and transmission (which includes the echo).
 
 After LewanSoul's "Bus Servo Communication Protocol". Frame: 55 55 | id | length | command | parameters | checksum.
 """
@@ -11,12 +11,12 @@ from rhizotwin.rig.twin.adapter import Reply
 from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.0015
-"""From the end of a question to its answer."""
+"""Delay from the end of a request to its reply."""
 BROADCAST = 254
 ID_READ = 14
-"""The only question to all that is answered."""
+"""The only broadcast request with a reply."""
 MAX_LENGTH = 10
-"""Longer frames do not exist: a length above is noise."""
+"""Maximum length of a frame; larger values are noise."""
 
 
 class LxAdapter:
@@ -30,9 +30,9 @@ class LxAdapter:
         self._kept: dict[tuple[int, int], bytes] = {}
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host.
+        """Receive bytes from the host.
 
-        Frames with a wrong checksum are ignored, as is everything while the supply is down.
+        Frames with a wrong checksum are ignored, as are all bytes while the supply is off.
         """
         if not self._supply.up:
             self._buffer.clear()
@@ -46,15 +46,15 @@ class LxAdapter:
         return replies
 
     def next_s(self) -> float:
-        """Return infinity: servos never speak unasked."""
+        """Return infinity, as servos send nothing unsolicited."""
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:
-        """Do nothing: servos never speak unasked."""
+        """No effect, as servos send nothing unsolicited."""
         return []
 
     def _frame(self) -> bytes | None:
-        """Take the next whole and correct frame out of the buffer."""
+        """Remove the next complete and valid frame from the buffer."""
         buffer = self._buffer
         while True:
             start = buffer.find(b"\x55\x55")
@@ -82,7 +82,7 @@ class LxAdapter:
         return [number] if number in self._servos else []
 
     def _answer(self, number: int, command: int, parameters: bytes) -> bytes | None:
-        """Carry a command out for one servo; return its frame if the command asks for one."""
+        """Execute a command of one servo, and return the reply if there is one."""
         servo = self._servos[number]
         if command in _READS:
             return frame_of(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
@@ -124,28 +124,28 @@ def checksum(body: bytes) -> int:
 
 
 def frame_of(number: int, command: int, parameters: bytes) -> bytes:
-    """Return a whole frame.
+    """Return a complete frame.
 
     Parameters
     ----------
     number : int
-        The servo's.
+        Number of the servo.
     command : int
-        Of the reply.
+        Number of the command.
     parameters : bytes
-        Its bytes.
+        Parameters of the command.
 
     Returns
     -------
     bytes
-        With head, length and checksum.
+        Frame with header, length and checksum.
     """
     body = bytes([number, len(parameters) + 3, command]) + parameters
     return b"\x55\x55" + body + bytes([checksum(body)])
 
 
 def _collided(frames: list[bytes]) -> bytes:
-    """Return what the host hears when several servos answer at once: a low level wins on the wire."""
+    """Return the bytes that the host receives if several servos reply at once: a low level dominates."""
     heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
     for frame in frames:
         for i, byte in enumerate(frame):
@@ -170,7 +170,7 @@ _READS: dict[int, Callable[[int, Servo, Supply], bytes]] = {
     32: lambda _n, servo, _s: bytes([servo.holds]),
 }
 
-# Settings that do nothing here but are told back. Read command: write command and default.
+# Settings without effect here that can be read back. Read command: write command and default.
 _STORED_READS: dict[int, tuple[int, bytes]] = {
     19: (17, b"\x00"),
     21: (20, _ANGLE_LIMITS),

@@ -1,9 +1,7 @@
-"""Pictures of the twin rendered by `sim`, with the camera's noise, and their truth.
+"""Rendered pictures of the twin by `sim`, with camera noise, and their truth.
 
-The only module of the rig that knows `sim`.
-
-`sim` is imported when something is rendered or drawn, not before: `rig` runs without Mitsuba. Whoever wants rendered
-pictures has chosen Mitsuba's variant by then.
+This is the only module of the rig that uses `sim`, which is imported when something is rendered or drawn, so that `rig`
+works without Mitsuba. Callers that request rendered pictures must have selected Mitsuba's variant before.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.truth import save_truth
 
 if TYPE_CHECKING:
@@ -32,24 +30,24 @@ if TYPE_CHECKING:
 Light = NDArray[np.float32]
 _NOISE = 106  # second key of the noise's random stream; those of the devices are in `rig.twin.world`
 _KEPT = 8
-"""Pictures kept for states that are looked at again."""
+"""Number of pictures cached for repeated states."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """What a scene's disturbances have drawn for a seed, as far as the rig is concerned."""
+    """Random values of a scene's disturbances for a seed that concern the rig."""
 
     table_from_canister: frames.Array
     canister_from_strip: frames.Array
     distortion: tuple[float, float, float, float, float]
     ring_cameras: tuple[frames.Array, ...]
-    """``cam_from_rig`` of a camera put up by hand, for each ring of the plan."""
+    """``cam_from_rig`` of a manually placed camera, for each ring of the plan."""
 
 
 def draw(scene: Scene, *, seed: int) -> Drawn:
-    """Draw as `sim.world.draw_world` does.
+    """Draw the random values as `sim.world.draw_world` does.
 
-    The same scene and seed stand the same in simulated pictures and on the twin.
+    The same scene and seed give the same values in simulated pictures and in the twin.
     """
     from rhizotwin.sim.world import draw_world
 
@@ -64,28 +62,29 @@ def draw(scene: Scene, *, seed: int) -> Drawn:
 
 
 def calibrated_scene(scene: Scene) -> Scene:
-    """Return what a lab knows of a scene: the nominal rig and the calibrated lens."""
+    """Return the scene as known to a laboratory: the nominal rig and the calibrated lens."""
     from rhizotwin.sim.world import as_given
 
     return as_given(scene)
 
 
 class Rendered:
-    """Renders a scene as `sim.simulate` does, with the ``backlit`` fidelity, wherever camera and table are.
+    """Renders a scene as `sim.simulate` does, with the ``backlit`` fidelity, for any position of camera and table.
 
     Parameters
     ----------
     scene
-        With its specimen (None: an empty canister) and disturbances; those of arm and table are the twin's own affair.
+        Scene with its specimen (None for an empty canister) and disturbances; those of arm and table are simulated by
+        the devices of the twin.
     seed
-        Of the disturbances and the noise.
+        Random seed of the disturbances and the noise.
     samples
-        Rays a pixel, a square number; None: the default.
+        Rays per pixel, a square number; None for the default.
     """
 
     def __init__(self, scene: Scene, *, seed: int, samples: int | None = None) -> None:
         self._scene = scene
-        self._grey = replace(scene.disturbances, white_balance_wander=0.0)  # a rig's camera gives grey
+        self._grey = replace(scene.disturbances, white_balance_wander=0.0)  # the rig's camera delivers grey pictures
         self._seed = seed
         self._samples = samples
         self._world: World | None = None
@@ -95,7 +94,7 @@ class Rendered:
         self._masks: dict[bytes, bytes] = {}  # compressed
 
     def picture(self, sight: Sight) -> Grey:
-        """Return what the camera stores for a state of the world.
+        """Return the picture that the camera stores for a state of the world.
 
         It depends on that state, the scene and the seed only.
         """
@@ -112,7 +111,7 @@ class Rendered:
         return self._pictures[key].copy()
 
     def light(self, sight: Sight) -> Light:
-        """Return linear light (H, W), 1 being full scale at nominal exposure: the lamps' shares add up."""
+        """Return linear light (H, W), with 1 as full scale at nominal exposure, as the sum of the lamps."""
         width, height = self._scene.camera.image_wh
         both = min(sight.panel, sight.front)
         light = np.zeros((height, width), np.float32)
@@ -122,7 +121,7 @@ class Rendered:
         return light
 
     def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
-        """Write the ``truth`` of a dataset, given each picture's file name and what it shows.
+        """Write the ``truth`` of a dataset, from each picture's file name and state of the world.
 
         The scene must have a specimen.
         """
@@ -140,7 +139,7 @@ class Rendered:
         save_truth(folder, truth_of(world, self._solid, [(file, _camera(sight)) for file, sight in taken]))
 
     def _look(self, sight: Sight, *, panel: bool, front: bool) -> Light:
-        """Render with one lamp or both at full; keep the mask."""
+        """Render with one lamp or both at full brightness; cache the mask."""
         from rhizotwin.sim.exposure import mask_picture
 
         renderer = self._renderer(panel=panel, front=front, band=sight.band)
@@ -172,7 +171,7 @@ class Rendered:
         return self._world
 
     def _nearest_ring(self, sight: Sight) -> int:
-        """Return the ring whose camera is nearest: the lens is focused for it."""
+        """Return the ring with the nearest camera, for which the lens is focused."""
         x, y, z = frames.invert(sight.cam_from_rig)[:3, 3]
         rings = self._scene.plan.rings
         return min(range(len(rings)), key=lambda i: np.hypot(np.hypot(x, y) - rings[i].distance_mm, z - rings[i].height_mm))

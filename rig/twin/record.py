@@ -1,6 +1,6 @@
-"""What the twin's pictures really show, remembered by the pictures' content.
+"""Record of the true state in the twin's pictures, by their content.
 
-A scan's files are told by it, after a restart, too.
+It identifies the files of a scan, also after a restart.
 """
 
 import hashlib
@@ -13,12 +13,12 @@ import numpy as np
 
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 
 @dataclass(frozen=True, kw_only=True)
 class TakenShot:
-    """One picture that the twin's camera took."""
+    """One picture taken by the twin's camera."""
 
     pixels: str
     """SHA-256 of its pixels (`digest_of`)."""
@@ -34,7 +34,7 @@ def digest_of(image: Grey) -> str:
 
 
 class Record:
-    """The pictures taken, in memory and, once `keep_in` was called, in a file of JSON lines."""
+    """The pictures taken, in memory and, after `keep_in`, in a file of JSON lines."""
 
     def __init__(self) -> None:
         self.shots: list[TakenShot] = []
@@ -42,12 +42,12 @@ class Record:
         self._path: Path | None = None
 
     def keep_in(self, path: Path) -> None:
-        """Take up the shots of an earlier run from a file, and append to it from now on.
+        """Load the shots of an earlier run from a file, and append further ones to it.
 
         Raises
         ------
         UserError
-            When the file cannot be read or written.
+            If the file cannot be read or written.
         """
         try:
             lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
@@ -63,22 +63,22 @@ class Record:
         self._path = path
 
     def end(self) -> None:
-        """Remove the file: it is needed no more."""
+        """Remove the file, which is no longer needed."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
             self._path = None
 
     def add(self, image: Grey, sight: Sight, time_s: float) -> None:
-        """Remember a picture.
+        """Record a picture.
 
         Parameters
         ----------
         image : (H, W) uint8 or uint16 array
-            As the camera stored it.
+            Picture as stored by the camera.
         sight : Sight
-            State of the world.
+            State of the world in the picture.
         time_s : float
-            When.
+            Time of the picture.
         """
         shot = TakenShot(pixels=digest_of(image), time_s=time_s, sight=sight)
         self.shots.append(shot)
@@ -88,7 +88,7 @@ class Record:
                 file.write(_line(shot))
 
     def shot_of(self, image: Grey) -> TakenShot | None:
-        """Return the shot that gave a picture; None when this twin did not take it."""
+        """Return the shot of a picture; None if it was not taken by this twin."""
         return self._known.get(digest_of(image))
 
 
@@ -98,7 +98,7 @@ def _line(shot: TakenShot) -> str:
 
 
 def _parsed(line: str) -> TakenShot | None:
-    """Read a line back; None for one that a killed run left unfinished."""
+    """Parse a line; return None for an incomplete one of a killed run."""
     try:
         plain: dict[str, Any] = json.loads(line)
         sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}

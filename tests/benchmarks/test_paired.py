@@ -45,7 +45,7 @@ def test_the_command_names_what_got_better_and_worse(tmp_path, record_of, capsys
 def test_runs_that_share_nothing_and_files_that_are_none_are_refused(tmp_path, record_of, capsys):
     a, b = (write(tmp_path / f"{k}.json", [record_of(case)]) for k, case in enumerate(CASES[:2]))
     assert command.main(["compare", str(a), str(b)]) == 2
-    assert "share no case" in capsys.readouterr().err
+    assert "have no case" in capsys.readouterr().err
     path = tmp_path / "run.json"
     for content in (None, "{", "[]", "{}", '{"details": {"a": 3}}', '{"details": {}}'):
         if content is not None:

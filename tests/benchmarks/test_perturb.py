@@ -85,7 +85,7 @@ def test_a_scatter_is_read_as_it_was_written_and_its_tolerance_is_larger_for_few
 def test_a_scatter_with_gaps_is_not_recorded_and_a_damaged_one_is_named(tmp_path: Path) -> None:
     path = tmp_path / "s.json"
     for values in ({}, {KEY: [1.0] * 4}, {KEY: [1.0] * 5 + [float("nan")]}, {KEY: [1.0] * 6, "other": [1.0] * 5}):
-        with pytest.raises(UserError, match="left as it was"):
+        with pytest.raises(UserError, match="is not changed"):
             scatter.write(path, values, about={})
     assert not path.exists()
     negative = '{"schema_version": 1, "metrics": {"a": {"range": -1, "runs": 3}}}'

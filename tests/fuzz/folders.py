@@ -277,7 +277,7 @@ def stand_ins(*, save: bool) -> None:
     import rhizotwin.sim.simulate
     from rhizotwin.batch.jobs import Outcome
     from rhizotwin.batch.work import work
-    from rhizotwin.report import pictures
+    from rhizotwin.report import result_pictures
     from rhizotwin.scenes.dataset import load_dataset, read_image
     from rhizotwin.stored.load import load_result
     from rhizotwin.viewer import app, guard
@@ -310,7 +310,7 @@ def stand_ins(*, save: bool) -> None:
     rhizotwin.sim.simulate.Renderer = Renderer
     rhizotwin.demo.VIEWS, rhizotwin.demo.IMAGE_WH = 2, (32, 24)
     rhizotwin.batch.local.run = lambda jobs, **_: ((job, Outcome(**work(job.plain()))) for job in jobs)
-    pictures.write_pictures = lambda *_, **__: []
+    result_pictures.write_pictures = lambda *_, **__: []
     guard.serve = lambda **_: type("Served", (), {"address": "", "port": 0})()
     app.show = show
 

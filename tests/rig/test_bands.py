@@ -106,18 +106,18 @@ def test_a_scene_with_a_band_that_the_rig_lacks_is_refused(tmp_path: Path) -> No
 
 HAT = RIG.hat
 WRONG = {
-    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*needs \[arm.filter\]"),
+    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*requires \[arm.filter\]"),
     "beyond the wheel": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=1, max_deg=20.0))), "between arm.filter's -90 and 20 deg"),
-    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "none of the joints' servos"),
+    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "differ from the joints' servos"),
     "a pin in use": (
         replace(
             RIG,
             turntable=replace(RIG.turntable, kind="hat"),
             camera=replace(RIG.camera, bands=(BandPart(name="nir", output=HAT.step_pin),)),
         ),
-        r"output = 23.*\[hat\] uses already",
+        r"output = 23.*already used by \[hat\]",
     ),
-    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "different for each band"),
+    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "different for each entry"),
 }
 
 

@@ -12,7 +12,7 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
-from rhizotwin.scenes.pictures import decode_light
+from rhizotwin.scenes.picture_codec import decode_light
 from rhizotwin.scenes.transfer import LINEAR, SRGB
 
 GREY = Image.fromarray(np.arange(256, dtype=np.uint8).reshape(16, 16))

@@ -35,7 +35,7 @@ def build(specimen: MeshSpecimen | RsmlSpecimen) -> SpecimenSolid:
 
 def test_a_root_with_its_collar_at_zero_is_hung_below_the_grid(tmp_path: Path) -> None:
     file = rsml(tmp_path / "a.rsml", [(50, 0, 0), (50, 0, -40), (70, 0, -80)])
-    with pytest.raises(UserError, match="--place auto hangs it below the grid"):
+    with pytest.raises(UserError, match="--place auto moves it below the grid"):
         build(RsmlSpecimen(file=file))
     solid = build(RsmlSpecimen(file=file, place="auto"))
     (root,) = solid.roots

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from rhizotwin.experiment.measured import read_all
-from rhizotwin.recon.results import by_plant, dividing
+from rhizotwin.recon.results import by_plant, divide_by_plant
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.scenes.errors import UserError
@@ -40,8 +40,8 @@ def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
     leaves = Leaves(low=low, size=ones, occupancy=half, origin_mm=np.array([-0.5, -0.5, 0.0]), voxel_mm=1.0)
     boxes = [trimesh.creation.box((1.0, 1.0, h)).apply_translation((x, 0.0, -10.0 - h / 2)) for x, h in ((-10, 20), (10, 40))]
     surface = Mesh.of(trimesh.util.concatenate(boxes))
-    shape = dividing.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
-    return dividing.measure(shape, PlantedRoots(ROOTS, (False, is_open), ()), (A, B), WHOLE)
+    shape = divide_by_plant.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
+    return divide_by_plant.measure(shape, PlantedRoots(ROOTS, (False, is_open), ()), (A, B), WHOLE)
 
 
 def test_every_part_is_of_the_plant_whose_root_is_nearest() -> None:
@@ -59,7 +59,7 @@ def test_what_may_be_anothers_is_in_the_intervals_of_both() -> None:
     assert a.volume_interval_mm3 == pytest.approx((18.0, 1.1 * 60.0))
     assert b.volume_interval_mm3 == pytest.approx((0.0, 44.0))
     assert b.open_mm == pytest.approx(40.0)
-    said = dividing.warnings(PlantedRoots(ROOTS, (False, True), ("C",)), (a, b))
+    said = divide_by_plant.warnings(PlantedRoots(ROOTS, (False, True), ("C",)), (a, b))
     assert "plant C" in said[0]
     assert "67 %" in said[1]
 

@@ -9,7 +9,7 @@ import pytest
 
 from rhizotwin.corrections import corrected, lines, log, surface
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import by_plant, dividing, result_traits
+from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.roots import plants as recon_plants
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant as ScenePlant
@@ -245,14 +245,14 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     roots = tuple(replace(root, plant="B" if k == 4 else "A") for k, root in enumerate(one.solid.roots))
     known = [ScenePlant(plant="A"), ScenePlant(plant="B", at_mm=(-14.0, -10.0), treatment="low N")]
     planted = recon_plants.check_assignment(roots, known, grid_z_mm=-15.0)
-    shape = dividing.Shape(
+    shape = divide_by_plant.Shape(
         leaves=one.solid.voxels,
         surface=one.solid.surface,
         finest_mm=one.solid.finest_mm,
         volume_mm3=one.solid.volume.mm3,
         interval_mm3=one.solid.volume.interval_mm3,
     )
-    found = dividing.measure(shape, planted, known, Subject(species="Raphanus sativus"))
+    found = divide_by_plant.measure(shape, planted, known, Subject(species="Raphanus sativus"))
     whole = replace(one, solid=replace(one.solid, roots=planted.roots), plants=found, subject=Subject(species="Raphanus sativus"))
     (folder / "pair").mkdir()
     whole.save(folder / "pair")

@@ -88,7 +88,7 @@ def test_sag_within_the_tolerance_counts_as_arrived() -> None:
     assert read[1] == pytest.approx(24.0 + 12 * 0.24)
     assert bus.names() == ["move"]
     bus.sag = {5: -13}
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was sent to 48\.0 deg but stands at 51\.1 deg"):
+    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was commanded to 48\.0 deg but is at 51\.1 deg"):
         arm.move_to((0.0, 48.0, 0.0, 0.0, 0.0))
 
 
@@ -96,7 +96,7 @@ def test_sag_within_the_tolerance_counts_as_arrived() -> None:
 def test_a_blocked_joint_stops_the_arm_and_is_named(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells)
     bus.blocked = {4: 560.0}
-    with pytest.raises(UnsafeError, match=r"elbow \(servo 4\) was sent to 60\.0 deg but stands at 14\.4 deg: it is blocked"):
+    with pytest.raises(UnsafeError, match=r"elbow \(servo 4\) was commanded to 60\.0 deg but is at 14\.4 deg: it is blocked"):
         arm.move_to((10.0, 0.0, 60.0, 0.0, 0.0))
     assert bus.names() == ["move", "stop"]
     assert arm.holds()
@@ -113,7 +113,7 @@ def test_a_lost_command_is_repeated_once_unless_it_is_within_the_dead_band(tells
     assert len(bus.moves) == 2
     bus.moves.clear()
     bus.lose_moves = 5
-    with pytest.raises(UnsafeError, match=r"base .* was sent to 30"):
+    with pytest.raises(UnsafeError, match=r"base .* was commanded to 30"):
         arm.move_to((30.0, 0.0, 0.0, 0.0, 0.0))
     assert len(bus.moves) == 2
     arm, bus = arm_and_bus(tells=tells)
@@ -178,9 +178,9 @@ def test_prepare_commands_the_present_place_before_the_torque(tells: bool) -> No
 
 
 STANDS_WRONG = [
-    (4, -3, r"elbow \(servo 4\) stands at -120\.7 deg \(-3 counts\).*by hand"),
+    (4, -3, r"elbow \(servo 4\) is at -120\.7 deg \(-3 counts\).*by hand"),
     (4, 1004, r"elbow \(servo 4\).*1004 counts"),
-    (6, 60, r"base \(servo 6\) stands at -105\.6 deg.*-90 to 90 deg"),
+    (6, 60, r"base \(servo 6\) is at -105\.6 deg.*-90 to 90 deg"),
 ]
 
 
@@ -222,7 +222,7 @@ def test_prepare_refuses_a_wrong_supply_an_arm_that_is_being_moved_and_torque_th
 def test_prepare_stops_when_a_joint_leaves_its_place(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells, prepared=False)
     bus.blocked = {5: 550.0}
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) went from 0\.0 to -9\.6 deg"):
+    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) moved from 0\.0 to -9\.6 deg"):
         arm.prepare()
     assert bus.names()[-1] == "stop"
     assert not arm.holds()

@@ -127,7 +127,7 @@ def test_base_may_be_near_the_floor_but_not_in_the_table_and_a_margin_is_kept_an
     spare = pairs(rig, SCENE, np.array(way[1:])).distance_mm.min()
     assert 5.0 < spare < 40.0
     check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, way)
-    says = rf"within {spare:.1f} mm of the \w+.* \({spare + 0.6:.0f} mm must be kept\) at the end of the way"
+    says = rf"within {spare:.1f} mm of the \w+.* \(minimum {spare + 0.6:.0f} mm\) at the end of the path"
     with pytest.raises(UnsafeError, match=says):
         check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, way)
 
@@ -135,13 +135,17 @@ def test_base_may_be_near_the_floor_but_not_in_the_table_and_a_margin_is_kept_an
 BAR_BEFORE = Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0))
 CRASHES = {
     "canister": (near(), ((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)), r"^arm: the (camera|last link) would touch the canister at the end"),
-    "past the canister": (near(), ((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"the camera would touch the net pot 50 % along the way"),
-    "second leg": (near(), ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"touch the net pot 75 % along the way"),
-    "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the way"),
-    "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the way"),
+    "past the canister": (near(), ((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"the camera would touch the net pot 50 % along the path"),
+    "second leg": (near(), ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"touch the net pot 75 % along the path"),
+    "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the path"),
+    "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the path"),
     "bar": (replace(RIG, clearance=Clearance(bars=(BAR_BEFORE,))), ((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)), r"the bar 1"),
     "its own upper arm": (RIG, ((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)), r"the camera would touch the arm's own upper arm"),
-    "touches": (near(), ((0, 90, 0, 0, 0), ARM.park_deg), r"the canister where it stands now; move it away by hand, torque off"),
+    "touches": (
+        near(),
+        ((0, 90, 0, 0, 0), ARM.park_deg),
+        r"the canister in its present position; move it away by hand with the torque off",
+    ),
 }
 
 
@@ -163,7 +167,7 @@ def test_thin_bar_between_samples_is_not_missed() -> None:
 
     for part in np.linspace(0.03, 0.97, 7):
         at = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
-        with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the way"):
+        with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the path"):
             check(at, -0.5)
         with pytest.raises(UnsafeError, match="the bar 1"):
             check(at, 0.8)
@@ -228,7 +232,7 @@ def test_way_round_goes_through_a_drawn_in_arm() -> None:
     assert len(path) > 1
     assert path[-1] == end
     check_path(near(), SCENE, [begin, *path])
-    with pytest.raises(UnsafeError, match=r"the canister at the end of the way; .*neither is there a clear way with the arm drawn in"):
+    with pytest.raises(UnsafeError, match=r"the canister at the end of the path; .*no clear path with the arm retracted"):
         plan_path(near(), SCENE, ARM.park_deg, (0.0, 90.0, 0.0, 0.0, 0.0))
 
 

@@ -79,7 +79,7 @@ REFUSED = {
     "far aside": (
         with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0)),
         Ring(),
-        r"would stand 16\.7 deg beside the rig's x axis, at most 15 deg face the backlight; move the arm's base .* nearer to y = 0",
+        r"would be 16\.7 deg from the rig's x axis, and at most 15 deg face the backlight; move the arm's base .* nearer to y = 0",
     ),
 }
 
@@ -128,7 +128,7 @@ def test_what_five_joints_cannot_hold_is_said_with_the_nearest() -> None:
         joints_looking(RIG, (400.0, 30.0, -42.0), (-1.0, 0.5, 0.0))
     nearest = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(")").split(","))
     joints_looking(RIG, (400.0, 30.0, -42.0), nearest)  # which can be had
-    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest that can be reached is \((.*)\) mm") as refused:
+    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest reachable position is \((.*)\) mm") as refused:
         joints_looking(RIG, (100.0, 0.0, -42.0), (-1.0, 0.0, 0.0))
     place = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(") m").split(","))
     assert 100.0 < place[0] < 450.0

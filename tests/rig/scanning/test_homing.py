@@ -75,7 +75,7 @@ def test_where_nothing_is_seen_the_given_angle_counts_and_otherwise_a_person_is_
     assert find_angle(None, [], SCENE, near_deg=0.0, given_deg=370.0).table_deg == pytest.approx(10.0)
     answers = iter(["somewhere", "nan", "1e9", " 45 deg"])
     found = find_angle(None, [], SCENE, near_deg=0.0, ask=lambda _: next(answers))
-    assert (found.table_deg, found.source) == (45.0, "as the operator said")
+    assert (found.table_deg, found.source) == (45.0, "given by the operator")
     assert find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
 
 

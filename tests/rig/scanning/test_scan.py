@@ -37,7 +37,7 @@ def test_complete_scan_is_the_plan(tmp_path: Path) -> None:
 
 
 def test_angle_zero_is_the_seam_toward_the_camera_whatever_a_person_says(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match=r"said to stand at 30 deg, but the markers show 7[67]\.\d deg"):
+    with pytest.raises(RigError, match=r"declared to be at 30 deg, but the markers show 7[67]\.\d deg"):
         run(World(), tmp_path / "d", table_angle_deg=30.0)
     world = World(table_true_deg=123.4)
     run(world, tmp_path / "e")
@@ -61,7 +61,7 @@ def test_without_markers_a_person_is_asked_for_the_angle_and_it_is_not_guessed(t
     assert not (tmp_path / "d" / "dataset.json").exists()
     run(world, tmp_path / "d", ask=lambda question: asked.append(question) or next(answers))
     assert "no markers were found" in asked[0]
-    assert "'north' is no angle" in asked[1]
+    assert "'north' is not an angle" in asked[1]
     assert (world.table_true_deg - world.counter_deg) % 360.0 == pytest.approx(0.0)
 
 
@@ -77,8 +77,8 @@ def test_angle_that_was_given_is_taken_once(tmp_path: Path) -> None:
 
 REFUSALS = {
     "jitter": (with_rings(Ring(jitter_mm=1.0)), None, "plan.rings 1: jitter_mm and jitter_deg must be 0"),
-    "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg brings the table to -180 deg"),
-    "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but the rig has no arm"),
+    "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg moves the table to -180 deg"),
+    "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but no arm"),
     "out of reach": (with_rings(Ring(views=2), Ring(views=2, height_mm=900.0)), ArmPart().park_deg, r"arm: .*reach"),
 }
 

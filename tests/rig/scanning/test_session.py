@@ -16,7 +16,7 @@ from rhizotwin.scenes.dataset import Frame, load_dataset, read_image, save_datas
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import LOCK, held
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from rhizotwin.scenes.pictures import encode_png
+from rhizotwin.scenes.picture_codec import encode_png
 
 SCENE = Scene(camera=Camera().resized((64, 48)), plan=CapturePlan(rings=(Ring(views=4),)))
 VIEWS = plan.views(SCENE)
@@ -53,7 +53,7 @@ def test_frames_are_listed_with_the_hash_of_what_is_on_the_disk(tmp_path: Path) 
     assert all(np.array_equal(read_image(dataset, frame), picture(k)) for k, frame in enumerate(dataset.frames))
     assert not dataset.origin["complete"]
     (tmp_path / "d" / "images" / "view_000.png").write_bytes(encode_png(picture(9)))
-    with pytest.raises(UserError, match=r"view_000\.png: is not the picture that was recorded; remove it"):
+    with pytest.raises(UserError, match=r"view_000\.png: differs from the recorded picture; remove it"):
         begin(tmp_path / "d", resume=True)
 
 
@@ -95,20 +95,20 @@ DIFFERENCES = {
 def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0)
     for named, changes in DIFFERENCES.items():
-        with pytest.raises(UserError, match=f"begun with another {named}: give the same"):
+        with pytest.raises(UserError, match=f"a scan with another {named}: use the same"):
             begin(tmp_path / "d", resume=True, **changes)
     with pytest.raises(UserError, match="stopped after 1 pictures: add --resume"):
         begin(tmp_path / "d")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("x")
-    with pytest.raises(UserError, match="not empty and holds no stopped scan"):
+    with pytest.raises(UserError, match="not empty and contains no stopped scan"):
         begin(tmp_path / "other", resume=True)
     moved = replace(RIG, turntable=replace(RIG.turntable, port="/dev/ttyUSB7"), arm=replace(RIG.arm, port="/dev/ttyACM3"), name="renamed")
     made = begin(tmp_path / "d", resume=True, rig=moved)
     assert len(made.remaining()) == 3
     made.close()
     save_dataset(replace(load_dataset(tmp_path / "d"), origin={"program": "rhizotwin simulate"}))
-    with pytest.raises(UserError, match="was not made by scanning"):
+    with pytest.raises(UserError, match="was not made by a scan"):
         begin(tmp_path / "d", resume=True)
 
 

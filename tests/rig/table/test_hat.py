@@ -190,13 +190,13 @@ def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.Monkey
     with pytest.raises(RigError, match="gpio_claim_output of GPIO 23 failed"):
         open_board(RIG, clock=driver.clock)[0].prepare()
     monkeypatch.setitem(sys.modules, "lgpio", None)
-    with pytest.raises(RigError, match="the library lgpio is not there"):
+    with pytest.raises(RigError, match="the library lgpio is missing"):
         open_board(RIG, clock=VirtualClock())
 
 
 def test_pins_that_clash_are_refused(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text("[hat]\nstep_pin = 24\n")
-    with pytest.raises(UserError, match="is used for step_pin already"):
+    with pytest.raises(UserError, match="is already used for step_pin"):
         load_rig(tmp_path / "rig.toml")
 
 

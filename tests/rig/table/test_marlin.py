@@ -91,10 +91,10 @@ def test_a_reset_between_commands_is_seen_before_anything_is_sent(talk: Talk) ->
 
 HOPELESS = {
     "silence": ([()] * 6, "did not answer after M400", 26.0),
-    "refused for ever": ([REFUSED] * 11, "refused it 10 times after M400", 6.0),
+    "refused for ever": ([REFUSED] * 11, "rejected it 10 times after M400", 6.0),
     "busy for ever": ([(2.0, "echo:busy: processing") * 200], "busy without end after M400", LONGEST_S + 2.0),
-    "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends without end", 1.0),
-    "errors for ever": ([("Error:x", "ok")] * 6, "answered with errors after M400 .last heard: 'Error:x'.", 6.0),
+    "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends invalid data without end", 1.0),
+    "errors for ever": ([("Error:x", "ok")] * 6, "answered with errors after M400 .last received: 'Error:x'.", 6.0),
 }
 
 

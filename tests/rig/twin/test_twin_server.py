@@ -59,7 +59,7 @@ def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> Non
     for words in (
         rig.turntable.port,
         rig.camera.address,
-        "truly: table",
+        "true state: table",
         'there is no fault "rest"',
         "reset on the table",
         "brown_out (arm)",

@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 from rhizotwin.report import rig_figure
-from rhizotwin.scenes import explained, files
+from rhizotwin.scenes import files, key_descriptions
 from rhizotwin.scenes.model import Scene
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_every_key_has_a_meaning_unit_and_range():
-    found = list(explained.keys())
+    found = list(key_descriptions.keys())
     assert len({key.path for key in found}) == len(found) > 100
     assert [key.path for key in found if not key.why] == []
     by_path = {key.path: key for key in found}
@@ -40,5 +40,5 @@ def test_a_written_scene_explains_every_line_and_reads_back(name: str, tmp_path:
 
 
 def test_the_page_and_the_figure_in_the_documents_are_those_of_the_program():
-    assert (DOCS / "scene-keys.md").read_text(encoding="utf-8") == explained.page()
+    assert (DOCS / "scene-keys.md").read_text(encoding="utf-8") == key_descriptions.page()
     assert (DOCS / "pictures" / "rig.svg").read_text(encoding="utf-8") == rig_figure.svg(Scene(name="the default rig")) + "\n"

@@ -10,7 +10,7 @@ import trimesh
 
 from rhizotwin import shading
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.report import pictures
+from rhizotwin.report import result_pictures
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, write_rsml
@@ -41,7 +41,7 @@ def test_all_pictures_of_a_result_with_roots(scan):
     turn = np.linspace(0.0, 3.0, 30)
     tap = Root(points_mm=np.stack([4.0 * turn, -turn, -45.0 - 3.0 * turn], 1), diameters_mm=np.full(30, 1.5), order=0, parent=-1)
     write_rsml(made.result / "roots.rsml", [tap])
-    written = pictures.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
+    written = result_pictures.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
     assert {path.name for path in written} == {"inputs.png", "cameras.png", "shape.png", "shape_and_truth.png", "roots.png", "lengths.png"}
     for path in written:
         picture = cv2.imread(str(path))
@@ -54,10 +54,10 @@ def test_without_silhouettes_and_truth_there_are_still_pictures_and_they_repeat_
     made = scan(voxel_mm=1.0)
     shutil.rmtree(made.result / "silhouettes")
     shutil.rmtree(made.dataset / "truth")
-    written = pictures.write_pictures(made.result, made.dataset)
+    written = result_pictures.write_pictures(made.result, made.dataset)
     assert [path.name for path in written] == ["cameras.png", "shape.png"]
     first = [path.read_bytes() for path in written]
-    assert first == [path.read_bytes() for path in pictures.write_pictures(made.result, made.dataset)]
+    assert first == [path.read_bytes() for path in result_pictures.write_pictures(made.result, made.dataset)]
 
 
 def test_a_dataset_that_changes_meanwhile_does_not_spoil_the_report(scan, caplog):
@@ -66,10 +66,10 @@ def test_a_dataset_that_changes_meanwhile_does_not_spoil_the_report(scan, caplog
     loaded = load_dataset(made.dataset)
     save_dataset(replace(loaded, frames=loaded.frames[1:]))
     (made.dataset / loaded.frames[0].file).unlink()
-    assert "inputs.png" in [path.name for path in pictures.write_pictures(made.result, loaded)]
+    assert "inputs.png" in [path.name for path in result_pictures.write_pictures(made.result, loaded)]
     assert "view_000.png: the picture is missing" in caplog.text
     assert "leaves this picture out" in caplog.text
     shutil.rmtree(made.result / "pictures")
     with pytest.raises(UserError, match="was not reconstructed from"):
-        pictures.write_pictures(made.result, made.dataset)
+        result_pictures.write_pictures(made.result, made.dataset)
     assert not (made.result / "pictures").exists()

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.picture_damage import is_sealed
-from rhizotwin.scenes.pictures import decode_grey
 
 RNG = np.random.default_rng(7)
 GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)

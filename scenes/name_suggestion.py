@@ -8,7 +8,7 @@ ALIKE = 0.6
 """Minimum similarity (`difflib`) of a suggestion."""
 
 
-def nearest(word: str, known: Iterable[str]) -> str | None:
+def most_similar(word: str, known: Iterable[str]) -> str | None:
     """Return the known name that is most similar to a word, or None.
 
     Names that begin with the word come first (``wall``: ``wall_mm``, not ``n_wall``), ignoring leading zeros of numbers

@@ -157,7 +157,7 @@ def reconstruct_whole(
     """
     refuse_place(output, dataset)
     from rhizotwin.report import page
-    from rhizotwin.report.pictures import write_pictures
+    from rhizotwin.report.result_pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scoring.score import truth_mesh_path
     from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh

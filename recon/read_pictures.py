@@ -13,7 +13,7 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Dataset, Frame, read_image, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 LeftOut = tuple[Frame, str]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 
 
 @pytest.mark.parametrize(
@@ -16,4 +16,4 @@ from rhizotwin.scenes.near import nearest
     ],
 )
 def test_the_name_that_was_meant(word: str, known: list[str], meant: str | None):
-    assert nearest(word, known) == meant
+    assert most_similar(word, known) == meant
