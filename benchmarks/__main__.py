@@ -114,7 +114,7 @@ def _thesis(given: argparse.Namespace) -> int:
     counted = assumptions.measure(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     levels = assumptions.levels(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     if given.committed:
-        records = thesis_page.committed(given.profile)
+        records = thesis_page.committed_records(given.profile)
     else:
         records = thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept)
     found = thesis_page.plants(records)
@@ -139,15 +139,15 @@ def _mixtures(given: argparse.Namespace) -> int:
 
 def _batch(given: argparse.Namespace) -> int:
     """Run a batch with a killed worker and a damaged scan; return 1 if a result is missing, or computed twice."""
-    from benchmarks import many
+    from benchmarks import batch_run
 
     with tempfile.TemporaryDirectory(prefix="rhizotwin-many-") as folder:
-        night = many.measure(Path(folder), say=say)
-    say("\n".join(many.lines(night, given.job_s)))
+        night = batch_run.measure(Path(folder), say=say)
+    say("\n".join(batch_run.lines(night, given.job_s)))
     output = given.output or _results() / "batch.json"
-    atomic.write_json(output, {"about": about(argparse.Namespace(what="batch", quick=False, device="cpu")), **many.plain(night)})
+    atomic.write_json(output, {"about": about(argparse.Namespace(what="batch", quick=False, device="cpu")), **batch_run.plain(night)})
     say(f"every number: {output}")
-    whole = night.results == many.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
+    whole = night.results == batch_run.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
     return 0 if whole else 1
 
 
@@ -191,9 +191,9 @@ def _damages(given: argparse.Namespace) -> int:
 
 
 def _compare(given: argparse.Namespace) -> int:
-    from benchmarks import paired
+    from benchmarks import run_comparison
 
-    say(paired.compare(paired.read_records(given.before), paired.read_records(given.after), method=given.method))
+    say(run_comparison.compare(run_comparison.read_records(given.before), run_comparison.read_records(given.after), method=given.method))
     return 0
 
 
@@ -214,7 +214,7 @@ def _scatter(given: argparse.Namespace) -> int:
     rounding, everything = scatter.read(_scatter_path()), {key.rpartition("/")[0] for key in baseline.values}
     for case in chosen:
         one, measured = baseline.without(everything - {case.name}), [scatter.of_cases(run.metrics, [case]) for run in runs]
-        is_open = [gate.passes(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
+        is_open = [gate.all_pass(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
         say(f"{case.name}: the gate is open in {sum(is_open)} of {len(is_open)} runs")
     return 0
 
@@ -256,9 +256,9 @@ def _scatter_path() -> Path:
 
 
 def _against(given: argparse.Namespace) -> int:
-    from benchmarks import against
+    from benchmarks import commit_comparison
 
-    jobs: tuple[against.Job, ...] = against.QUICK if given.quick else against.JOBS
+    jobs: tuple[commit_comparison.Job, ...] = commit_comparison.QUICK if given.quick else commit_comparison.JOBS
     if given.jobs is not None:
         unknown = [name for name in given.jobs if name not in {job.name for job in jobs}]
         if unknown:
@@ -266,10 +266,10 @@ def _against(given: argparse.Namespace) -> int:
         jobs = tuple(job for job in jobs if job.name in given.jobs)
     if given.repeats < 1:
         raise UserError(f"--repeats {given.repeats}: must be at least 1")
-    ratios = against.compare(given.against, jobs=jobs, repeats=given.repeats, device=given.device, say=say)
-    say("\n" + against.table(ratios))
+    ratios = commit_comparison.compare(given.against, jobs=jobs, repeats=given.repeats, device=given.device, say=say)
+    say("\n" + commit_comparison.table(ratios))
     if given.output is not None:
-        atomic.write_json(given.output, against.as_json(given.against, ratios))
+        atomic.write_json(given.output, commit_comparison.as_json(given.against, ratios))
     return 0
 
 
@@ -343,7 +343,7 @@ def _run(given: argparse.Namespace) -> int:
         unmeasured = sum(count < scatter.RUNS for count in runs or ())
         if unmeasured:
             say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
-        return 0 if gate.passes(findings) else 1
+        return 0 if gate.all_pass(findings) else 1
     return 1 if run.crashed else 0
 
 

@@ -59,10 +59,10 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     for number, case in enumerate(cases, start=1):
         head = f"[{number}/{len(cases)}] {case.name}"
         began = time.perf_counter()
-        record = None if afresh else kept(case, device=device, change=change)
+        record = None if afresh else load_record(case, device=device, change=change)
         try:
             fresh = record is None
-            record = record or record_of(case, device=device, change=change)
+            record = record or compute_record(case, device=device, change=change)
         except RuntimeError as error:
             run.crashed[case.name] = str(error)
             clock.finished(case, time.perf_counter() - began)
@@ -75,7 +75,7 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     return run
 
 
-def kept(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
+def load_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
     """Return the record of a case from an earlier run with the same sources, settings and versions.
 
     Return None if there is none.
@@ -121,7 +121,7 @@ def _kept_path(case: Case, *, device: str, change: str) -> Path:
     )
 
 
-def record_of(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
+def compute_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
     """Render a case's pictures if they are missing, reconstruct and score them, and cache the result.
 
     Parameters
@@ -143,12 +143,12 @@ def record_of(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
         rendering = worker.start(["dataset", worker.pictures_as_text(case.pictures)], device=device)["wall"]
     folder = datasets.place(case.pictures)
     found = worker.start(["score", str(folder), case.method, f"{case.voxel_mm}", change], device=device)
-    record = {"case": described(case), "render_s": rendering, **found}
+    record = {"case": describe_case(case), "render_s": rendering, **found}
     atomic.write_json(_kept_path(case, device=device, change=change), record)
     return record
 
 
-def described(case: Case) -> dict[str, Any]:
+def describe_case(case: Case) -> dict[str, Any]:
     """Return the description of a case as a JSON object."""
     pictures = case.pictures
     return {

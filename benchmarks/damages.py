@@ -15,7 +15,7 @@ from typing import Any
 from benchmarks import cases, datasets
 from benchmarks.damaged_scan import Damage, Scan
 from benchmarks.damages_light import LIGHT
-from benchmarks.damages_place import PLACE, exchanged
+from benchmarks.damages_place import PLACE, exchange_picture
 from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.results.result import Result
 from rhizotwin.scenes.errors import UserError
@@ -33,7 +33,7 @@ def clean_scan(scene: str) -> Path:
 
 def catalogue(scan: Scan, other: Scan) -> tuple[Damage, ...]:
     """Return all damages."""
-    return (*LIGHT, *PLACE, exchanged(scan, other))
+    return (*LIGHT, *PLACE, exchange_picture(scan, other))
 
 
 def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], None]) -> list[Record]:
@@ -66,18 +66,18 @@ def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], Non
     chosen = [every[name] for name in names] if names else list(every.values())
     records = []
     for place, damage in enumerate(chosen, start=1):
-        records.append(_tried(damage, scan))
+        records.append(_try(damage, scan))
         say(f"[{place}/{len(chosen)}] {line(records[-1])}")
     return records
 
 
-def _tried(damage: Damage, scan: Scan) -> Record:
+def _try(damage: Damage, scan: Scan) -> Record:
     record: Record = {"name": damage.name, "why": damage.why, "refused": None, "crashed": None}
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="rhizotwin-damage-") as working:
         try:
             found = reconstruct(damage.write(scan, Path(working) / "scan"))
-            record |= _judged(found, scan.truth.volume_mm3)
+            record |= _judge(found, scan.truth.volume_mm3)
         except UserError as error:
             record["refused"] = str(error).replace(working, "...")
         except Exception:  # noqa: BLE001 - a crash is a result, and the others must still be run
@@ -85,7 +85,7 @@ def _tried(damage: Damage, scan: Scan) -> Record:
     return record | {"wall_s": time.perf_counter() - began}
 
 
-def _judged(found: Result, true_mm3: float) -> Record:
+def _judge(found: Result, true_mm3: float) -> Record:
     low, high = found.interval_mm3
     return {
         "volume_error": found.volume_mm3 / true_mm3 - 1.0,

@@ -22,14 +22,14 @@ def _place(light: Light) -> tuple[Light, Light]:
     return x, y
 
 
-def _blurred(light: Light, sigma_px: float) -> Light:
+def _blur(light: Light, sigma_px: float) -> Light:
     return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px))
 
 
 def _sharpened(sigma_px: float) -> Damage:
     def light(scan: Scan, k: int) -> Light:
         number = _numbers(scan.light[k])
-        return SRGB.of(np.clip(2.0 * number - _blurred(number, sigma_px), 0.0, 1.0))
+        return SRGB.of(np.clip(2.0 * number - _blur(number, sigma_px), 0.0, 1.0))
 
     return Damage(name=f"sharpened-{sigma_px:g}", why="the camera sharpens its pictures", light=light, stored=_JPEG)
 
@@ -37,7 +37,7 @@ def _sharpened(sigma_px: float) -> Damage:
 def _toned(scan: Scan, k: int) -> Light:
     """Compress the range of pixel values and keep details (as Durand and Dorsey 2002, with a Gaussian base layer)."""
     number = np.log(np.maximum(_numbers(scan.light[k]), 1.0 / 255.0))
-    base = _blurred(number, 12.0)
+    base = _blur(number, 12.0)
     return SRGB.of(np.clip(np.exp(0.5 * (base - base.max()) + number - base), 0.0, 1.0))
 
 
@@ -54,7 +54,7 @@ def _in_water(scan: Scan, k: int, light: Light) -> Light:
 
 def _turbid(scan: Scan, k: int) -> Light:
     """Scatter a quarter of the light through the water forward, by about 20 px."""
-    return _in_water(scan, k, 0.85 * (0.75 * scan.light[k] + 0.25 * _blurred(scan.light[k], 20.0)))
+    return _in_water(scan, k, 0.85 * (0.75 * scan.light[k] + 0.25 * _blur(scan.light[k], 20.0)))
 
 
 def _veiled(scan: Scan, k: int) -> Light:
@@ -151,7 +151,7 @@ LIGHT = (
     Damage(
         name="refocused",
         why="the camera refocuses half-way: a blur of 1.5 px, pictures larger by 0.3 %",
-        light=lambda scan, k: scan.light[k] if 2 * k < scan.count else _zoomed(_blurred(scan.light[k], 1.5), 1.003),
+        light=lambda scan, k: scan.light[k] if 2 * k < scan.count else _zoom(_blur(scan.light[k], 1.5), 1.003),
     ),
     Damage(name="clipped", why="exposure twice too long", light=lambda scan, k: np.minimum(2.0 * scan.light[k], 1.0)),
     Damage(name="dark", why="a tenth of the exposure, in 8 bits", light=lambda scan, k: 0.1 * scan.light[k], stored=gamma_png(1.0)),
@@ -180,7 +180,7 @@ LIGHT = (
 )
 
 
-def _zoomed(light: Light, scale: float) -> Light:
+def _zoom(light: Light, scale: float) -> Light:
     height, width = light.shape
     cx, cy = (width - 1) / 2.0, (height - 1) / 2.0
     moved = np.array([[scale, 0.0, (1.0 - scale) * cx], [0.0, scale, (1.0 - scale) * cy]])

@@ -246,7 +246,7 @@ PLACE = (
 )
 
 
-def exchanged(scan: Scan, other: Scan) -> Damage:
+def exchange_picture(scan: Scan, other: Scan) -> Damage:
     """Return a scan with one picture of another scan."""
     size = scan.light[0].shape
     return Damage(

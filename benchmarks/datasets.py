@@ -94,7 +94,7 @@ def renew_truth(folder: Path, pictures: Pictures) -> None:
         If the specimen differs from the one that was rendered.
     """
     from rhizotwin.sim.specimen import build_specimen
-    from rhizotwin.sim.truth import truth_of, write_specimen
+    from rhizotwin.sim.truth import build_truth, write_specimen
     from rhizotwin.sim.world import draw_world
 
     scene = pictures.scene_to_render()
@@ -105,7 +105,7 @@ def renew_truth(folder: Path, pictures: Pictures) -> None:
     cameras = draw_world(scene, seed=pictures.seed)
     taken = zip((frame.file for frame in load_dataset(folder).frames), cameras.cameras, strict=True)
     write_specimen(folder, solid)
-    save_truth(folder, truth_of(cameras, solid, taken))
+    save_truth(folder, build_truth(cameras, solid, taken))
     sign(folder)
 
 

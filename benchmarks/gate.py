@@ -115,7 +115,7 @@ def _judge(metric: Metric, baseline: Baseline, scatter: Scatter | None, *, repea
     return Finding(key=metric.key, verdict=verdict, baseline=before, value=metric.value, unit=metric.unit, note=note)
 
 
-def passes(findings: Sequence[Finding]) -> bool:
+def all_pass(findings: Sequence[Finding]) -> bool:
     """Return whether a run passes."""
     return bool(findings) and all(finding.passes for finding in findings)
 

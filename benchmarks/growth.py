@@ -87,14 +87,14 @@ class Links:
         return asdict(self) | shares | {"rate_error_median": median}
 
 
-def aged(day: float, profile: str) -> Scene:
+def scene_on_day(day: float, profile: str) -> Scene:
     """Return the plant's scene on a day."""
     from rhizotwin.sim.growth import grow
 
     scene = load_scene(SCENE)
     scene = replace(scene, camera=scene.camera.resized(IMAGE_WH), disturbances=load_profile(profile))
     scene = replace(scene, subject=replace(scene.subject, plant="P1", species="Raphanus sativus"))
-    return replace(series.at_day(scene, day, grow=grow, like=series.grown(scene)), name=f"day{day:04.1f}")
+    return replace(series.at_day(scene, day, grow=grow, like=series.require_grown(scene)), name=f"day{day:04.1f}")
 
 
 def measure(profile: str, *, say: Say) -> Links:
@@ -108,7 +108,7 @@ def measure(profile: str, *, say: Say) -> Links:
         scan = folder / "scans" / f"day{day:04.1f}"
         if not (scan / "dataset.json").is_file():
             say(f"rendering {scan.name}")
-            simulate(aged(day, profile), scan, profile_name=profile, seed=seed)
+            simulate(scene_on_day(day, profile), scan, profile_name=profile, seed=seed)
     jobs = collect.reconstructions([str(folder / "scans")], str(folder / "results"), voxel_mm=None, settings=None, device="auto")
     run(jobs, str(folder / "results"))
     return links(folder / "scans", folder / "results")
@@ -120,11 +120,11 @@ def links(scans: Path, results: Path) -> Links:
     found = [rsml.read_rsml(results / name / "roots.rsml") for name in names]
     true = [{root.label: root for root in rsml.read_rsml(scans / name / "truth" / "skeleton.rsml")} for name in names]
     followed = follow([Day(day=day, roots=roots) for day, roots in zip(DAYS, found, strict=True)])
-    labels = [named(roots, of) for roots, of in zip(found, true, strict=True)]
-    return _checked(followed, labels, true)
+    labels = [match_labels(roots, of) for roots, of in zip(found, true, strict=True)]
+    return _check_links(followed, labels, true)
 
 
-def _checked(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
+def _check_links(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
     linked = right = both_found = both_there = 0
     errors: list[float] = []
     for k in range(1, len(DAYS)):
@@ -154,7 +154,7 @@ def _checked(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence
     )
 
 
-def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
+def match_labels(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
     """Return the label of the true root of each reconstructed root; empty if there is none.
 
     It is the one with most of the reconstructed line, if that is at least half. Of several pieces of one true root, the
@@ -176,8 +176,8 @@ def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
 
 
 def _dense(root: Root) -> Array:
-    way = polyline.way_mm(root.points_mm)
-    return polyline.between(root.points_mm, way, polyline.middles(way, STEP_MM))
+    way = polyline.arc_length_mm(root.points_mm)
+    return polyline.interpolate(root.points_mm, way, polyline.middles(way, STEP_MM))
 
 
 def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
@@ -201,9 +201,13 @@ def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
         rng, seen = np.random.default_rng([number, round(1000 * effect)]), []
         for place, (name, growth) in enumerate((("control", 1.0), ("treated", effect))):
             for k in range(PLANTS):
-                plant = series.replicate(series.treated(scene, name, growth), k, seed=1 + _SEEDS_APART * number + PLANTS * place + k)
+                plant = series.replicate(
+                    series.apply_treatment(scene, name, growth), k, seed=1 + _SEEDS_APART * number + PLANTS * place + k
+                )
                 for day in TREATMENT_DAYS:
-                    length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day))) * np.exp(rng.normal(0.0, LENGTH_ERROR))
+                    length = rsml.length_mm(grow(replace(series.require_grown(plant), age_days=day))) * np.exp(
+                        rng.normal(0.0, LENGTH_ERROR)
+                    )
                     seen.append(Seen(plant=f"{name} {k}", treatment=name, day=day, value=float(length)))
         apart.append(differences(seen)[0].told_apart)
         say(f"[{number + 1}/{sets}] growth {effect:g}: {'distinguished' if apart[-1] else 'not distinguished'}")
@@ -234,11 +238,11 @@ def responses(sets: int, *, say: Say) -> tuple[float, list[tuple[float, float]]]
         for k in range(DOSED):
             factor = POTASSIUM[k % len(POTASSIUM)]
             growth = float(np.exp(RESPONSE * middle * (factor - 1.0)))
-            plant = series.replicate(series.treated(scene, "", growth, {"K": factor}), k, seed=1 + _SEEDS_APART * (number + 1) + k)
+            plant = series.replicate(series.apply_treatment(scene, "", growth, {"K": factor}), k, seed=1 + _SEEDS_APART * (number + 1) + k)
             name = f"{number}-{k}"
             doses[name] = plant.solution.ions_mmol_per_l
             for day in TREATMENT_DAYS:
-                length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day)))
+                length = rsml.length_mm(grow(replace(series.require_grown(plant), age_days=day)))
                 exact.append(Seen(plant=name, treatment="", day=day, value=length))
                 seen.append(replace(exact[-1], value=length * float(np.exp(rng.normal(0.0, LENGTH_ERROR)))))
         intervals.append(fit_responses(seen, doses)[0].slope_interval)

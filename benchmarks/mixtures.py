@@ -82,7 +82,7 @@ class Mixture:
         rng = np.random.default_rng([_DRAW, self.number, 1])
         scene = load_scene("printed_8ml")
         plan = replace(scene.plan, rings=tuple(replace(ring, views=int(rng.integers(VIEWS[0], VIEWS[1] + 1))) for ring in scene.plan.rings))
-        plant = drawn_plant(rng)
+        plant = draw_plant(rng)
         wrong = self._disturbances(rng)
         camera = scene.camera.resized(IMAGE_WH)
         return replace(scene, name=f"mixture_{self.number}", description="", camera=camera, plan=plan, specimen=plant, disturbances=wrong)
@@ -101,7 +101,7 @@ class Mixture:
         return wrong
 
 
-def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
+def draw_plant(rng: np.random.Generator) -> GrownSpecimen:
     """Draw a taproot with laterals of 1.5 to 5 pixels, and some of the second order.
 
     Thinner roots have no measurable volume in such pictures.
@@ -165,11 +165,11 @@ def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) 
     records = []
     for place, number in enumerate(numbers, start=1):
         mixture = Mixture(number=number)
-        path = _kept(mixture, device)
+        path = _load_kept(mixture, device)
         record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
         if record is None:
             try:
-                record = _measured(mixture, device)
+                record = _measure_one(mixture, device)
             except RuntimeError as error:
                 record = {"number": number, "profile": mixture.profile, "troubles": mixture.troubles(), "crashed": str(error)}
             else:
@@ -179,13 +179,13 @@ def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) 
     return records
 
 
-def _kept(mixture: Mixture, device: str) -> Any:
+def _load_kept(mixture: Mixture, device: str) -> Any:
     settings = {"dataset": datasets.place(mixture).name, "device": device, "versions": versions(_VERSIONED)}
     code = sources.digest(("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"))
     return cache.folder() / "mixtures" / f"{cache.key(settings, sources=code)}.json"
 
 
-def _measured(mixture: Mixture, device: str) -> Record:
+def _measure_one(mixture: Mixture, device: str) -> Record:
     from benchmarks import worker  # imported here, as that module imports this one
 
     if not datasets.is_ready(mixture):

@@ -22,10 +22,10 @@ LIGHT = 1e-6
 """Maximum difference of two renderings, as a fraction of full scale."""
 POSE_MM = 1e-6
 MIRRORED = 20
-"""One in this number of pictures is mirrored by `lossy`."""
+"""One in this number of pictures is mirrored by `write_lossy`."""
 
 
-def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+def write_rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
     """Write a dataset with the rounding of another machine.
 
     Parameters
@@ -45,17 +45,17 @@ def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
     def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
         rng = np.random.default_rng([seed, number])
-        image = round_otherwise(image, rng)
+        image = perturb_rounding(image, rng)
         if frame.cam_from_canister is not None:
             pose = np.array(frame.cam_from_canister)
             pose[:3, 3] += rng.uniform(-POSE_MM, POSE_MM, 3)
             frame = replace(frame, cam_from_canister=tuple(tuple(map(float, row)) for row in pose))
         return frame, image
 
-    return _written(dataset_folder, folder, one)
+    return _write_dataset(dataset_folder, folder, one)
 
 
-def other_vectors() -> str:
+def halve_vectors() -> str:
     """Let Dr.Jit compile its LLVM kernels with vectors of half the width (for 4: twice).
 
     They fuse and approximate operations differently. Fused multiply-add is required, so that processors without it
@@ -85,7 +85,7 @@ def other_vectors() -> str:
     return f"vectors of {width()}"
 
 
-def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+def write_lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
     """Write a rendered dataset with one picture in twenty mirrored.
 
     Pictures are mirrored left to right, from the roots' top row downwards.
@@ -116,10 +116,10 @@ def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
         top = int(np.flatnonzero(decode_grey(mask_path.read_bytes(), where=str(mask_path)).any(axis=1))[0])
         return frame, np.concatenate([image[:top], image[top:, ::-1]])
 
-    return _written(dataset_folder, folder, one)
+    return _write_dataset(dataset_folder, folder, one)
 
 
-def round_otherwise(image: Grey, rng: np.random.Generator) -> Grey:
+def perturb_rounding(image: Grey, rng: np.random.Generator) -> Grey:
     """Return a picture (H, W) whose light differed by up to `LIGHT` of full scale before rounding.
 
     The converter's step is the lowest bit that the picture uses. A value changes by one step with the probability that
@@ -133,7 +133,7 @@ def round_otherwise(image: Grey, rng: np.random.Generator) -> Grey:
     return np.clip(moved, 0, full - full % step).astype(image.dtype)
 
 
-def _written(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey], tuple[Frame, Grey]]) -> Dataset:
+def _write_dataset(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey], tuple[Frame, Grey]]) -> Dataset:
     dataset, frames = load_dataset(dataset_folder), []
     for number, before in enumerate(dataset.frames):
         frame, image = one(number, before, read_image(dataset, before, curve=LINEAR))

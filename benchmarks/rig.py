@@ -20,7 +20,7 @@ from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.lens import calibration
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.camera import READOUT_S
 from rhizotwin.rig.twin.server import TwinServer
@@ -125,7 +125,7 @@ def _overhead() -> list[Metric]:
             rig = replace(server.rig, name="twin")
             devices = open_devices(rig, twin.calibrated_scene(), clock=clock)
             try:
-                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", audience=Audience(say=lambda _: None))
+                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", observers=Observers(say=lambda _: None))
             finally:
                 devices.close()
         finally:

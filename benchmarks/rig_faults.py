@@ -19,7 +19,7 @@ import numpy as np
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import open_devices
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, kind_of
 from rhizotwin.rig.twin.twin import Twin, default_rig
@@ -109,7 +109,7 @@ def run_one(seed: int, kinds: Sequence[str]) -> FaultRun:
     protocol = kind_of(kinds[0]).protocol or kind_of(kinds[-1]).protocol or ("lx", "lsc")[seed % 2]
     twin = Twin(small_scene(), seed=seed, profile_name="bench", faults=faults, pictures="sketch", rig=default_rig(protocol))
     began = time.monotonic()
-    before = signal.signal(signal.SIGALRM, _hangs)
+    before = signal.signal(signal.SIGALRM, _raise_hang)
     signal.alarm(int(MOST_WALL_S))
     try:
         with tempfile.TemporaryDirectory(prefix="rhizotwin-faults-") as working:
@@ -132,7 +132,7 @@ def run_one(seed: int, kinds: Sequence[str]) -> FaultRun:
     )
 
 
-def _hangs(_: int, __: FrameType | None) -> None:
+def _raise_hang(_: int, __: FrameType | None) -> None:
     raise _HangError
 
 
@@ -158,7 +158,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
             problems.append("more new frames than new pictures")
     except Exception as error:  # noqa: BLE001 - any error is a result
         return "crashed", str(error), [f"crashed: {type(error).__name__}: {error}"]
-    problems += _wrong(twin, dataset, kept)
+    problems += _find_errors(twin, dataset, kept)
     twin.clock.sleep(1.0)  # lamps fade
     if twin.world.panel.level > 0.0 or twin.world.front.level > 0.0:
         problems.append("the lights are still on")
@@ -185,12 +185,12 @@ def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, scene, folder, resume=resume, seed=twin.seed, audience=Audience(say=lambda _: None))
+        return scan(devices, scene, folder, resume=resume, seed=twin.seed, observers=Observers(say=lambda _: None))
     finally:
         devices.close()
 
 
-def _wrong(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
+def _find_errors(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
     """Return the errors of a finished dataset."""
     problems = []
     planned = plan.views(dataset.scene)

@@ -46,12 +46,12 @@ def run_all(kills: int, *, say: Callable[[str], None]) -> KillRuns:
     for arm in (False, True):
         with tempfile.TemporaryDirectory(prefix="rhizotwin-kills-") as name:
             folder = Path(name)
-            whole, _ = _finished(folder / "whole", arm=arm, kills=0, seed=0)
+            whole, _ = _scan_with_kills(folder / "whole", arm=arm, kills=0, seed=0)
             share = kills // 2 + (kills % 2 if arm else 0)
             left, number = share, 0
             while left > 0:  # a scan may end before it was killed as often as intended
                 number += 1
-                found, killed = _finished(folder / f"killed_{number}", arm=arm, kills=min(KILLS_EACH, left), seed=number)
+                found, killed = _scan_with_kills(folder / f"killed_{number}", arm=arm, kills=min(KILLS_EACH, left), seed=number)
                 left -= killed
                 new = _differences(whole, found, same_pixels=not arm)
                 problems += [f"{'arm' if arm else 'tripod'}, dataset {number}, after {killed} kills: {problem}" for problem in new]
@@ -67,13 +67,13 @@ def _scene() -> Scene:
     )
 
 
-def _quick(rig: RigFile) -> RigFile:
+def _remove_pauses(rig: RigFile) -> RigFile:
     """Remove the pauses, which take real time."""
     arm = None if rig.arm is None else replace(rig.arm, settle_s=0.05)
     return replace(rig, turntable=replace(rig.turntable, settle_s=0.02), lights=replace(rig.lights, settle_s=0.05), arm=arm)
 
 
-def _finished(folder: Path, *, arm: bool, kills: int, seed: int) -> tuple[Dataset, int]:
+def _scan_with_kills(folder: Path, *, arm: bool, kills: int, seed: int) -> tuple[Dataset, int]:
     """Scan a new twin to the end with kills; return the dataset and the number of kills."""
     (folder / "ports").mkdir(parents=True)
     rig = default_rig("lx") if arm else replace(default_rig("lx"), arm=None)
@@ -81,7 +81,7 @@ def _finished(folder: Path, *, arm: bool, kills: int, seed: int) -> tuple[Datase
     server = TwinServer(twin, folder / "ports", speed=SPEED)
     server.start()
     try:
-        atomic.write_text(folder / "rig.toml", rig_text(_quick(server.rig)))
+        atomic.write_text(folder / "rig.toml", rig_text(_remove_pauses(server.rig)))
         files.save_scene(twin.calibrated_scene(), folder / "scene.toml")
         words = [sys.executable, "-m", "rhizotwin", "scan", "--rig", str(folder / "rig.toml"), "--scene", str(folder / "scene.toml")]
         words += ["-o", str(folder / "dataset")]

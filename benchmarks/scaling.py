@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import against, cache
+from benchmarks import cache, commit_comparison
 from benchmarks.run import Say
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
@@ -160,7 +160,7 @@ def _pictures(step: Step, *, device: str) -> Path:
     folder = cache.folder() / "scaling" / "-".join(step.pictures).replace("--", "")
     if not (folder / "dataset.json").is_file():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        against.run_once(against.ROOT, ["simulate", *step.pictures, "-o", str(folder), "--device", device])
+        commit_comparison.run_once(commit_comparison.ROOT, ["simulate", *step.pictures, "-o", str(folder), "--device", device])
     return folder
 
 
@@ -168,8 +168,9 @@ def _point(step: Step, folder: Path, *, device: str) -> Point:
     """Reconstruct once to compile the kernels, and once more for the measurement."""
     with tempfile.TemporaryDirectory(prefix="rhizotwin-scaling-") as working:
         used = [
-            against.run_once(
-                against.ROOT, ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / str(number)), "--device", device]
+            commit_comparison.run_once(
+                commit_comparison.ROOT,
+                ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / str(number)), "--device", device],
             )
             for number in range(2)
         ]

@@ -71,12 +71,12 @@ def measure(profile: str, *, device: str, say: Say, only_kept: bool) -> list[Rec
         One record per plant and method.
     """
     if only_kept:
-        found = [accuracy.kept(case, device=device) for case in plant_cases(profile)]
+        found = [accuracy.load_record(case, device=device) for case in plant_cases(profile)]
         return [record for record in found if record is not None]
     return list(accuracy.measure(plant_cases(profile), device=device, say=say, projection=False).details.values())
 
 
-def committed(profile: str) -> list[Record]:
+def committed_records(profile: str) -> list[Record]:
     """Return the radishes' volumes by both methods from the ladder's committed baseline, without intervals."""
     metrics = gate.read_baseline(BASELINE).values
     found: list[Record] = []

@@ -234,24 +234,24 @@ def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int
                 say(f"{result.name}: first picture after {times[-1]:.2f} s, address after {served[-1]:.2f} s; load {load:.1f}")
                 if number + 1 == repeats:
                     found |= viewer_server.measure(copy, dataset)
-                    found |= _touched(page)
+                    found |= _measure_edits(page)
                     if page.says(_CORRECTED).startswith("as corrected"):
                         page.press("Save")
                         page.page.get_by_text("edits.json").first.wait_for()
-                        found["volume_against_afresh"] = _afresh(copy, Path(working) / "corrected"), "1"
+                        found["volume_against_afresh"] = _volume_difference(copy, Path(working) / "corrected"), "1"
                 memory, cpu = page.end()
         found |= {"first_picture": (statistics.median(times), "s"), "address": (statistics.median(served), "s")}
         found |= {"peak_memory": (memory, "MiB"), "processor_time": (cpu, "s"), "console_errors": (float(len(page.complaints)), "1")}
         found |= _report(browser, copy, dataset)
-    say(f"{result.name}: " + _said(found))
+    say(f"{result.name}: " + _format_numbers(found))
     return found
 
 
-def _said(found: dict[str, tuple[float, str]]) -> str:
+def _format_numbers(found: dict[str, tuple[float, str]]) -> str:
     return ", ".join(f"{name} {value:.3g} {unit}".removesuffix(" 1") for name, (value, unit) in found.items())
 
 
-def _touched(page: Page) -> dict[str, tuple[float, str]]:
+def _measure_edits(page: Page) -> dict[str, tuple[float, str]]:
     """Select and delete as a user does; return the response times of the page."""
     found: dict[str, tuple[float, str]] = {}
     if page.says(r"\d+ mm in [1-9]\d* roots"):
@@ -336,7 +336,7 @@ def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
     return (float(count), "1"), (taken, "s")
 
 
-def _afresh(result: Path, corrected: Path) -> float:
+def _volume_difference(result: Path, corrected: Path) -> float:
     """Return the difference between the corrected volume and that of the corrected result measured again."""
     from rhizotwin.corrections import corrected as folders
     from rhizotwin.corrections import log

@@ -62,7 +62,7 @@ def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, wi
     try:
         strange = debris(viewer.shown.session, added_mm(_truth(result), _truth(clean)))
         before = viewer.shown.session.measure().volume_mm3
-        clicks = _removed(browser, viewer, strange, window) if strange else 0
+        clicks = _remove_roots(browser, viewer, strange, window) if strange else 0
         after = viewer.shown.session.measure().volume_mm3
     finally:
         viewer.served.stop()
@@ -92,7 +92,7 @@ def _truth(result: Path) -> tuple[Root, ...]:
     return rsml.read_rsml(Path(str(result_files.read_summary(result)["dataset"])) / "truth" / "skeleton.rsml")
 
 
-def _removed(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:
+def _remove_roots(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:
     """Select roots by clicks and delete them; return the number of clicks."""
     page = browser.new_page(viewport=window)
     page.goto(viewer.served.address)

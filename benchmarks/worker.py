@@ -145,9 +145,9 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from rhizotwin.stored.result_files import read_summary
 
     kind, _, seed = change.partition(":")
-    vectors = perturb.other_vectors() if kind == "rounded" and int(seed) % 2 else "default vectors"
+    vectors = perturb.halve_vectors() if kind == "rounded" and int(seed) % 2 else "default vectors"
     if kind != "none":
-        write = perturb.rounded if kind == "rounded" else perturb.lossy
+        write = perturb.write_rounded if kind == "rounded" else perturb.write_lossy
         dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
     find = partial(reconstruct_baseline, method="thesis") if method == "thesis" else reconstruct

@@ -105,7 +105,7 @@ def read_pictures(
     if not listed:
         taken = f" in the band {band}" if band else ""
         raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}{taken}; take or import some.")
-    unwanted = _unwanted(dataset, settings.leave_out)
+    unwanted = _files_to_leave_out(dataset, settings.leave_out)
     with monitor.stage("read"):
         read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
     known = [(frame, image) for frame, image in read if not isinstance(image, str)]
@@ -120,7 +120,7 @@ def read_pictures(
     return Pictures(dataset=dataset, frames=frames, images=images, bands=ratios, warnings=tuple(said), left_out=tuple(left_out))
 
 
-def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:
+def _files_to_leave_out(dataset: Dataset, names: Sequence[str]) -> set[str]:
     """Return the files of the frames to exclude.
 
     Raises
@@ -148,20 +148,20 @@ def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey |
         raise
 
 
-def content_of(dataset: Dataset, frame: Frame) -> str:
+def picture_hash(dataset: Dataset, frame: Frame) -> str:
     """Return the hash of a picture's file, from the dataset or else computed from the file."""
     return frame.sha256.lower() or sha256_of(dataset.folder / frame.file)
 
 
 def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:
     """Return the transfer curve stated in the first picture's file, or else by the scene."""
-    return transfer.stated_in(dataset.folder / frames[0].file) or transfer.of_camera(dataset.scene.camera)
+    return transfer.read_stated_curve(dataset.folder / frames[0].file) or transfer.camera_curve(dataset.scene.camera)
 
 
 def _contradictions(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, ...]:
     """Return a warning if the curves stated in the files differ from each other or from the scene's."""
-    scene = transfer.of_camera(dataset.scene.camera)
-    words = [transfer.stated_in(dataset.folder / frame.file) or scene for frame in frames]
+    scene = transfer.camera_curve(dataset.scene.camera)
+    words = [transfer.read_stated_curve(dataset.folder / frame.file) or scene for frame in frames]
     if not all(word.same(words[0]) for word in words):
         names = ", ".join(sorted({word.name for word in words}))
         return (f"the picture files state different transfer curves ({names}); each is decoded by its own",)

@@ -285,8 +285,8 @@ def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
     """Say by what curve the pictures' numbers will be read."""
     if raw:
         return "raw pictures: blocks of their pixels became one grey pixel each, with the first one's white balance; they are light"
-    stated = transfer.of_camera(scene.camera)
-    words = {word.name for path in paths if (word := transfer.stated_in(path)) is not None}
+    stated = transfer.camera_curve(scene.camera)
+    words = {word.name for path in paths if (word := transfer.read_stated_curve(path)) is not None}
     if not words:
         return f"the pictures' files do not say what curve they have: the scene's camera does ({stated.name})"
     return f"the pictures' files say what curve they have: {', '.join(sorted(words))}"

@@ -6,12 +6,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 
-def part_of(rig: RigFile, band: str) -> BandPart | None:
+def band_part(rig: RigFile, band: str) -> BandPart | None:
     """Return the settings of a band; None for an empty name, which is white light."""
     return next((part for part in rig.camera.bands if part.name == band), None)
 
 
-def levels_of(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
+def band_levels(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
     """Return the levels of panel and front light in a band."""
     lights, part = rig.lights, part or BandPart()
     panel = lights.panel_level if part.panel_level is None else part.panel_level
@@ -30,12 +30,12 @@ def light(lights: Lights, rig: RigFile, band: str) -> None:
     band : str
         Name of the band; empty for white light.
     """
-    part = part_of(rig, band)
-    panel, front = levels_of(rig, part)
+    part = band_part(rig, band)
+    panel, front = band_levels(rig, part)
     lights.set(panel=panel, front=front, band=part)
 
 
-def refuse_unknown(rig: RigFile, scene: Scene) -> None:
+def check_bands(rig: RigFile, scene: Scene) -> None:
     """Raise an error if the scene has bands that the rig file does not describe.
 
     Raises
@@ -44,7 +44,7 @@ def refuse_unknown(rig: RigFile, scene: Scene) -> None:
         With the missing section.
     """
     for band in scene.camera.bands:
-        if part_of(rig, band.name) is None:
+        if band_part(rig, band.name) is None:
             raise UserError(
                 f"the scene's camera has the band {band.name!r}, but the rig file has no settings for it: "
                 f'add [[camera.bands]] with name = "{band.name}"'

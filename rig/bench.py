@@ -156,27 +156,27 @@ def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, ri
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
         return
-    lit = report.look("lights", lambda: _lit(camera, lights, rig, scene))
+    lit = report.look("lights", lambda: _take_lit_picture(camera, lights, rig, scene))
     if lit is None:
         return
     if rig.arm is None:
         report.look("picture", lambda: (None, preflight.check_picture(lit, scene.camera)))
         report.look("markers", lambda: (None, preflight.check_markers(lit, scene)))
     else:
-        found = preflight.exposure_of(lit)
+        found = preflight.measure_exposure(lit)
         text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, in the present position of the arm"
         report.line("picture", "ok", text)
-        report.line("markers", "ok", f"not required in the present position of the arm ({_seen(lit, scene)})")
+        report.line("markers", "ok", f"not required in the present position of the arm ({_describe_markers(lit, scene)})")
 
 
-def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
+def _take_lit_picture(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
     """Return a picture with the lamps on; raise an error if they have no effect."""
     lights.off()
     dark = camera.capture().image
     preflight.check_lights(lights, rig.lights)
     lit = camera.capture().image
     preflight.check_size(lit, scene.camera)
-    before, after = (preflight.exposure_of(image).bright for image in (dark, lit))
+    before, after = (preflight.measure_exposure(image).bright for image in (dark, lit))
     brighter = after >= LIT * before + LEAST_LIGHT
     if not brighter and rig.arm is not None:
         return lit, "answer, but the panel is not visible in the present position of the arm"
@@ -188,7 +188,7 @@ def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Gr
     return lit, f"the picture goes from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
 
 
-def _seen(image: Grey, scene: Scene) -> str:
+def _describe_markers(image: Grey, scene: Scene) -> str:
     try:
         return preflight.check_markers(image, scene)
     except RigError as error:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.rig.jog import Jog, finite
+from rhizotwin.rig.jog import Jog, parse_number
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
-from rhizotwin.rig.scanning.homing import Ask, facing_angle, wrapped
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.homing import Ask, facing_angle, wrap_angle
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.errors import UserError
@@ -157,7 +157,7 @@ class FirstDay:
                 "strip", False, "the picture is mirrored: switch off the camera's flip, or print the strip anew if it was printed mirrored"
             )
         else:
-            self._found("strip", False, why_unread(image, self._scene))
+            self._found("strip", False, unread_reason(image, self._scene))
 
     def _panel(self) -> None:
         if self._out_of_place("panel"):
@@ -165,7 +165,7 @@ class FirstDay:
         self._jog.do(["lights", "1", "0"])
         image = self._jog.shot()
         write_bytes(self._folder / "panel.png", encode_png(image))
-        even, full = panel_evenness(image), preflight.exposure_of(image).saturated
+        even, full = panel_evenness(image), preflight.measure_exposure(image).saturated
         good = even >= LEAST_EVEN and full <= preflight.MOST_SATURATED
         text = f"its darker parts have {100.0 * even:.0f} % of the light of its brighter ones, {100.0 * full:.1f} % is at full scale"
         self._found("panel", good, text, evenness=even, saturated=full)
@@ -183,7 +183,7 @@ class FirstDay:
         if before is None or after is None or back is None:
             self._found("table", seen_right, "judged by eye; the markers could not be read")
             return
-        turn, miss = (wrapped(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
+        turn, miss = (wrap_angle(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
         measured = abs(turn - TURN_DEG) <= TURN_TOLERANCE_DEG
         text = f"commanded to turn by {TURN_DEG:g} deg, the markers turned by {turn:.2f} and returned to {miss:+.2f}"
         if abs(turn + TURN_DEG) <= TURN_TOLERANCE_DEG:
@@ -237,7 +237,7 @@ class FirstDay:
                 self._note(Finding(step="calipers", verdict="skipped", text=what))
                 continue
             try:
-                measured_mm = finite(answer)
+                measured_mm = parse_number(answer)
             except ValueError:
                 self._note(Finding(step="calipers", verdict="skipped", text=f"{what}: {answer!r} is not a number"))
                 continue

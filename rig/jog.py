@@ -9,7 +9,15 @@ import numpy as np
 from rhizotwin.rig import bands
 from rhizotwin.rig.arm.clearance import check_path, plan_path
 from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
-from rhizotwin.rig.arm.placing import arm_of, camera_wanted, corrected_joints, joints_for, joints_looking, place_of, within_limits
+from rhizotwin.rig.arm.placement import (
+    camera_position,
+    check_limits,
+    compute_joints,
+    compute_joints_from_direction,
+    correct_joints,
+    planned_camera_pose,
+    require_arm,
+)
 from rhizotwin.rig.devices import Arm
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
@@ -17,7 +25,7 @@ from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.alignment import ALL_JOINTS, MOST_MOVES, Misalignment, misalignment, single_move
 from rhizotwin.rig.scanning.arm_stand import SEARCH_DEG, WRIST
 from rhizotwin.rig.scanning.homing import facing_angle
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.scanning.safety import Say, make_safe, park
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
@@ -152,11 +160,11 @@ class Jog:
     def _look(self) -> tuple[Sighting | None, str]:
         image = self.shot()
         seen = read_strip(image, self._scene)
-        return seen, "" if seen is not None else why_unread(image, self._scene)
+        return seen, "" if seen is not None else unread_reason(image, self._scene)
 
     def _table(self, words: list[str]) -> None:
         (text,) = words
-        angle_deg = finite(text)
+        angle_deg = parse_number(text)
         self._board()
         table = self._devices.table
         if not table.knows_zero():
@@ -168,7 +176,7 @@ class Jog:
         self._board()
         if words:
             (text,) = words
-            angle_deg = finite(text)
+            angle_deg = parse_number(text)
         else:
             seen, why = self._look()
             if seen is None:
@@ -179,7 +187,7 @@ class Jog:
         self._say(f"table at {angle_deg:.3f} deg")
 
     def _lights(self, words: list[str]) -> None:
-        panel, front = finite(words[0]), finite(words[1]) if len(words) > 1 else 0.0
+        panel, front = parse_number(words[0]), parse_number(words[1]) if len(words) > 1 else 0.0
         if len(words) > 2 or not (0.0 <= panel <= 1.0 and 0.0 <= front <= 1.0):
             raise ValueError(words)
         self._board()
@@ -187,7 +195,7 @@ class Jog:
 
     def _band(self, words: list[str]) -> None:
         (name,) = words
-        part = bands.part_of(self._devices.rig, name)
+        part = bands.band_part(self._devices.rig, name)
         if part is None:
             known = ", ".join(one.name for one in self._devices.rig.camera.bands) or "none"
             raise UserError(f"the rig file has no band {name!r}; it has {known}")
@@ -201,19 +209,19 @@ class Jog:
         k = int(number) - 1
         if not 0 <= k < JOINT_COUNT:
             raise ValueError(number)
-        angle_deg = finite(text)
+        angle_deg = parse_number(text)
         here = self._arm().read_joints()
         goal = list(here)
         goal[k] = angle_deg + (here[k] if text[0] in "+-" else 0.0)
         self._say(joints_text(self._move([tuple(goal)])))
 
     def _go(self, words: list[str]) -> None:
-        distance_mm, height_mm = finite(words[0]), finite(words[1])
-        tilt_deg = finite(words[2]) if len(words) > 2 else 0.0
+        distance_mm, height_mm = parse_number(words[0]), parse_number(words[1])
+        tilt_deg = parse_number(words[2]) if len(words) > 2 else 0.0
         if len(words) > 3 or distance_mm <= 0.0:
             raise ValueError(words)
         arm = self._arm()
-        goal = joints_for(self._devices.rig, camera_wanted(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
+        goal = compute_joints(self._devices.rig, planned_camera_pose(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
         self._say(joints_text(self._move(list(plan_path(self._devices.rig, self._scene, arm.read_joints(), goal)))))
 
     def _look_from(self, words: list[str]) -> None:
@@ -224,9 +232,9 @@ class Jog:
                 raise UserError(f"there is no pose {words[0]!r} in the rig file; it has {', '.join(named) or 'none'}")
             position_mm, direction = named[words[0]].position_mm, named[words[0]].direction
         else:
-            x, y, z, dx, dy, dz = (finite(word) for word in words)
+            x, y, z, dx, dy, dz = (parse_number(word) for word in words)
             position_mm, direction = (x, y, z), (dx, dy, dz)
-        arm, goal = self._arm(), joints_looking(rig, position_mm, direction)
+        arm, goal = self._arm(), compute_joints_from_direction(rig, position_mm, direction)
         self._say(joints_text(self._move(list(plan_path(rig, self._scene, arm.read_joints(), goal)))))
 
     def _align(self, words: list[str]) -> None:
@@ -246,13 +254,13 @@ class Jog:
         UserError
             If the strip cannot be read, the path is not clear, or the corrections do not converge.
         """
-        rig, part = self._devices.rig, arm_of(self._devices.rig)
+        rig, part = self._devices.rig, require_arm(self._devices.rig)
         here = self._commanded or self._arm().read_joints()
         left, moves = self._misalignment(search=True), 0
         self._say(f"before: {left.text()}")
         here = self._commanded or here
         while not left.is_aligned and moves < MOST_MOVES:
-            way = [corrected_joints(rig, here, self._seen)] if moves < ALL_JOINTS else single_move(part, here, self._seen)
+            way = [correct_joints(rig, here, self._seen)] if moves < ALL_JOINTS else single_move(part, here, self._seen)
             self._move(way)
             moves, here, left = moves + 1, way[-1], self._misalignment()
         self._say(f"after {moves} moves: {left.text()}")
@@ -280,23 +288,23 @@ class Jog:
     def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
         """Move along a path, checking each segment before, and return the measured joint angles."""
         arm, rig = self._arm(), self._devices.rig
-        within_limits(arm_of(rig), path[-1])
+        check_limits(require_arm(rig), path[-1])
         check_path(rig, self._scene, [arm.read_joints(), *path])
         for joints_deg in path:
             read = arm.move_to(joints_deg)
-        self._devices.clock.sleep(arm_of(rig).settle_s)
+        self._devices.clock.sleep(require_arm(rig).settle_s)
         self._commanded = path[-1]
         return read
 
     def _park(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         arm = self._arm()
         park(arm, self._devices.rig, self._scene)
         self._commanded = None
         self._say(joints_text(arm.read_joints()))
 
     def _relax(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -304,23 +312,23 @@ class Jog:
         self._arm_ready, self._commanded = False, None
 
     def _pose(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         self._board()
         table, part = self._devices.table, self._devices.rig.arm
         known = "" if table.knows_zero() else " (not homed)"
         self._say(f"table at {table.position_deg():.3f} deg{known}")
         if part is not None:
             joints = self._arm().read_joints()
-            distance_mm, height_mm, tilt_deg = place_of(camera_at(part, joints))
+            distance_mm, height_mm, tilt_deg = camera_position(camera_at(part, joints))
             self._say(joints_text(joints))
             self._say(f"by the joints the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
 
     def _markers(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         seen, why = self._look()
         if seen is None:
             raise RigError(f"markers: {why}")
-        distance_mm, height_mm, tilt_deg = place_of(seen.cam_from_canister)
+        distance_mm, height_mm, tilt_deg = camera_position(seen.cam_from_canister)
         facing_deg = facing_angle(seen, self._scene) % 360.0
         self._say(
             f"{seen.markers} markers, {seen.reprojection_px:.2f} px error; seen from the +x side the table is at {facing_deg:.2f} deg"
@@ -336,11 +344,11 @@ class Jog:
             raise UserError(f"{name} exists already; choose another name")
         image = self.shot()
         write_bytes(path, encode_png(image))
-        found = preflight.exposure_of(image)
+        found = preflight.measure_exposure(image)
         self._say(f"{path}: {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated")
 
     def _help(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         width = max(len(word.usage) for word in self._words.values())
         for word in self._words.values():
             self._say(f"  {word.usage:<{width}}  {word.does}")
@@ -357,7 +365,7 @@ class Jog:
         return image
 
 
-def finite(text: str) -> float:
+def parse_number(text: str) -> float:
     """Return a finite number; words such as nan and inf are rejected."""
     value = float(text)
     if not np.isfinite(value):
@@ -365,7 +373,7 @@ def finite(text: str) -> float:
     return value
 
 
-def nothing(words: list[str]) -> None:
+def require_no_arguments(words: list[str]) -> None:
     """Raise an error for arguments of a command without arguments."""
     if words:
         raise ValueError(words)

@@ -26,13 +26,13 @@ def ml(mm3: float, *, half_mm3: float) -> str:
     return f"{mm3 / 1000.0:.{decimals(half_mm3 / 1000.0)}f}"
 
 
-def between_ml(low_mm3: float, high_mm3: float) -> str:
+def interval_ml(low_mm3: float, high_mm3: float) -> str:
     """Return an interval in ml: ``0.82 to 0.95 ml``."""
     half = 0.5 * (high_mm3 - low_mm3)
     return f"{ml(low_mm3, half_mm3=half)} to {ml(high_mm3, half_mm3=half)} ml"
 
 
-def rounded(value: float, digits: int = 3) -> str:
+def round_digits(value: float, digits: int = 3) -> str:
     """Return a number with the given number of significant digits."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else "-"
@@ -45,7 +45,7 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
-def failure(error: BaseException) -> str:
+def error_sentence(error: BaseException) -> str:
     """Return a sentence that explains an error to the user."""
     if isinstance(error, UserError):
         return str(error)

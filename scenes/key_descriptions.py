@@ -58,7 +58,7 @@ def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
 
     The specimen of a plant is one key; its keys are those of ``specimen``.
     """
-    said, hints = _said(of), get_type_hints(of)
+    said, hints = _field_descriptions(of), get_type_hints(of)
     for one in fields(of):
         here = f"{path}.{one.name}" if path else one.name
         parts = [] if here == _ELSEWHERE else _parts(hints[one.name])
@@ -142,12 +142,12 @@ def _title(group: str) -> str:
     return f"[[{group}]]" if group in ("plan.rings", "plants") else f"[{group}]"
 
 
-def _said(of: type) -> dict[str, str]:
+def _field_descriptions(of: type) -> dict[str, str]:
     """Return the docstrings of the fields of a class and its base classes."""
-    return {name: why for one in reversed(of.__mro__) if is_dataclass(one) for name, why in _said_in(one).items()}
+    return {name: why for one in reversed(of.__mro__) if is_dataclass(one) for name, why in _own_descriptions(one).items()}
 
 
-def _said_in(of: type) -> dict[str, str]:
+def _own_descriptions(of: type) -> dict[str, str]:
     """Return the docstrings of the fields that a class adds to its base classes."""
     body = ast.parse(textwrap.dedent(inspect.getsource(of))).body[0]
     found: dict[str, str] = {}

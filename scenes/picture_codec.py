@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.picture_damage import UnfitError, checked
+from rhizotwin.scenes.picture_damage import UnfitError, check_picture
 from rhizotwin.scenes.transfer import LINEAR, Curve
 
 # suppress OpenCV's own messages; `decode_grey` raises an error
@@ -60,7 +60,7 @@ def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = N
     UserError
         If the data are empty, truncated, damaged, of another size, or not a picture of 8 or 16 bits.
     """
-    image = _decoded(data, where, image_wh)
+    image = _decode(data, where, image_wh)
     if image.ndim == 2:
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
@@ -87,7 +87,7 @@ def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, 
     UserError
         See `decode_grey`.
     """
-    image = _decoded(data, where, image_wh)
+    image = _decode(data, where, image_wh)
     light = image if curve == LINEAR else curve.decode(image)
     if light.ndim == 2:
         return light
@@ -96,10 +96,10 @@ def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, 
     return np.asarray(grey)
 
 
-def _decoded(data: bytes, where: str, image_wh: tuple[int, int] | None) -> NDArray[np.uint8 | np.uint16]:
+def _decode(data: bytes, where: str, image_wh: tuple[int, int] | None) -> NDArray[np.uint8 | np.uint16]:
     """Decode a picture to (H, W) grey or (H, W, 3) blue, green, red."""
     try:
-        whole = checked(data, image_wh=image_wh)
+        whole = check_picture(data, image_wh=image_wh)
     except UnfitError as error:
         raise UserError(f"{where}: {error}") from error
     try:

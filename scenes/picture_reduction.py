@@ -11,7 +11,7 @@ LONGEST_PX = 2100
 not at all."""
 
 
-def reduced(image: Picture) -> tuple[Picture, NDArray[np.float64]]:
+def reduce_picture(image: Picture) -> tuple[Picture, NDArray[np.float64]]:
     """Halve a picture (H, W), by averaging, until no side is longer than `LONGEST_PX`.
 
     Returns

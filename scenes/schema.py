@@ -41,8 +41,8 @@ class Place:
         """Return the error ``WHERE, line N: [section] key = value: must ...``."""
         line = _line_of(self.text, self.path)
         start = self.where if line is None else f"{self.where}, line {line}"
-        section, key = _named(self.path)
-        shown = f" = {_shown(value[0])}" if value else ""
+        section, key = _split_path(self.path)
+        shown = f" = {_format_value(value[0])}" if value else ""
         return UserError(f"{start}: {f'[{section}] ' if section else ''}{key}{shown}: {must}" if key else f"{start}: {must}")
 
 
@@ -108,11 +108,11 @@ def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
         if value is None and NoneType in arguments:
             return None
         choices = [a for a in arguments if a is not NoneType]
-        return _value(choices[0], value, f, place) if len(choices) == 1 else _tagged(choices, value, place)
+        return _value(choices[0], value, f, place) if len(choices) == 1 else _choose_kind(choices, value, place)
     if origin is Literal:
         if not any(value == a and type(value) is type(a) for a in arguments):
             near = suggestion(value, [a for a in arguments if isinstance(a, str)]) if isinstance(value, str) else ""
-            raise place.error(f"must be one of {', '.join(_shown(a) for a in arguments)}{near}", value)
+            raise place.error(f"must be one of {', '.join(_format_value(a) for a in arguments)}{near}", value)
         return value
     if origin is tuple:
         return _tuple(arguments, value, f, place)
@@ -157,7 +157,7 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
     return tuple(_value(hint, item, f, place.at(i)) for i, (hint, item) in enumerate(zip(hints, value, strict=True)))
 
 
-def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
+def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
     """Select one of several dataclasses by the key ``kind``."""
     kinds = {kind_of(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
@@ -183,13 +183,13 @@ def _type_name(value: Any) -> str:
     return names.get(type(value), "a table" if isinstance(value, Mapping) else type(value).__name__)
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     """Return a value as written in the file, shortened."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
+def _split_path(path: tuple[str | int, ...]) -> tuple[str, str]:
     """Split a path into the section and the key.
 
     Examples are ("plan.rings 2", "views") and ("camera", "image_wh element 1"); indices start at 1.

@@ -65,13 +65,13 @@ class _Line:
     @staticmethod
     def of(root: Root) -> "_Line":
         """Return a root's centre line with points `STEP_MM` apart."""
-        along_mm = polyline.way_mm(root.points_mm)
+        along_mm = polyline.arc_length_mm(root.points_mm)
         at_mm = np.linspace(0.0, along_mm[-1], max(2, int(np.ceil(along_mm[-1] / STEP_MM)) + 1))
-        points = polyline.between(root.points_mm, along_mm, at_mm)
+        points = polyline.interpolate(root.points_mm, along_mm, at_mm)
         return _Line(points, np.interp(at_mm, along_mm, root.diameters_mm))
 
 
-def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
+def merge_shared_stretches(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
     """Remove stretches that roots share with earlier ones in the list, so that each is counted once.
 
     The remainder of a partly shared root becomes a lateral of the root with which it shares the stretch. A completely
@@ -91,11 +91,11 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
     """
     kept: list[Root] = []
     owner: list[int] = []  # for each of ``roots``, the index in ``kept`` of the root of which it is a part
-    seen = _Seen()
+    seen = _KnownLines()
     for root in roots:
         line = _Line.of(root)
         parent = owner[root.parent] if root.parent >= 0 else -1
-        runs, host = _alone(line, seen)
+        runs, host = _unshared_stretches(line, seen)
         whole = runs == [(0, len(line.points_mm))]
         first = len(kept)
         for number, (start, stop) in enumerate(runs):
@@ -110,7 +110,7 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
     return tuple(kept), rsml.length_mm(roots) - rsml.length_mm(kept)
 
 
-class _Seen:
+class _KnownLines:
     """Previous lines, with a search for their nearest points.
 
     One search tree contains most of the points; a second one, with the latest points, is rebuilt.
@@ -154,7 +154,7 @@ class _Seen:
         return found
 
 
-def _alone(line: _Line, seen: _Seen) -> tuple[list[tuple[int, int]], int | None]:
+def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int, int]], int | None]:
     """Return the unshared stretches of a line as (start, stop), and the root with which it shares the most."""
     count = len(line.points_mm)
     away_mm, diameter_mm, owner = seen.nearest(line.points_mm)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rhizotwin.scenes.bands import Band, by_range, vegetation_indices
+from rhizotwin.scenes.bands import Band, bands_by_range, vegetation_indices
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.shoots import Shoot
 
@@ -68,7 +68,7 @@ def true_colour(scene: Scene) -> dict[str, float]:
     if scene.shoot is None:
         return {}
     known = {band.name: band for band in scene.camera.bands}
-    by_name = {name: reflectance(scene.shoot, known[band]) for name, band in by_range(scene.camera.bands).items()}
+    by_name = {name: reflectance(scene.shoot, known[band]) for name, band in bands_by_range(scene.camera.bands).items()}
     return {f"reflectance_{name}": value for name, value in by_name.items()} | vegetation_indices(by_name)
 
 

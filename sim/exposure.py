@@ -53,14 +53,14 @@ def expose(
     if wrong.white_balance_wander > 0.0:
         red, blue = rng.uniform(1.0 - wrong.white_balance_wander, 1.0 + wrong.white_balance_wander, 2)
         signal = signal[..., None] * np.array([red, 1.0, blue])
-    shown = as_taken(camera, wrong)
+    shown = stored_camera(camera, wrong)
     number = np.rint(np.clip(signal, 0.0, 1.0) * (2**camera.bits - 1)) / (2**camera.bits - 1)
-    number = transfer.of_camera(shown).number(number) if shown.transfer != "linear" else number
+    number = transfer.camera_curve(shown).number(number) if shown.transfer != "linear" else number
     stored = np.rint(number * (2**shown.bits - 1))
     return np.asarray(stored.astype(np.uint8) if shown.bits <= 8 else stored.astype(np.uint16) << np.uint16(16 - shown.bits))
 
 
-def as_taken(camera: Camera, disturbances: Disturbances) -> Camera:
+def stored_camera(camera: Camera, disturbances: Disturbances) -> Camera:
     """Return the camera with the transfer curve and the bit depth of its stored pictures."""
     curve = camera.transfer if disturbances.transfer == "linear" else disturbances.transfer
     return replace(camera, transfer=curve, bits=disturbances.stored_bits or camera.bits)

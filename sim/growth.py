@@ -37,7 +37,7 @@ BASAL_KIND = 1_000_000
 of all laterals."""
 
 
-class _Grown(NamedTuple):
+class _GrownBud(NamedTuple):
     """Result of growing a bud."""
 
     root: Root | None
@@ -184,7 +184,7 @@ def _factor(rng: np.random.Generator, sd: float) -> float:
     return float(rng.gamma(1.0 / sd**2, sd**2)) if sd > 0.0 else 1.0
 
 
-def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_Grown]:
+def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_GrownBud]:
     """Grow all buds of an order."""
     if not buds:
         return []
@@ -198,21 +198,21 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
     thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
     room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if buds[0].parent < 0 else 0.0) / 2.0
     points_mm = _centrelines(buds, order, lengths_mm, room_mm, specimen.seed, limits, down)
-    grown: list[_Grown] = []
+    grown: list[_GrownBud] = []
     for i, bud in enumerate(buds):
         root = None
         if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones are still inside their parent
             line_mm, along_mm = _cut(points_mm[i], lengths_mm[i])
             diameters_mm = thickest[i] * (1.0 + (order.taper - 1.0) * along_mm / lengths_mm[i])
             if bud.parent < 0 and specimen.hypocotyl_diameter_mm > 0.0:
-                diameters_mm = np.maximum(diameters_mm, _swollen(diameters_mm, along_mm, specimen))
+                diameters_mm = np.maximum(diameters_mm, _thicken_top(diameters_mm, along_mm, specimen))
             label = ".".join(str(child + 1) for child in (0, *bud.path))
             root = Root(points_mm=line_mm, diameters_mm=diameters_mm, order=bud.order, parent=bud.parent, label=label)
-        grown.append(_Grown(root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
+        grown.append(_GrownBud(root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
     return grown
 
 
-def _swollen(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
+def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
     """Return the diameters (N,) of the taproot with its thickened top."""
     fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
     if specimen.hypocotyl_shape == "globe":  # ellipsoid of revolution
@@ -279,7 +279,7 @@ def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list
     return children
 
 
-def _laterals(bud: _Bud, grown: _Grown, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
+def _laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
     """Place the laterals of a root beyond its apical zone."""
     root, length_mm, max_length_mm, elongation_mm_per_day = grown
     if root is None:
@@ -317,7 +317,7 @@ def _bud_on(
 ) -> _Bud:
     """Return a bud at a distance along a root, with azimuth and insertion angle relative to the root."""
     azimuth_rad, insertion_rad = turn_rad
-    ladder_mm = polyline.way_mm(root.points_mm)
+    ladder_mm = polyline.arc_length_mm(root.points_mm)
     segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
     part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)
     along = root.points_mm[segment + 1] - root.points_mm[segment]

@@ -14,7 +14,7 @@ from rhizotwin.sim.specimen import SpecimenSolid
 
 
 @dataclass(frozen=True)
-class Hanging:
+class HangingObject:
     """A specimen, or its root hairs, attached at the top, which sways."""
 
     name: str
@@ -25,7 +25,7 @@ class Hanging:
     """(V,) displacement of each vertex relative to that of the lowest tip."""
 
     @staticmethod
-    def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> Hanging:
+    def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> HangingObject:
         """Create a hanging object with vertices (V, 3), fixed at a solid's highest point.
 
         The displacement is proportional to the depth below that point.
@@ -45,14 +45,14 @@ class Hanging:
             Hanging object with the relative displacement of each vertex.
         """
         low, high = solid.extents_min_mm[2], solid.extents_max_mm[2]
-        return Hanging(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
+        return HangingObject(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
     def at(self, tip_mm: tuple[float, float], twist_deg: float) -> NDArray[np.float64]:
         """Return the vertices (V, 3) for a displacement of the lowest tip by x, y and its rotation about the z axis."""
-        return frames.twisted(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
+        return frames.twist(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
 
 
-def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float], twist_deg: float = 0.0) -> None:
+def sway(scene: mi.Scene, hanging: Sequence[HangingObject], tip_mm: tuple[float, float], twist_deg: float = 0.0) -> None:
     """Move hanging objects to their positions in a view.
 
     Parameters

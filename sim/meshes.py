@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import MOST_MESH_MIB, check_size
-from rhizotwin.sim.solids import Array, Faces, manifold_of
+from rhizotwin.sim.solids import Array, Faces, to_manifold
 
 SUFFIXES = (".ply", ".stl", ".obj")
 MOST_FACES = 1_500_000
@@ -47,7 +47,7 @@ def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
         raise UserError(f"{path}: the specimen is only {size_mm:.3g} mm across; files must be in millimetres, so scale it up.")
     notes: list[str] = []
     vertices, faces = _join(path, vertices, faces, notes)
-    solid = manifold_of(vertices, faces)
+    solid = to_manifold(vertices, faces)
     if solid.status() != manifold3d.Error.NoError:
         raise UserError(f"{path}: the surface does not bound a solid ({solid.status().name}); repair it in a mesh editor.")
     solid = _unite_shells(solid, path, notes)
@@ -93,7 +93,7 @@ def _single_edges(faces: NDArray[np.int32]) -> int:
 def _join(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
     """Return the surface with shared vertices, as indexed in the file, or merged by coordinates (STL, seams of OBJ)."""
     indexed = faces[_proper(faces)]
-    if len(indexed) and open_edges(indexed) == 0 and manifold_of(vertices, indexed).status() == manifold3d.Error.NoError:
+    if len(indexed) and open_edges(indexed) == 0 and to_manifold(vertices, indexed).status() == manifold3d.Error.NoError:
         return vertices, indexed
     for digits in (None, 5):  # exactly equal, then to 1e-5 mm, as text files round
         rounded = vertices if digits is None else np.round(vertices, digits)
@@ -134,7 +134,7 @@ def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> m
             bodies.append(shell)
         elif shell.volume() < 0.0:
             vertices, faces = np.array(shell.to_mesh64().vert_properties[:, :3]), np.array(shell.to_mesh64().tri_verts)
-            inverted.append(manifold_of(vertices, faces[:, ::-1].astype(np.int32)))
+            inverted.append(to_manifold(vertices, faces[:, ::-1].astype(np.int32)))
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add) if bodies else manifold3d.Manifold()
     for shell in inverted:
         inside = (united ^ shell).volume() > 0.999 * shell.volume()

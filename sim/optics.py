@@ -130,7 +130,7 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
     return _load_quietly(items) if len(items) > 1 else None
 
 
-def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
+def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
     """Return a cylinder in the canister that contains the fine structures with a margin.
 
     It does not extend beyond the canister.

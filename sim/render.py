@@ -49,7 +49,7 @@ _TRACING = 21  # key of the path tracer's random stream
 Image = NDArray[np.float32]
 
 
-def checked_samples(fidelity: str, samples: int | None) -> int:
+def check_samples(fidelity: str, samples: int | None) -> int:
     """Return the number of rays per pixel: ``samples``, or the default of the fidelity for None.
 
     `UserError` is raised for invalid values.
@@ -85,7 +85,7 @@ class Renderer:
     def __init__(
         self, scene: Scene, world: World, solid: SpecimenSolid | None, *, fidelity: Fidelity = "backlit", samples: int | None = None
     ) -> None:
-        self.samples = checked_samples(fidelity, samples)
+        self.samples = check_samples(fidelity, samples)
         self.side = round(self.samples**0.5)
         self.scene = scene
         self.world = world
@@ -94,10 +94,10 @@ class Renderer:
         self.image_wh = scene.camera.image_wh
         wrong = scene.disturbances
         hairs = None if solid is None or wrong.root_hair_mm == 0.0 else sleeve(solid, wrong.root_hair_mm)
-        self.hanging: list[hanging.Hanging] = []
+        self.hanging: list[hanging.HangingObject] = []
         if solid is not None and wrong.sway_mm > 0.0:
             parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
-            self.hanging = [hanging.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
+            self.hanging = [hanging.HangingObject.of(name, vertices, solid) for name, vertices in parts.items()]
         media = wrong.turbidity_per_mm > 0.0 or scene.water.absorption_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
         if fidelity == "path":
             self.lit_scene = optics.build(scene, world, solid, hairs)
@@ -105,7 +105,7 @@ class Renderer:
         farthest_mm = max(np.hypot(ring.distance_mm, ring.height_mm) for ring in scene.plan.rings) + scene.canister.outer_radius_mm
         self.fine = optics.fine_things(world, solid, hairs, slack_mm=farthest_mm / min(scene.camera.focal_px))
         margin_mm = ROOM_MARGIN_MM + SWAYS * wrong.sway_mm + wrong.root_hair_mm
-        room = optics.room_of(world, solid, margin_mm=margin_mm) if self.fine is not None else None
+        room = optics.fine_things_room(world, solid, margin_mm=margin_mm) if self.fine is not None else None
         self.lamps = lights.Lamps(scene, world)
         dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
         self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]

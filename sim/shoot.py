@@ -69,10 +69,10 @@ def build_shoot(scene: Scene) -> ShootSolid | None:
     for leaf in range(plant.leaves):
         petiole, middle, left, right = _leaf(plant, leaf, top)
         vertices, faces, area = _blade(middle, left, right, plant.thickness_mm)
-        parts += [_tube(petiole, _share(plant, leaf) * plant.petiole_diameter_mm), _checked(vertices, faces, leaf)]
+        parts += [_tube(petiole, _share(plant, leaf) * plant.petiole_diameter_mm), _to_solid(vertices, faces, leaf)]
         area_mm2 += area
     solid = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add)
-    vertices, faces = solids.surface_of(solid)
+    vertices, faces = solids.to_surface(solid)
     lowest_mm = float(vertices[:, 2].min()) - scene.net_pot.top_mm
     if lowest_mm < 0.0:
         raise UserError(
@@ -149,12 +149,12 @@ def _blade(middle: Array, left: Array, right: Array, thickness_mm: float) -> tup
 
 
 def _tube(points_mm: Array, diameter_mm: float) -> manifold3d.Manifold:
-    return solids.manifold_of(*solids.tube(points_mm, np.full(len(points_mm), diameter_mm / 2.0), sides=solids.SIDES))
+    return solids.to_manifold(*solids.tube(points_mm, np.full(len(points_mm), diameter_mm / 2.0), sides=solids.SIDES))
 
 
-def _checked(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
+def _to_solid(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
     """Return a blade as a solid; raise UserError for an invalid description."""
-    solid = solids.manifold_of(vertices, faces)
+    solid = solids.to_manifold(vertices, faces)
     if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
         raise UserError(
             f"The blade of leaf {leaf + 1} does not form a solid; change shoot.thickness_mm, shoot.fold_deg or shoot.droop_deg."

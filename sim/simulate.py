@@ -14,17 +14,17 @@ from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_image, write_json
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import contents, held
+from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import save_truth
 from rhizotwin.sim.bands import scene_in_band
 from rhizotwin.sim.exposure import expose, mask_picture
-from rhizotwin.sim.render import Fidelity, Image, Renderer, checked_samples
+from rhizotwin.sim.render import Fidelity, Image, Renderer, check_samples
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
-from rhizotwin.sim.truth import truth_of, write_specimen
-from rhizotwin.sim.world import TrueCamera, World, as_given, draw_world
+from rhizotwin.sim.truth import build_truth, write_specimen
+from rhizotwin.sim.world import TrueCamera, World, draw_world, scene_for_reconstruction
 
 PROGRESS_FILE = "truth/simulate.json"
 """File with settings and finished frames, from which an interrupted simulation is resumed."""
@@ -76,7 +76,7 @@ def simulate(
     folder = Path(folder)
     if seed < 0:
         raise UserError(f"seed {seed} is negative; it must be 0 or a positive integer")
-    samples = checked_samples(fidelity, samples)
+    samples = check_samples(fidelity, samples)
     with (monitor := Monitor.of(monitor)).stage("specimen"):
         solid = build_specimen(scene, monitor=monitor)
     settings = {
@@ -88,14 +88,14 @@ def simulate(
         "variant": mi.variant(),
         "versions": versions(_VERSIONED),
     }
-    with held(folder):
-        done = _take_up(folder, settings)
+    with lock_folder(folder):
+        done = _load_progress(folder, settings)
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
         frames = _render_frames(folder, scene, world, solid, settings, done, monitor=monitor)
-        save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
+        save_truth(folder, build_truth(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
-        return save_dataset(Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin))
+        return save_dataset(Dataset(folder=folder, scene=scene_for_reconstruction(scene), frames=frames, seed=seed, origin=origin))
 
 
 def _render_frames(
@@ -112,7 +112,7 @@ def _render_frames(
     quality = scene.disturbances.jpeg_quality
     suffix = ".png" if quality is None else ".jpg"
     bands = ("", *(band.name for band in scene.camera.bands))
-    taken = [(view, band) for view in plan.views(scene, seed=world.seed) for band in plan.bands_of(scene, view.ring)]
+    taken = [(view, band) for view in plan.views(scene, seed=world.seed) for band in plan.ring_bands(scene, view.ring)]
     pictures = {plan.picture_name(view.index, band) + suffix: (view, band) for view, band in taken}
 
     def paths_of(name: str) -> tuple[Path, Path]:
@@ -160,10 +160,10 @@ def _render_frames(
 
 def _cameras(scene: Scene, world: World) -> list[TrueCamera]:
     """Return the camera of each picture, which is the same for one view in several bands."""
-    return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.bands_of(scene, view.ring)]
+    return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.ring_bands(scene, view.ring)]
 
 
-def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
+def _load_progress(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
     """Return the finished frames of an earlier run with the same settings, by name.
 
     Raise an error for a folder with other contents.
@@ -175,7 +175,7 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
             earlier, done = before["settings"], dict(before["frames"])
         except (ValueError, KeyError, TypeError, RecursionError):
             raise CannotContinueError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
-        different = _different(earlier, settings)
+        different = _name_differences(earlier, settings)
         if different:
             raise CannotContinueError(
                 f"{folder} contains a simulation made with another {', '.join(different)}: choose a new folder, or delete it to restart"
@@ -188,7 +188,7 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
     return {}
 
 
-def _different(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
+def _name_differences(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
     """Return the names of settings that differ, with both versions of a program or library."""
     named = []
     for key in sorted(settings):

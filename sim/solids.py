@@ -128,7 +128,7 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
     return [(points_mm[a : b + 1], radii_mm[a : b + 1]) for a, b in pairwise(cuts)]
 
 
-def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
+def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
     """Unite the tubes of roots, with all radii multiplied by ``scale``, into one solid.
 
     Parameters
@@ -143,7 +143,7 @@ def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monito
     tubes: list[manifold3d.Manifold] = []
     for root in roots:
         for points_mm, radii_mm in pieces(root):
-            tubes.append(manifold_of(*tube(points_mm, scale * radii_mm, sides=SIDES)))
+            tubes.append(to_manifold(*tube(points_mm, scale * radii_mm, sides=SIDES)))
     if not tubes:
         raise UserError("The specimen is empty: it has no root with a length.")
     if len(tubes) > MOST_AT_ONCE:
@@ -157,13 +157,13 @@ def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monito
     return manifold3d.Manifold.batch_boolean(tubes, manifold3d.OpType.Add)
 
 
-def manifold_of(vertices: Array, faces: Faces) -> manifold3d.Manifold:
+def to_manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
     """Convert a closed surface (V, 3) of triangles (F, 3) to manifold3d; the caller must check its ``status()``."""
     mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices, np.float64), tri_verts=np.ascontiguousarray(faces, np.uint64))
     return manifold3d.Manifold(mesh)
 
 
-def surface_of(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
+def to_surface(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
     """Return the vertices (V, 3) float64 in mm and faces (F, 3) int32 of a solid."""
     mesh = solid.to_mesh64()
     return np.array(mesh.vert_properties[:, :3], dtype=np.float64), np.array(mesh.tri_verts, dtype=np.int32)
@@ -185,7 +185,7 @@ def scale_to_volume(
     rounds : int
         Maximum number of unions.
     monitor : Monitor, optional
-        See `union_of_roots`.
+        See `unite_roots`.
 
     Returns
     -------
@@ -203,7 +203,7 @@ def scale_to_volume(
     previous: tuple[float, float] | None = None
     log_scale, slope = 0.0, 2.0
     for _ in range(rounds):
-        solid = union_of_roots(roots, scale=float(np.exp(log_scale)), monitor=monitor)
+        solid = unite_roots(roots, scale=float(np.exp(log_scale)), monitor=monitor)
         miss = float(np.log(solid.volume() / volume_mm3))
         if abs(miss) < tolerance:
             scale = float(np.exp(log_scale))

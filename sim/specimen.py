@@ -16,10 +16,10 @@ from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, RsmlFile, read_file
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
-from rhizotwin.scenes.traced_roots import close_gaps, once
+from rhizotwin.scenes.traced_roots import close_gaps, merge_shared_stretches
 from rhizotwin.scenes.traits import measure_traits
-from rhizotwin.sim import growth, meshes, placing, solids
-from rhizotwin.sim.placing import TOUCH_MM, check_in_water
+from rhizotwin.sim import growth, meshes, placement, solids
+from rhizotwin.sim.placement import TOUCH_MM, check_in_water
 from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
@@ -84,7 +84,7 @@ def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
     if not solid.roots:
         return None
     grown = [replace(root, diameters_mm=root.diameters_mm + 2.0 * hair_mm) for root in solid.roots]
-    vertices, faces = solids.surface_of(solids.union_of_roots(grown))
+    vertices, faces = solids.to_surface(solids.unite_roots(grown))
     return Sleeve(vertices=vertices, faces=faces)
 
 
@@ -111,16 +111,16 @@ def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor
         If a file is invalid, a volume cannot be reached, or the specimen is not inside the water.
     """
     if scene.plants:
-        parts = [_planted(plant, scene, folder, monitor) for plant in scene.plants]
+        parts = [_build_plant(plant, scene, folder, monitor) for plant in scene.plants]
         what = "the plants"
         solid = manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
     else:
         if scene.specimen is None:
             raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or use --specimen FILE")
-        parts = [_one(scene.specimen, scene, folder, monitor)]
+        parts = [_build_one(scene.specimen, scene, folder, monitor)]
         what, solid = parts[0].what, parts[0].solid
-    roots, notes = _together([part.roots for part in parts]), [note for part in parts for note in part.notes]
-    vertices, faces = solids.surface_of(solid)
+    roots, notes = _join_roots([part.roots for part in parts]), [note for part in parts for note in part.notes]
+    vertices, faces = solids.to_surface(solid)
     check_in_water(vertices, scene, what=what)
     hidden_mm = float(vertices[:, 2].max()) - scene.net_pot.grid_z_mm
     if hidden_mm > TOUCH_MM:
@@ -151,16 +151,16 @@ class _Part:
     notes: tuple[str, ...] = ()
 
 
-def _planted(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
+def _build_plant(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
     """Build one of several plants at its position."""
     specimen = plant.placed()
     if specimen is None:
         raise UserError(f"plant {plant.plant} of scene {scene.name!r} has no specimen: add a [plants.specimen] below its [[plants]]")
-    part = _one(specimen, scene, folder, monitor)
+    part = _build_one(specimen, scene, folder, monitor)
     return replace(part, what=f"plant {plant.plant}", roots=tuple(replace(root, plant=plant.plant) for root in part.roots))
 
 
-def _together(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
+def _join_roots(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
     """Return the roots of several specimens as one list, with parents as indices into it."""
     roots: list[Root] = []
     for part in parts:
@@ -171,14 +171,14 @@ def _together(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
 
 def _traits(solid: manifold3d.Manifold, roots: Sequence[Root]) -> dict[str, Any]:
     """Measure the traits of a solid and its roots, as a JSON object."""
-    vertices, _ = solids.surface_of(solid)
+    vertices, _ = solids.to_surface(solid)
     measured: dict[str, Any] = to_plain(
         measure_traits(roots, vertices, volume_mm3=float(solid.volume()), surface_mm2=float(solid.surface_area()))
     )
     return measured
 
 
-def _one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
+def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
     """Build one specimen."""
     if isinstance(specimen, SphereSpecimen):
         return _Part("the sphere", _sphere(specimen))
@@ -190,13 +190,13 @@ def _one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor
     what = str(path)
     if isinstance(specimen, MeshSpecimen):
         solid, notes = meshes.load_solid(path)
-        solid = _placed_mesh(solid, specimen, scene)
+        solid = _place_mesh(solid, specimen, scene)
         if _is_moved(specimen):
-            notes.append(f"{what}: {placing.said_size(solids.surface_of(solid)[0])} mm (x, y, z) after placement.")
+            notes.append(f"{what}: {placement.format_size(solids.to_surface(solid)[0])} mm (x, y, z) after placement.")
         return _Part(what, solid, (), tuple(notes))
-    roots, notes = _traced(path, specimen, scene)
-    solid = solids.union_of_roots(roots, monitor=monitor)
-    roots, shared_mm = once(roots)
+    roots, notes = _load_traced_roots(path, specimen, scene)
+    solid = solids.unite_roots(roots, monitor=monitor)
+    roots, shared_mm = merge_shared_stretches(roots)
     if shared_mm > 0.0:
         notes.append(f"{what}: {shared_mm:.0f} mm shared by several roots are counted once.")
     if (bodies := len(solid.decompose())) > 1:
@@ -208,27 +208,27 @@ def _is_moved(specimen: PlacedFile) -> bool:
     return specimen.place != "given" or specimen.flip or specimen.scale != 1.0 or any(specimen.shift_mm)
 
 
-def _placed_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
+def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
     """Place a mesh as specified."""
     if not _is_moved(specimen):
         return solid
-    vertices, faces = solids.surface_of(solid)
-    return solids.manifold_of(placing.find(specimen, vertices, scene).of(vertices), faces)
+    vertices, faces = solids.to_surface(solid)
+    return solids.to_manifold(placement.find_placement(specimen, vertices, scene).of(vertices), faces)
 
 
-def _traced(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
+def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
     """Read and place traced roots, with notes on their interpretation."""
     file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
     roots, closed = close_gaps(file)
     base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])
-    roots = placing.find(specimen, _reach(roots), scene, base_mm=base_mm).roots(roots)
+    roots = placement.find_placement(specimen, _reach(roots), scene, base_mm=base_mm).roots(roots)
     reach_mm = _reach(roots)
     check_in_water(reach_mm, scene, what=str(path))
     diameters_mm = np.concatenate([root.diameters_mm for root in roots])
     said = "unit given" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
     resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") and not specimen.unit else ""
     notes = [
-        f"{path}: {len(roots)} roots, {placing.said_size(reach_mm)} mm (x, y, z), "
+        f"{path}: {len(roots)} roots, {placement.format_size(reach_mm)} mm (x, y, z), "
         f"{diameters_mm.min():.2g} to {diameters_mm.max():.2g} mm thick; "
         f"one step of the file is {file.step_mm:.4g} mm ({said}{resolution})."
     ]
@@ -262,6 +262,6 @@ def _locate(file: str, folder: Path | None) -> Path:
 
 def _sphere(specimen: SphereSpecimen) -> manifold3d.Manifold:
     ball = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS, radius=1.0)
-    unit = solids.manifold_of(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32))
+    unit = solids.to_manifold(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32))
     grow = (4.0 / 3.0 * np.pi / unit.volume()) ** (1.0 / 3.0) * specimen.diameter_mm / 2.0
-    return solids.manifold_of(grow * np.asarray(ball.vertices) + np.array(specimen.centre_mm), np.asarray(ball.faces, dtype=np.int32))
+    return solids.to_manifold(grow * np.asarray(ball.vertices) + np.array(specimen.centre_mm), np.asarray(ball.faces, dtype=np.int32))

@@ -26,7 +26,7 @@ def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
         write_rsml(folder / "truth" / "skeleton.rsml", solid.roots)
 
 
-def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
+def build_truth(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
     """Return the truth of pictures, given by their files in the dataset and their true cameras.
 
     Parameters

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Canister, Disturbances, Scene
 from rhizotwin.sim.dirt import Bubble, Fibre, OuterDirt, Patch, draw_algae, draw_bubbles, draw_fibres, draw_outer_dirt
-from rhizotwin.sim.exposure import as_taken
+from rhizotwin.sim.exposure import stored_camera
 
 # One number per effect: the second key of its random stream.
 _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8
@@ -161,12 +161,12 @@ def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
     return k1, k2, p1, p2, k3
 
 
-def as_given(scene: Scene) -> Scene:
+def scene_for_reconstruction(scene: Scene) -> Scene:
     """Return the scene as known to the reconstruction.
 
     It contains the nominal rig, the calibrated lens and the positions of plants, but not the specimen.
     """
-    camera = replace(as_taken(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
+    camera = replace(stored_camera(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
     plants = tuple(replace(plant, specimen=None) for plant in scene.plants)
     return replace(scene, description="", camera=camera, specimen=None, plants=plants, shoot=None, disturbances=Disturbances())
 

@@ -14,7 +14,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named, marker_cells
 from rhizotwin.scenes.model import MarkerStrip
-from rhizotwin.scenes.picture_reduction import Picture, reduced
+from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 Bytes = NDArray[np.uint8]
 _ALIKE = 0.7, 1.4
@@ -127,7 +127,7 @@ def _search(
 
     The corners are in the full picture.
     """
-    small, scale = reduced(image)
+    small, scale = reduce_picture(image)
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
     foreign: dict[int, Array] = {}

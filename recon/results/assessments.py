@@ -35,18 +35,18 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     found = dict.fromkeys((d.field for d in DEFINITIONS), refused if is_assessed and not summary["volume_trusted"] else NOT_ASSESSED)
     if is_assessed:
         low, high = summary["volume_interval_mm3"] if volume_interval_mm3 is None else volume_interval_mm3
-        found["volume_mm3"] = _judged(summary["volume_trusted"], (low, high), reason)
+        found["volume_mm3"] = _assess_interval(summary["volume_trusted"], (low, high), reason)
     for one in () if volume_interval_mm3 is not None else summary.get("estimates") or ():
         low, high = one["interval"]
-        found[one["name"]] = _judged(one["trusted"], (low, high), one["verdict"])
-    found["specific_root_length_m_per_g"] = _derived(
+        found[one["name"]] = _assess_interval(one["trusted"], (low, high), one["verdict"])
+    found["specific_root_length_m_per_g"] = _derive(
         found["total_length_mm"], traits.total_length_mm, traits.specific_root_length_m_per_g, 1
     )
-    found["tissue_density_g_per_ml"] = _derived(found["volume_mm3"], traits.volume_mm3, traits.tissue_density_g_per_ml, -1)
+    found["tissue_density_g_per_ml"] = _derive(found["volume_mm3"], traits.volume_mm3, traits.tissue_density_g_per_ml, -1)
     return found
 
 
-def _judged(trusted: bool, interval: Pair, reason: str) -> Assessment:
+def _assess_interval(trusted: bool, interval: Pair, reason: str) -> Assessment:
     return Assessment(
         verdict="reliable" if trusted else "not reliable",
         interval=(float(interval[0]), float(interval[1])),
@@ -54,7 +54,7 @@ def _judged(trusted: bool, interval: Pair, reason: str) -> Assessment:
     )
 
 
-def _derived(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
+def _derive(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
     """Return the assessment of a trait that is the product of a known mass and a power of another trait."""
     if value is None or derived is None or base.interval is None or not base.interval[0] > 0.0:
         return replace(base, interval=None, verdict="not reliable" if base.verdict == "not reliable" else "not assessed")

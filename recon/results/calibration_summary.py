@@ -15,19 +15,19 @@ SWAY_AT_MM = 100.0
 """Depth at which a sway is stated, about that of a grown plant's tips."""
 
 
-def of_cameras(cameras: Cameras) -> Json:
+def summarize_cameras(cameras: Cameras) -> Json:
     """Return the parameters calibrated from all views as a JSON object, for the ``rig`` of a result.
 
     Empty if only given cameras were used.
     """
-    found = {} if cameras.markers is None else _of_markers(cameras.markers)
+    found = {} if cameras.markers is None else _summarize_markers(cameras.markers)
     if found or cameras.roots is not None:
-        found |= _of_roots(cameras, found.get("focal_scale", 1.0))
+        found |= _summarize_roots(cameras, found.get("focal_scale", 1.0))
     sways = np.array([view.sway[:2] for view in cameras.views])
     return found | {"sway_mm": SWAY_AT_MM * float(np.sqrt(np.square(sways).sum(axis=1).mean()))} if sways.any() else found
 
 
-def _of_markers(found: MarkerCalibration) -> Json:
+def _summarize_markers(found: MarkerCalibration) -> Json:
     """Return the parameters calibrated from markers and the canister's edges."""
     canister = found.canister
     return {
@@ -68,7 +68,7 @@ def _of_markers(found: MarkerCalibration) -> Json:
     }
 
 
-def _of_roots(cameras: Cameras, focal_scale: float) -> Json:
+def _summarize_roots(cameras: Cameras, focal_scale: float) -> Json:
     """Return the parameters calibrated from the roots; the index's sigma is None if roots were not used.
 
     ``focal_scale`` is that from the markers; cameras that were corrected by the roots have their own.

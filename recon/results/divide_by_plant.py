@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results import result_traits
-from rhizotwin.recon.results.by_plant import OfPlant, Pair
+from rhizotwin.recon.results.by_plant import Pair, PlantResult
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.scenes import rsml, tube_surface
@@ -32,7 +32,7 @@ class Shape:
     interval_mm3: Pair
 
 
-def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[OfPlant, ...]:
+def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[PlantResult, ...]:
     """Divide a shape among plants: every part is assigned to the plant with the nearest root surface.
 
     Parameters
@@ -69,17 +69,17 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
     found = []
     for k, name in enumerate(names):
         plant = next(one for one in plants if one.plant == name)
-        roots, faces = rsml.of_plant(planted.roots, name), triangles[face_of == k]
+        roots, faces = rsml.plant_roots(planted.roots, name), triangles[face_of == k]
         used = np.unique(faces)
         points = np.concatenate([vertices_mm[used], *(root.points_mm for root in roots)])
         found.append(
-            OfPlant(
+            PlantResult(
                 subject=plant.subject(whole),
                 at_mm=plant.at_mm,
                 volume_mm3=float(own[k]),
                 volume_interval_mm3=(float(low * (own[k] - loose[k])), float(high * (own[k] + loose.sum() - loose[k]))),
                 open_mm=rsml.length_mm(root for root in unsure if root.plant == name),
-                traits=result_traits.of_shape(
+                traits=result_traits.measure_shape(
                     Mesh(vertices_mm=vertices_mm[used], faces=np.searchsorted(used, faces)),
                     roots,
                     volume_mm3=float(own[k]),
@@ -91,7 +91,7 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
     return tuple(found)
 
 
-def warnings(planted: PlantedRoots, found: Sequence[OfPlant]) -> tuple[str, ...]:
+def warnings(planted: PlantedRoots, found: Sequence[PlantResult]) -> tuple[str, ...]:
     """Return warnings about plants that were not found, and about roots of uncertain assignment."""
     said = [f"no base of plant {name} was found near its place; its roots may be assigned to another plant" for name in planted.missing]
     total, open_mm = rsml.length_mm(planted.roots), sum(one.open_mm for one in found)

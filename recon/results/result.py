@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import assessments, result_traits
-from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
@@ -117,7 +117,7 @@ class Result:
     """Subject of the scan, from the dataset."""
     solution: Solution = field(default_factory=Solution)
     """Nutrient solution, from the dataset."""
-    plants: tuple[OfPlant, ...] = ()
+    plants: tuple[PlantResult, ...] = ()
     """Results for several plants in the canister, each with its part of the shape; empty for a single plant, or without
     roots."""
     strip: MarkerStrip | None = None
@@ -181,7 +181,7 @@ class Result:
     def measured(self) -> Traits:
         """Traits as numbers."""
         solid = self.solid
-        return result_traits.of_shape(
+        return result_traits.measure_shape(
             solid.surface,
             solid.roots,
             volume_mm3=solid.volume.mm3,
@@ -273,7 +273,7 @@ class Result:
             atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
             atomic.write_image(picture_path(folder / "seen", file), silhouette.usable.astype(np.uint8) * 255)
         summary = self.summary()
-        for name, text in result_traits.as_text(self.measured, summary, mass_g=self.mass_g).items():
+        for name, text in result_traits.trait_files(self.measured, summary, mass_g=self.mass_g).items():
             atomic.write_text(folder / name, text)
         summary["timings_s"] = self.timings_s | {"write": time.perf_counter() - begin}
         atomic.write_json(folder / "result.json", summary | {"traits": to_plain(self.measured)})

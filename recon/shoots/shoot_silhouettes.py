@@ -40,7 +40,7 @@ _INSIDE_PX = 2.5
 """Maximum distance from a pixel of the outline to the plant's interior: one pixel, or two across a corner."""
 
 
-def of_ring(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
+def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
     """Measure the coverage of each pixel by the shoot in the pictures of one ring.
 
     Parameters

@@ -44,17 +44,17 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
         disk = isinstance(error.__cause__, OSError) and error.__cause__.errno in OF_DISK
         state, sentence = "again" if disk else "failed", str(error)
     except MemoryError as error:
-        state, sentence = "again", formatting.failure(error)
+        state, sentence = "again", formatting.error_sentence(error)
     except OSError as error:
-        state, sentence = "again" if error.errno in OF_DISK else "failed", formatting.failure(error)
+        state, sentence = "again" if error.errno in OF_DISK else "failed", formatting.error_sentence(error)
     except Exception as error:  # one scan's fault must not end the others
         logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
-        state, sentence = "failed", formatting.failure(error)
+        state, sentence = "failed", formatting.error_sentence(error)
     outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=memory.peak_mib())
     try:
         note(job, outcome)
     except (OSError, UserError) as error:
-        outcome = Outcome(name=job.name, state="again", sentence=formatting.failure(error), seconds=outcome.seconds)
+        outcome = Outcome(name=job.name, state="again", sentence=formatting.error_sentence(error), seconds=outcome.seconds)
     return vars(outcome)
 
 

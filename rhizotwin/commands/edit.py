@@ -60,7 +60,7 @@ def edit(
             session.replay(made)
         with bar.stage("measure"):
             summary = corrected.write(session, output, dataset=dataset, last=lambda folder: page.write(folder, dataset=dataset))
-    print(f"{result_traits.edited(summary)}: {words.volume(summary)[0]}, in {output}")
+    print(f"{result_traits.describe_edits(summary)}: {words.volume(summary)[0]}, in {output}")
     if not summary["volume_trusted"]:
         print(f"warning: {summary['volume_verdict']}")
     print(f"next: rhizotwin view {output}")

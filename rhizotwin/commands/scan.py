@@ -16,7 +16,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:
-    from rhizotwin.rig.scanning.onlooker import Onlooker
+    from rhizotwin.rig.scanning.observer import Observer
     from rhizotwin.scenes.dataset import Dataset
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
@@ -122,14 +122,14 @@ def _take(
     progress: Progress,
 ) -> "Dataset":
     """Take the pictures, and write their truth where the twin renders them."""
-    from rhizotwin.rig.scanning.audience import Audience
+    from rhizotwin.rig.scanning.observers import Observers
     from rhizotwin.rig.scanning.scan import scan as take
 
     # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before,
     # too
     rendered = twin is not None and twin.fidelity == "render"
     with ExitStack() as stack:
-        onlooker = _onlooker(bench.scene, watching, stack)
+        observer = _observer(bench.scene, watching, stack)
         devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
         made = take(
@@ -140,10 +140,10 @@ def _take(
             settings={"twin": None if twin is None else _pictures(twin, bench.twin.scene)},
             seed=None if twin is None else twin.seed,
             table_angle_deg=options.table_angle_deg,
-            audience=Audience(
+            observers=Observers(
                 ask=rigs.asker(),
                 say=bar.say,
-                onlooker=onlooker,
+                observer=observer,
                 monitor=bar,
                 begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
             ),
@@ -154,12 +154,12 @@ def _take(
     return made
 
 
-def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
+def _observer(scene: Scene, watching: Watching, stack: ExitStack) -> "Observer":
     """Return who looks on: the live page, where it is asked for."""
     if not watching.watch:
-        from rhizotwin.rig.scanning.onlooker import Onlooker
+        from rhizotwin.rig.scanning.observer import Observer
 
-        return Onlooker()
+        return Observer()
     from rhizotwin.viewer import live_page
     from rhizotwin.viewer.live import Live
 

@@ -80,7 +80,7 @@ def write(
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
         logs.write(building / "corrected.json", session.log)
-        for name, text in result_traits.as_text(traits, summary, mass_g=summary.get("mass_g")).items():
+        for name, text in result_traits.trait_files(traits, summary, mass_g=summary.get("mass_g")).items():
             atomic.write_text(building / name, text)
         summary |= {"traits": to_plain(traits)}
         atomic.write_json(building / "result.json", summary)
@@ -156,7 +156,7 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
     Plants hang where the highest root of the result began: a result does not hold the net pot.
     """
     where = str(session.folder / "result.json")
-    known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.of_summary(session.summary, where)]
+    known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.from_summary(session.summary, where)]
     grid_z_mm = max((float(root.points_mm[:, 2].max()) for root in session.roots), default=0.0)
     planted = plants.check_assignment(session.state.roots(), known, grid_z_mm=grid_z_mm)
     if not planted.roots:
@@ -169,7 +169,7 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
         volume_mm3=float(summary["volume_mm3"]),
         interval_mm3=(float(low), float(high)),
     )
-    return planted.roots, [one.plain() for one in divide_by_plant.measure(shape, planted, known, subject.of_summary(summary, where))]
+    return planted.roots, [one.plain() for one in divide_by_plant.measure(shape, planted, known, subject.from_summary(summary, where))]
 
 
 def _voxels(measured: Measured) -> Leaves:

@@ -13,7 +13,7 @@ from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.experiment.measured import Measured, by_plant, left_out
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.trait_table import csv_text, written
+from rhizotwin.scenes.trait_table import csv_text, format_exact
 from rhizotwin.stored import result_files
 
 CURVES = ("total_length", "volume", "depth", "tips")
@@ -116,7 +116,7 @@ def _followed(days: Sequence[Measured]) -> Followed | None:
         if file is not None and file.is_file():
             roots = rsml.read_rsml(file)
             if len({root.plant for root in roots}) > 1:
-                roots = rsml.of_plant(roots, one.subject.plant)
+                roots = rsml.plant_roots(roots, one.subject.plant)
             known.append(Day(day=one.subject.day or 0.0, roots=roots))
     return follow(known) if len(known) > 1 else None
 
@@ -131,7 +131,7 @@ def neighbours_csv(growth: Growth) -> str:
         if one.folder is not None:
             scans.setdefault(one.folder, []).append(one)
     days = {folder: own[0].subject.day for folder, own in scans.items() if all(one.usable("total_length") for one in own)}
-    rows = [[written(day), *row] for folder, day in days.items() for row in neighbours.rows(result_files.read_neighbours(folder))]
+    rows = [[format_exact(day), *row] for folder, day in days.items() for row in neighbours.rows(result_files.read_neighbours(folder))]
     return csv_text([["day", *neighbours.HEAD], *rows]) if rows else ""
 
 
@@ -159,10 +159,10 @@ def traits_csv(growth: Growth) -> str:
         for plant, one in ((plant, one) for plant, days in growth.plants.items() for one in days if trait in one.traits):
             assessed, day = one.assessment(trait), one.subject.day or 0.0
             low, high = assessed.interval or (None, None)
-            numbers = [written(value) for value in (one.traits[trait], low, high)]
-            doses = [written(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]
+            numbers = [format_exact(value) for value in (one.traits[trait], low, high)]
+            doses = [format_exact(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]
             rows.append(
-                [plant, one.subject.treatment, f"{day:g}", trait, *numbers, assessed.verdict, written(rates.get((plant, day))), *doses]
+                [plant, one.subject.treatment, f"{day:g}", trait, *numbers, assessed.verdict, format_exact(rates.get((plant, day))), *doses]
             )
     return csv_text(rows)
 
@@ -180,7 +180,7 @@ def roots_csv(growth: Growth) -> str:
         for track in followed.tracks:
             rates = {end: rate for _, end, rate in track.rates_mm_per_day}
             for sight in track.sights:
-                numbers = [written(value) for value in (sight.length_mm, rates.get(sight.day), sight.diameter_mm)]
+                numbers = [format_exact(value) for value in (sight.length_mm, rates.get(sight.day), sight.diameter_mm)]
                 whose = [plant, track.name, track.parent, str(track.order), f"{track.emergence_day:.2f}", f"{sight.day:g}"]
                 rows.append([*whose, *numbers, verdicts[sight.day]])
     return csv_text(rows)
@@ -194,7 +194,7 @@ def treatments_csv(growth: Growth) -> str:
         for one in compared:
             numbers = (one.size, *one.size_interval, one.size_p, one.rate_per_day, one.rate_p)
             apart = "yes" if one.told_apart else "no"
-            rows.append([trait, one.treatment, one.against, *(written(value) for value in numbers), str(one.plants), apart])
+            rows.append([trait, one.treatment, one.against, *(format_exact(value) for value in numbers), str(one.plants), apart])
     return csv_text(rows)
 
 
@@ -205,7 +205,9 @@ def doses_csv(growth: Growth) -> str:
     for trait, responses in growth.responses.items():
         for one in responses:
             numbers = (*one.range_mmol, one.slope, *one.slope_interval, one.slope_p, one.rate, one.rate_p, one.curvature_p)
-            rows.append([trait, one.ion, " ".join(one.with_ions), *(written(value) for value in numbers), str(one.levels), str(one.plants)])
+            rows.append(
+                [trait, one.ion, " ".join(one.with_ions), *(format_exact(value) for value in numbers), str(one.levels), str(one.plants)]
+            )
     return csv_text(rows)
 
 

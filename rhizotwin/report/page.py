@@ -28,7 +28,7 @@ from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.formatting import between_ml, ml, rounded
+from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
@@ -80,11 +80,11 @@ class _Read:
 
     @property
     def subject(self) -> Subject:
-        return subject.of_summary(self.summary, str(self.folder / "result.json"))
+        return subject.from_summary(self.summary, str(self.folder / "result.json"))
 
     @property
     def solution(self) -> str:
-        return str(solution.of_summary(self.summary, str(self.folder / "result.json")))
+        return str(solution.from_summary(self.summary, str(self.folder / "result.json")))
 
 
 def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
@@ -115,14 +115,14 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     for place, one in enumerate(read):
         found, interval = words.volume(one.summary)
         state = {"good": "can be used", "fair": "can be used", "bad": "not reliable"}[words.light(one.summary)[0]]
-        length = rounded(one.traits.total_length_mm) if one.traits.total_length_mm else "-"
+        length = round_digits(one.traits.total_length_mm) if one.traits.total_length_mm else "-"
         if one.traits.total_length_mm and one.assessed["total_length_mm"].verdict != "reliable":
             length += f" ({one.assessed['total_length_mm'].verdict})"
         link = f'<a href="#result-{place}">{html.escape(one.folder.resolve().name)}</a>'
         whose = "".join(f"<td>{html.escape(subject.as_text(one.subject)[name])}</td>" for name in told)
         rows.append(
             f"<tr><td>{link}</td><td>{html.escape(one.name)}</td>{whose}<td class=number>{found}</td><td class=number>{interval}</td>"
-            f"<td>{state}</td><td class=number>{length}</td><td>{html.escape(result_traits.edited(one.summary))}</td></tr>"
+            f"<td>{state}</td><td class=number>{length}</td><td>{html.escape(result_traits.describe_edits(one.summary))}</td></tr>"
         )
     names = "".join(f"<th>{name}</th>" for name in ("result", "scene", *told, "volume", "90 % interval", "", "root length (mm)", "edits"))
     head = f"<tr>{names}</tr>"
@@ -170,7 +170,7 @@ def _head(read: _Read) -> str:
     described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
     headline, beside = words.headline(read.summary)
     state, meaning, told = words.light(read.summary)
-    edits = result_traits.edited(read.summary)
+    edits = result_traits.describe_edits(read.summary)
     hand = f"<p class=soft>Corrected by hand: {html.escape(edits)}.</p>" if edits else ""
     return (
         f"<h1>{html.escape(read.name)}</h1>{described}<p class=volume>{headline}</p><p>{beside}</p>{hand}"
@@ -273,13 +273,13 @@ def _plants(read: _Read) -> str:
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
 
     rows = []
-    for own in result_traits.each(str(read.folder / "result.json"), read.summary, read.traits):
+    for own in result_traits.traits_by_plant(str(read.folder / "result.json"), read.summary, read.traits):
         numbers = [
-            "not reliable" if own.assessed[field].verdict == "not reliable" else trait_table.shown(getattr(own.traits, field))
+            "not reliable" if own.assessed[field].verdict == "not reliable" else trait_table.format_number(getattr(own.traits, field))
             for field in ("total_length_mm", "tips", "depth_mm")
         ]
         volume, (low, high) = own.assessed["volume_mm3"], own.assessed["volume_mm3"].interval or (0.0, 0.0)
-        known = [f"{ml(own.traits.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high)]
+        known = [f"{ml(own.traits.volume_mm3, half_mm3=0.5 * (high - low))} ml", interval_ml(low, high)]
         rows.append([str(own.subject), *(known if volume.verdict == "reliable" else [volume.verdict, ""]), *numbers])
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
     verdict = read.assessed["total_length_mm"].verdict
@@ -331,9 +331,9 @@ def _sizes(summary: dict[str, Any]) -> list[tuple[str, str]]:
     clear = "none: the roots are opaque" if mu is None else f"{mu:.2f} per mm" + ("" if sigma is None else f" ± {sigma:.2f}")
     return [
         ("Root extent (x, y, z)", " x ".join(f"{extent:.1f}" for extent in extents) + " mm"),
-        ("Hull before trimming", f"{rounded(summary['hull_mm3'] / 1000.0)} ml"),
-        ("Part of the volume that is hull still", f"{rounded(summary['untrimmed_mm3'] / 1000.0)} ml"),
-        ("Water that too few views could see", f"{rounded(summary['blind_mm3'] / 1000.0)} ml"),
+        ("Hull before trimming", f"{round_digits(summary['hull_mm3'] / 1000.0)} ml"),
+        ("Part of the volume that is hull still", f"{round_digits(summary['untrimmed_mm3'] / 1000.0)} ml"),
+        ("Water that too few views could see", f"{round_digits(summary['blind_mm3'] / 1000.0)} ml"),
         ("Light that roots absorb on its way through them", clear),
         ("Views used", f"{sum(view['used'] for view in summary['views'])} of {len(summary['views'])}"),
         ("Computing time", f"{sum(summary['timings_s'].values()):.0f} s"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from rhizotwin.scenes.assessment import Assessment
-from rhizotwin.scenes.formatting import between_ml, ml, rounded
+from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.trait_table import Definition
 
 Light = Literal["good", "fair", "bad"]
@@ -100,9 +100,9 @@ def trait(definition: Definition, value: float | int | None) -> tuple[str, str, 
     if isinstance(value, int):
         return name, str(value), meaning
     if definition.field in _ML:
-        return name, f"{rounded(value / 1000.0)} ml", meaning
+        return name, f"{round_digits(value / 1000.0)} ml", meaning
     unit = {"mm2": "mm²", "deg": "degrees"}.get(definition.unit, definition.unit)
-    return name, f"{rounded(value)} {unit}".rstrip(), meaning
+    return name, f"{round_digits(value)} {unit}".rstrip(), meaning
 
 
 def interval(definition: Definition, assessed: Assessment) -> str:
@@ -111,11 +111,11 @@ def interval(definition: Definition, assessed: Assessment) -> str:
         return assessed.verdict
     low, high = assessed.interval
     if definition.field == "volume_mm3":
-        text = between_ml(low, high)
+        text = interval_ml(low, high)
     elif definition.field == "tips":
         text = f"{low:.0f} to {high:.0f}"
     else:
-        text = f"{rounded(low)} to {rounded(high)}"
+        text = f"{round_digits(low)} to {round_digits(high)}"
     return text if assessed.verdict == "reliable" else f"not reliable ({text})"
 
 
@@ -127,7 +127,7 @@ def roots_told(summary: dict[str, Any]) -> list[str]:
     parts = []
     for one in told:
         before, after = _SHORT[one["name"]]
-        numbers = [f"{value:.0f}" if one["name"] == "tips" else rounded(value) for value in (one["value"], *one["interval"])]
+        numbers = [f"{value:.0f}" if one["name"] == "tips" else round_digits(value) for value in (one["value"], *one["interval"])]
         parts.append(f"{before}{numbers[0]}{after} ({numbers[1]} to {numbers[2]}{'' if one['trusted'] else ', not reliable'})")
     verdicts = [one["verdict"] for one in told if not one["trusted"]] if summary["volume_trusted"] else []
     return [", ".join(parts), *verdicts[:1]]
@@ -158,7 +158,7 @@ def method(summary: dict[str, Any], *, roots: bool) -> str:
 
 def _reach(less_mm3: float, more_mm3: float) -> str:
     """Return how far a volume may be off to both sides."""
-    less, more = rounded(less_mm3 / 1000.0, 2), rounded(more_mm3 / 1000.0, 2)
+    less, more = round_digits(less_mm3 / 1000.0, 2), round_digits(more_mm3 / 1000.0, 2)
     if less_mm3 < LEAST_SHARE * more_mm3:
         return f"{more} ml larger"
     if more_mm3 < LEAST_SHARE * less_mm3:

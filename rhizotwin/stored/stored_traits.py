@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.recon.results.parts import Json, Mesh
-from rhizotwin.recon.results.result_traits import each, edited, of_shape
+from rhizotwin.recon.results.result_traits import describe_edits, measure_shape, traits_by_plant
 from rhizotwin.scenes import rsml, solution, subject, trait_table
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import Traits
@@ -43,7 +43,7 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
     Traits
         Of the whole pot.
     """
-    return of_shape(
+    return measure_shape(
         surface,
         roots,
         volume_mm3=float(summary["volume_mm3"]),
@@ -66,12 +66,12 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     """
     shoots = [shoot for _, summary, _ in rows if (shoot := of_shoot(summary))]
     above = [*trait_table.SHOOT, *(d for d in trait_table.COLOUR if any(d.field in shoot for shoot in shoots))] if shoots else []
-    found = [(name, summary, one) for name, summary, traits in rows for one in each(name, summary, traits)]
+    found = [(name, summary, one) for name, summary, traits in rows for one in traits_by_plant(name, summary, traits)]
     ranged = [d for d in trait_table.DEFINITIONS if any(one.assessed[d.field].interval is not None for _, _, one in found)]
     intervals = [f"{d.name}_{end}{f' ({d.unit})' if d.unit else ''}" for d in ranged for end in ("low", "high")]
     verdicts = [f"{d.name}_verdict" for d in trait_table.DEFINITIONS]
     headings = [d.heading for d in (*trait_table.DEFINITIONS, *above)]
-    ions = [solution.of_summary(summary, name).ions_mmol_per_l for name, summary, _ in found]
+    ions = [solution.from_summary(summary, name).ions_mmol_per_l for name, summary, _ in found]
     dissolved = solution.headings(ions)
     head = ["result", "scene", *subject.NAMES, *dissolved.values(), *headings, *intervals, *verdicts, "edits", "warnings"]
     table: list[Sequence[Any]] = [head]
@@ -80,10 +80,10 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
         shoot = trait_table.shoot_numbers(of_shoot(summary))
         values += [shoot.get(d.name) for d in above]
         values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
-        numbers = [trait_table.written(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
+        numbers = [trait_table.format_exact(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
         judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]
         warnings = "; ".join(str(warning) for warning in summary["warnings"])
-        table.append([name, summary["scene"], *subject.as_text(one.subject).values(), *numbers, *judged, edited(summary), warnings])
+        table.append([name, summary["scene"], *subject.as_text(one.subject).values(), *numbers, *judged, describe_edits(summary), warnings])
     return trait_table.csv_text(table)
 
 

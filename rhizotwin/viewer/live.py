@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.rig.scanning.onlooker import Look, Onlooker
+from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.viewer.sketch import Sketch
@@ -27,7 +27,7 @@ FRUSTUM_PX = 90
 """Width of the pictures that stay with their cameras."""
 
 
-class Live(Onlooker):
+class Live(Observer):
     """Looks on at a scan for the browsers.
 
     Parameters

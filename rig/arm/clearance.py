@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.rig.arm.kinematics import places, rig_from_arm
-from rhizotwin.rig.arm.placing import Joints, arm_of
-from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rhizotwin.rig.arm.placement import Joints, require_arm
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, minimum_distance, point_to_segment
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes import frames
@@ -89,7 +89,7 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     Pairs
         Distances of every pair, and their names.
     """
-    part, clearance = arm_of(rig), rig.clearance
+    part, clearance = require_arm(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
     _, upper, fore, hand = part.links_mm
     width, sphere = clearance.arm_radius_mm, clearance.camera_radius_mm
@@ -103,7 +103,7 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     )
     names, distances, margins, travels, floor = [], [], [], [], []
     for solid in solids(rig, scene):
-        axis_mm = least_distance(solid, at[:, [0, 1, 2, 3, 4]], at[:, [1, 2, 3, 4, 4]])
+        axis_mm = minimum_distance(solid, at[:, [0, 1, 2, 3, 4]], at[:, [1, 2, 3, 4, 4]])
         for k, (piece, radius, travel) in enumerate(pieces):
             if piece == "base" and not isinstance(solid, Cylinder):
                 continue
@@ -198,7 +198,7 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
 
 def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
     """Return paths through the parking position, and with a retracted or raised arm while the base rotates."""
-    part = arm_of(rig)
+    part = require_arm(rig)
     rest = tuple(part.park_deg)
     found: list[list[Joints]] = [[rest]]
     for shape in (rest[1:4], (0.0, 0.0, 0.0)):

@@ -47,7 +47,7 @@ class Branches:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class NewtonSolution:
     """Solutions of Newton's method."""
 
     joints_rad: Array
@@ -133,12 +133,12 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
             pitch = three_link((l1, l2, l3), at[..., 2] - base, out, lean, elbow=elbow)
             answers.append(np.concatenate([base_rad[..., None], pitch, roll[..., None]], axis=-1))
     joints = np.stack(answers, axis=-2)
-    joints = np.where(np.isnan(joints).any(axis=-1, keepdims=True), np.nan, _wrapped(joints))
+    joints = np.where(np.isnan(joints).any(axis=-1, keepdims=True), np.nan, _wrap_angle(joints))
     wrist = at - l3 * ahead - np.array([0.0, 0.0, base])
     return Branches(joints_rad=joints, left_over_rad=left_over, wrist_mm=np.linalg.norm(wrist, axis=-1))
 
 
-def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
+def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> NewtonSolution:
     """Compute joint angles iteratively by the pseudo-inverse of the body Jacobian.
 
     Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
@@ -158,7 +158,7 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
     Returns
     -------
-    Found
+    NewtonSolution
         Joint angles and remaining errors.
     """
     shape = arm_from_cam.shape[:-2]
@@ -176,8 +176,8 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
         jacobian = body_jacobian(part, joints)
         wanted = goal[running]
         if arm_from_axis is not None:
-            wanted = _turned(arm_from_axis, unknowns[running, 5]) @ wanted
-            jacobian = np.concatenate([jacobian, -_turning(arm_from_axis, camera)[..., None]], axis=-1)
+            wanted = _rotation_about_axis(arm_from_axis, unknowns[running, 5]) @ wanted
+            jacobian = np.concatenate([jacobian, -_twist_about_axis(arm_from_axis, camera)[..., None]], axis=-1)
         twist = log_se3(np.linalg.inv(camera) @ wanted)
         left[running], steps[running] = twist, step
         there = (np.linalg.norm(twist[:, :3], axis=1) < CLOSE_MM) & (np.linalg.norm(twist[:, 3:], axis=1) < CLOSE_RAD)
@@ -188,12 +188,12 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
         if not len(running) or step == MOST_STEPS:
             break
         unknowns[running] += move
-    return Found(
-        joints_rad=_wrapped(unknowns[:, :5]).reshape(*shape, 5),
+    return NewtonSolution(
+        joints_rad=_wrap_angle(unknowns[:, :5]).reshape(*shape, 5),
         steps=steps.reshape(shape),
         converged=converged.reshape(shape),
         left_over=left.reshape(*shape, 6),
-        turned_rad=(np.zeros(count) if arm_from_axis is None else _wrapped(unknowns[:, 5])).reshape(shape),
+        turned_rad=(np.zeros(count) if arm_from_axis is None else _wrap_angle(unknowns[:, 5])).reshape(shape),
     )
 
 
@@ -230,7 +230,7 @@ def _step(jacobian: Array, twist: Array) -> Array:
     return np.linalg.solve(normal, transposed @ twist[..., None])[..., 0]
 
 
-def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
+def _rotation_about_axis(arm_from_axis: Array, angle_rad: Array) -> Array:
     """Return the rotations (N, 4, 4) of the arm's space about the axis."""
     turn = np.zeros((len(angle_rad), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
@@ -240,13 +240,13 @@ def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
     return arm_from_axis @ turn @ np.linalg.inv(arm_from_axis)
 
 
-def _turning(arm_from_axis: Array, camera: Array) -> Array:
+def _twist_about_axis(arm_from_axis: Array, camera: Array) -> Array:
     """Return the twist (N, 6), in the camera's frame, of a camera that rotates about the axis."""
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)
 
 
-def _wrapped(angle_rad: Array) -> Array:
+def _wrap_angle(angle_rad: Array) -> Array:
     """Return angles within -pi to pi."""
     return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))

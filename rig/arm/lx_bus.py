@@ -127,7 +127,7 @@ class LxBus:
         # The manual does not state whether a waiting move is reported here. If no servo reports it, the arm verifies
         # their positions.
         if len(late) < len(orders):
-            raise NoAnswerError(f"arm: {_named(late)} did not start with the others; check the bus cable")
+            raise NoAnswerError(f"arm: {_servo_names(late)} did not start with the others; check the bus cable")
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
         """Read signed positions."""
@@ -211,5 +211,5 @@ def _silence(servo: int, request: bytes, heard: bytes, *, echo: bool | None) -> 
     return NoAnswerError(f"arm: servo {servo} does not answer; check the servos' supply, the bus cable and the servo's number")
 
 
-def _named(servos: Collection[int]) -> str:
+def _servo_names(servos: Collection[int]) -> str:
     return ("servo " if len(servos) == 1 else "servos ") + ", ".join(str(servo) for servo in servos)

@@ -39,7 +39,7 @@ class Cylinder:
         """Return the signed distance (...) of points (..., 3)."""
         z = points_mm[..., 2]
         beside = np.hypot(points_mm[..., 0], points_mm[..., 1]) - self.radius_mm
-        return _joined(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
+        return _intersection_distance(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Box:
 
     def distance_mm(self, points_mm: Array) -> Array:
         """Return the signed distance (...) of points (..., 3)."""
-        return _joined(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
+        return _intersection_distance(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Floor:
         return points_mm[..., 2] - self.z_mm
 
 
-def least_distance(solid: Solid, begin: Array, end: Array) -> Array:
+def minimum_distance(solid: Solid, begin: Array, end: Array) -> Array:
     """Return the minimum signed distance (...,) of segments (..., 3) to a convex solid, by golden-section search.
 
     Parameters
@@ -120,7 +120,7 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
     return np.linalg.norm(point - begin - t[..., None] * along, axis=-1)
 
 
-def _joined(outside_mm: Array) -> Array:
+def _intersection_distance(outside_mm: Array) -> Array:
     """Return the signed distance to the intersection of slabs at right angles.
 
     It follows from the distances (..., k) to each slab.

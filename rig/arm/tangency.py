@@ -6,7 +6,7 @@ equations solvable with five joints; the arm alone would leave an angular error.
 
 import numpy as np
 
-from rhizotwin.rig.arm.inverse import Found, newton
+from rhizotwin.rig.arm.inverse import NewtonSolution, newton
 from rhizotwin.rig.arm.kinematics import forward
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
@@ -32,7 +32,7 @@ def azimuth_rad(cam_from_rig: Array) -> float:
     return float(np.arctan2(centre[1], centre[0]))
 
 
-def tangent(cam_from_rig: Array) -> Array:
+def tangent_pose(cam_from_rig: Array) -> Array:
     """Return the target pose of the thesis's correction.
 
     It has the same distance, height and azimuth, but is level, upright and faces the axis.
@@ -49,10 +49,10 @@ def tangent(cam_from_rig: Array) -> Array:
     """
     centre = frames.invert(cam_from_rig)[:3, 3]
     level = frames.level_camera(distance_mm=float(np.hypot(centre[0], centre[1])), height_mm=float(centre[2]), tilt_deg=0.0)
-    return turned_to(level, cam_from_rig)
+    return rotate_to_azimuth(level, cam_from_rig)
 
 
-def turned_to(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
+def rotate_to_azimuth(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
     """Return a pose rotated about the table's axis to the azimuth of another one.
 
     Parameters
@@ -70,7 +70,7 @@ def turned_to(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
     return cam_from_rig @ frames.rotation_z(azimuth_rad(cam_from_rig) - azimuth_rad(like_cam_from_rig))
 
 
-def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_from_rig_wanted: Array) -> Found:
+def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_from_rig_wanted: Array) -> NewtonSolution:
     """Compute the joint angles that move the camera from its measured to its target pose, at any azimuth.
 
     The camera has to move by ``measured @ inv(wanted)`` in its own frame (the thesis's change of configuration),
@@ -90,10 +90,10 @@ def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_
 
     Returns
     -------
-    Found
+    NewtonSolution
         Joint angles and remaining errors.
     """
     believed = forward(part.links_mm, joints_rad)
     arm_from_rig = believed @ cam_from_rig_measured
-    target = arm_from_rig @ frames.invert(turned_to(cam_from_rig_wanted, cam_from_rig_measured))
+    target = arm_from_rig @ frames.invert(rotate_to_azimuth(cam_from_rig_wanted, cam_from_rig_measured))
     return newton(part, target, joints_rad, arm_from_axis=arm_from_rig)

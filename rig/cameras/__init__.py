@@ -2,7 +2,7 @@
 
 from rhizotwin.rig.cameras.http import HttpCamera
 from rhizotwin.rig.cameras.pi import PiCamera
-from rhizotwin.rig.cameras.settings import CameraSettings, settings_of
+from rhizotwin.rig.cameras.settings import CameraSettings, combine_settings
 from rhizotwin.rig.cameras.v4l2 import V4l2Camera
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import Camera
@@ -31,7 +31,7 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
     RigError
         If the address is invalid for this kind, or picamera2 is missing.
     """
-    settings = settings_of(part, image_wh=image_wh, bits=bits)
+    settings = combine_settings(part, image_wh=image_wh, bits=bits)
     if part.kind == "http":
         return HttpCamera(part.address, settings, clock=clock)
     return local_camera(part, settings)

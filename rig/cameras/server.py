@@ -14,7 +14,7 @@ from contextlib import suppress
 from rhizotwin.rig.cameras import local_camera, protocol
 from rhizotwin.rig.cameras.requests import RequestServer
 from rhizotwin.rig.cameras.service import CameraService
-from rhizotwin.rig.cameras.settings import CameraSettings, settings_of
+from rhizotwin.rig.cameras.settings import CameraSettings, combine_settings
 from rhizotwin.rig.devices import Camera
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart
@@ -53,7 +53,7 @@ def serve_camera(
     """
     if part.kind == "http":
         raise RigError("camera: kind is http in this rig file, but a served camera must be at this computer; set kind to picamera2 or v4l2")
-    camera = local_camera(part, settings_of(part, image_wh=image_wh, bits=bits))
+    camera = local_camera(part, combine_settings(part, image_wh=image_wh, bits=bits))
     server = CameraServer(camera, host=host, port=port, reopen=lambda settings: local_camera(part, settings), say=say)
     try:
         say(f"{camera.describe()}; serving it at {server.url}, Ctrl-C stops")

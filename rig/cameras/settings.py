@@ -21,7 +21,7 @@ class CameraSettings:
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
 
 
-def settings_of(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
+def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
     """Combine the camera settings of the rig file with size and bit depth of the scene's camera.
 
     Parameters

@@ -11,7 +11,7 @@ from rhizotwin.rig.lens.saddle_fit import Saddle, fit_saddle
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named
-from rhizotwin.scenes.picture_reduction import Picture, reduced
+from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
@@ -102,7 +102,7 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
     """Return ids (N,) and approximate corners (N, 2) in the full picture, and the number of detected markers."""
-    small, scale = reduced(image)
+    small, scale = reduce_picture(image)
     parameters = cv2.aruco.CharucoParameters()
     parameters.minMarkers = 1  # one marker beside a corner identifies it; corners are measured later
     detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)

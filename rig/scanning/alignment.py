@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.rig.arm.kinematics import forward
-from rhizotwin.rig.arm.placing import Joints
+from rhizotwin.rig.arm.placement import Joints
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.rig.arm.clearance import check_path, plan_path
-from rhizotwin.rig.arm.placing import camera_wanted, corrected_joints, joints_for, within_limits
+from rhizotwin.rig.arm.placement import check_limits, compute_joints, correct_joints, planned_camera_pose
 from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Arm, Shot
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.rig.scanning.eye import Eye
 from rhizotwin.rig.scanning.markers import Sighting
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Ring, Scene
@@ -45,7 +45,7 @@ Joints = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed:
+class ArmPlacement:
     """Position of the arm for a ring."""
 
     joints_deg: Joints
@@ -57,15 +57,17 @@ class Placed:
 class ArmStand:
     """The arm as the camera's stand."""
 
-    def __init__(self, devices: Devices, arm: Arm, part: ArmPart, scene: Scene, eye: Eye, *, note: Callable[[str, str], None]) -> None:
+    def __init__(
+        self, devices: Devices, arm: Arm, part: ArmPart, scene: Scene, camera: ScanCamera, *, note: Callable[[str, str], None]
+    ) -> None:
         self._rig = devices.rig
         self._clock = devices.clock
         self._arm = arm
         self._part = part
         self._scene = scene
-        self._eye = eye
+        self._camera = camera
         self._note = note
-        self._placed: Placed | None = None
+        self._placed: ArmPlacement | None = None
         self._health_due_s = -np.inf
         self.failed = False
         """Whether the arm itself failed, so that it must not be moved."""
@@ -74,33 +76,33 @@ class ArmStand:
         """Reject a plan with a ring that the arm cannot reach on a clear path, before any motion."""
         at: Joints = self._part.park_deg
         for ring in rings:
-            goal = joints_for(self._rig, camera_wanted(ring))
+            goal = compute_joints(self._rig, planned_camera_pose(ring))
             plan_path(self._rig, self._scene, at, goal)
             at = goal
         plan_path(self._rig, self._scene, at, self._part.park_deg)
 
     def place(self, ring: Ring) -> None:
         """Move the camera to the position of a ring, according to the joints."""
-        goal = joints_for(self._rig, camera_wanted(ring))
+        goal = compute_joints(self._rig, planned_camera_pose(ring))
         with self._watched():
             start = self._arm.read_joints()
         self._move(plan_path(self._rig, self._scene, start, goal))
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
         """Take a picture; if the strip should be in it but is not, tilt the camera up and down until it is."""
-        shot, seen = self._eye.look()
-        expected = visible_markers(self._scene, camera_wanted(ring))
+        shot, seen = self._camera.look()
+        expected = visible_markers(self._scene, planned_camera_pose(ring))
         if seen is not None or self._placed is None or not self._part.correct or expected < LEAST_EXPECTED:
             return shot, seen
         placed = self._placed
         for tilt_deg in SEARCH_DEG:
             goal = (*placed.joints_deg[:WRIST], placed.joints_deg[WRIST] + tilt_deg, *placed.joints_deg[WRIST + 1 :])
             if self._moved_checked(goal):
-                shot, seen = self._eye.look()
+                shot, seen = self._camera.look()
                 if seen is not None:
                     return shot, seen
         self._moved_checked(placed.joints_deg)
-        return self._eye.look()
+        return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
         """Correct the camera's position by the detected strip.
@@ -124,7 +126,7 @@ class ArmStand:
         UnsafeError
             If the camera is so far from the position according to the joints that the rig file must be wrong.
         """
-        wanted = camera_wanted(ring)
+        wanted = planned_camera_pose(ring)
         done = 0
         while seen is not None:
             measured = seen.cam_from_rig(angle_deg(), direction=self._scene.turntable.direction)
@@ -185,7 +187,7 @@ class ArmStand:
         if self._placed is None:
             return False
         try:
-            goal = corrected_joints(self._rig, self._placed.joints_deg, measured, wanted)
+            goal = correct_joints(self._rig, self._placed.joints_deg, measured, wanted)
         except UnsafeError as error:
             self._note("placed", f"{error}; the camera is not moved")
             return False
@@ -198,7 +200,7 @@ class ArmStand:
         """Move directly to a nearby configuration; return False, without motion, if the path is not clear."""
         try:
             here = self._placed.joints_read_deg if self._placed is not None else self._arm.read_joints()
-            within_limits(self._part, goal)
+            check_limits(self._part, goal)
             check_path(self._rig, self._scene, [here, goal])
         except UnsafeError as error:
             self._note("placed", f"{error}; the camera is not moved")
@@ -212,7 +214,7 @@ class ArmStand:
             for joints_deg in path:
                 read = self._arm.move_to(joints_deg)
         self._clock.sleep(self._part.settle_s)
-        self._placed = Placed(joints_deg=tuple(path[-1]), joints_read_deg=tuple(read))
+        self._placed = ArmPlacement(joints_deg=tuple(path[-1]), joints_read_deg=tuple(read))
 
     @contextmanager
     def _watched(self) -> Iterator[None]:

@@ -42,7 +42,7 @@ def facing_angle(seen: Sighting, scene: Scene) -> float:
 
     It is 0 with the seam toward the camera.
     """
-    return wrapped(-scene.turntable.direction * seen.azimuth_deg)
+    return wrap_angle(-scene.turntable.direction * seen.azimuth_deg)
 
 
 def angle_against(cam_from_canister: Array, references: Sequence[Reference], scene: Scene) -> float:
@@ -69,7 +69,7 @@ def angle_against(cam_from_canister: Array, references: Sequence[Reference], sce
     canister_from_cam = frames.invert(cam_from_canister)
     direction = scene.turntable.direction
     angles = [reference.table_deg - direction * _turn_deg(canister_from_cam @ reference.cam_from_canister) for reference in references]
-    return angles[0] + float(np.median([wrapped(angle - angles[0]) for angle in angles]))
+    return angles[0] + float(np.median([wrap_angle(angle - angles[0]) for angle in angles]))
 
 
 def find_angle(
@@ -115,29 +115,29 @@ def find_angle(
     """
     if seen is not None:
         angle = angle_against(seen.cam_from_canister, references, scene) if references else facing_angle(seen, scene)
-        if given_deg is not None and abs(wrapped(angle - given_deg)) > DISAGREE_DEG:
+        if given_deg is not None and abs(wrap_angle(angle - given_deg)) > DISAGREE_DEG:
             raise RigError(
                 f"turntable: was declared to be at {given_deg:g} deg, but the markers show {angle % 360.0:.1f} deg; omit --table-angle"
             )
-        return Angle(table_deg=turns_near(angle, near_deg), source=f"{seen.markers} markers")
+        return Angle(table_deg=nearest_turn(angle, near_deg), source=f"{seen.markers} markers")
     if given_deg is not None:
-        return Angle(table_deg=turns_near(given_deg, near_deg), source="as given")
+        return Angle(table_deg=nearest_turn(given_deg, near_deg), source="as given")
     if ask is None:
         raise RigError(
             f"turntable: its angle is not known, and {why}; light and focus the strip, or run it on a terminal, "
             "or give --table-angle DEG (0: the strip's seam faces the camera)"
         )
-    answer = _asked_deg(ask, why)
-    return Angle(table_deg=turns_near(answer, near_deg), source="given by the operator")
+    answer = _ask_angle(ask, why)
+    return Angle(table_deg=nearest_turn(answer, near_deg), source="given by the operator")
 
 
-def turns_near(angle_deg: float, near_deg: float) -> float:
+def nearest_turn(angle_deg: float, near_deg: float) -> float:
     """Return the angle nearest to another one, of those that differ by full turns and are in the turntable's range."""
     turns = [angle_deg % 360.0 + 360.0 * k for k in range(-1, 3)]
     return min((turn for turn in turns if LEAST_DEG <= turn <= MOST_DEG), key=lambda turn: abs(turn - near_deg))
 
 
-def wrapped(angle_deg: float) -> float:
+def wrap_angle(angle_deg: float) -> float:
     """Return an angle between -180 (included) and 180 (not)."""
     return (angle_deg + 180.0) % 360.0 - 180.0
 
@@ -148,7 +148,7 @@ def _turn_deg(a_from_b: Array) -> float:
     return float(np.rad2deg(2.0 * np.arctan2(z, w)))
 
 
-def _asked_deg(ask: Ask, why: str) -> float:
+def _ask_angle(ask: Ask, why: str) -> float:
     question = f"The table's angle is not known: {why}. Type its angle in degrees (0: the strip's seam faces the camera): "
     while True:
         answer = ask(question).strip()

@@ -59,7 +59,7 @@ def read_strip(image: Grey, scene: Scene) -> Sighting | None:
     return found if isinstance(found, Sighting) else None
 
 
-def why_unread(image: Grey, scene: Scene) -> str:
+def unread_reason(image: Grey, scene: Scene) -> str:
     """Return the reason why the strip in a picture cannot be read; empty if it can."""
     found = _read(image, scene)
     return found if isinstance(found, str) else ""

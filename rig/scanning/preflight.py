@@ -9,7 +9,7 @@ import numpy as np
 from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import LightsPart
-from rhizotwin.rig.scanning.markers import read_strip, why_unread
+from rhizotwin.rig.scanning.markers import read_strip, unread_reason
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera as Lens
 from rhizotwin.scenes.model import Scene
@@ -36,7 +36,7 @@ class Exposure:
     """Fraction of the pixels at full scale."""
 
 
-def exposure_of(image: Grey) -> Exposure:
+def measure_exposure(image: Grey) -> Exposure:
     """Measure the exposure of a picture from every third pixel of every third row."""
     sample = image[1::3, 1::3]
     full = np.iinfo(image.dtype).max
@@ -84,7 +84,7 @@ def check_size(image: Grey, lens: Lens) -> None:
 def check_picture(image: Grey, lens: Lens) -> str:
     """Check size and exposure of a picture with the lights on."""
     check_size(image, lens)
-    found = exposure_of(image)
+    found = measure_exposure(image)
     if found.bright < DIMMEST:
         raise RigError(
             f"camera: the picture is too dark: the panel reaches {100.0 * found.bright:.0f} % of full scale, at least "
@@ -102,7 +102,7 @@ def check_markers(image: Grey, scene: Scene) -> str:
     """Return a description of the detected strip in a picture."""
     seen = read_strip(image, scene)
     if seen is None:
-        raise RigError(f"markers: {why_unread(image, scene)}")
+        raise RigError(f"markers: {unread_reason(image, scene)}")
     return f"{seen.markers} read, {seen.reprojection_px:.2f} px error"
 
 

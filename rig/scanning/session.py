@@ -156,13 +156,13 @@ class Session:
         return replace(self._dataset, frames=tuple(frame for frame in found if frame is not None))
 
     def _files_of(self, view: View) -> list[str]:
-        return [file_of(view, band) for band in plan.bands_of(self._dataset.scene, view.ring)]
+        return [picture_file(view, band) for band in plan.ring_bands(self._dataset.scene, view.ring)]
 
     def _is_main(self, frame: Frame) -> bool:
         return frame.band == plan.main_band(self._dataset.scene, frame.ring)
 
 
-def _stopped(folder: Path, resume: bool) -> Dataset:
+def _load_stopped(folder: Path, resume: bool) -> Dataset:
     """Return the dataset of a stopped scan in a folder; raise an error unless it is to be resumed."""
     before = load_dataset(folder)
     if before.origin.get("program") != PROGRAM:
@@ -174,7 +174,7 @@ def _stopped(folder: Path, resume: bool) -> Dataset:
     return before
 
 
-def take_up(
+def open_session(
     folder: Path,
     scene: Scene,
     planned: Sequence[View],
@@ -189,7 +189,8 @@ def take_up(
     Parameters
     ----------
     folder : path
-        New or empty folder, or with ``resume`` that of a stopped scan; locked by the caller (`scenes.folders.held`).
+        New or empty folder, or with ``resume`` that of a stopped scan. The caller must lock it with
+        `scenes.folders.lock_folder`.
     scene : Scene
         Scene of the scan; the dataset does not include its specimen.
     planned : sequence of View
@@ -224,22 +225,22 @@ def take_up(
         if any(path.is_file() for path in inside):
             raise UserError(f"{folder} is not empty and contains no stopped scan: choose a new folder for the dataset")
         return Session(new, planned)
-    before = _stopped(folder, resume)
-    _refuse_differences(before, new)
-    kept = tuple(frame for frame in before.frames if _is_whole(folder, frame))
-    strange = {frame.file for frame in kept} - {file_of(view, band) for view in planned for band in plan.bands_of(known, view.ring)}
+    before = _load_stopped(folder, resume)
+    _check_differences(before, new)
+    kept = tuple(frame for frame in before.frames if _is_complete(folder, frame))
+    strange = {frame.file for frame in kept} - {picture_file(view, band) for view in planned for band in plan.ring_bands(known, view.ring)}
     if strange:
         raise UserError(f"{folder} contains {sorted(strange)[0]}, which is not part of the plan: choose a new folder for the scan")
-    complete = bool(before.origin.get("complete")) and len(kept) == sum(len(plan.bands_of(known, view.ring)) for view in planned)
+    complete = bool(before.origin.get("complete")) and len(kept) == sum(len(plan.ring_bands(known, view.ring)) for view in planned)
     return Session(replace(before, frames=kept, origin={**origin, **before.origin, "rig": origin["rig"], "complete": complete}), planned)
 
 
-def file_of(view: View, band: str = "") -> str:
+def picture_file(view: View, band: str = "") -> str:
     """Return the path of a view's picture in the dataset."""
     return f"images/{plan.picture_name(view.index, band)}.png"
 
 
-def _is_whole(folder: Path, frame: Frame) -> bool:
+def _is_complete(folder: Path, frame: Frame) -> bool:
     """Return whether a listed frame's picture exists; raise an error if it differs from the recorded one."""
     path = folder / frame.file
     if not path.is_file():
@@ -249,7 +250,7 @@ def _is_whole(folder: Path, frame: Frame) -> bool:
     return True
 
 
-def _refuse_differences(before: Dataset, now: Dataset) -> None:
+def _check_differences(before: Dataset, now: Dataset) -> None:
     """Raise an error if scene, plan, rig or settings of a resumed scan differ from those at its beginning."""
     found = _differences(to_plain(before.scene), to_plain(now.scene), ())
     found = [("scene", *path) for path in found if path not in (("name",), ("description",))]

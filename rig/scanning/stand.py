@@ -5,12 +5,12 @@ from typing import Protocol
 
 import numpy as np
 
-from rhizotwin.rig.arm.placing import place_of
+from rhizotwin.rig.arm.placement import camera_position
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
-from rhizotwin.rig.scanning.eye import Eye
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.markers import Sighting
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.scenes.model import Ring, Scene
 
 FAR_MM, FAR_DEG = 40.0, 5.0
@@ -56,9 +56,9 @@ class Stand(Protocol):
 class Tripod:
     """A tripod moved by the user: for the first ring before the scan, for each further ring when asked."""
 
-    def __init__(self, scene: Scene, eye: Eye, *, ask: Ask | None, note: Callable[[str, str], None]) -> None:
+    def __init__(self, scene: Scene, camera: ScanCamera, *, ask: Ask | None, note: Callable[[str, str], None]) -> None:
         self._scene = scene
-        self._eye = eye
+        self._camera = camera
         self._ask = ask
         self._note = note
         self.failed = False
@@ -78,11 +78,11 @@ class Tripod:
         if self._ask is None:
             self.refuse([ring])
             return
-        self._ask(f"Move the camera: {described(ring)}. Press Enter when done: ")
+        self._ask(f"Move the camera: {describe_ring(ring)}. Press Enter when done: ")
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002
         """Take a picture and detect the strip in it."""
-        return self._eye.look()
+        return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
         """Report the camera's position, and ask for another attempt if it is far from the plan.
@@ -106,24 +106,24 @@ class Tripod:
                 self._note("placed", "camera: its position is unknown: the strip cannot be read from there")
                 return None
             cam_from_rig = seen.cam_from_rig(angle_deg(), direction=self._scene.turntable.direction)
-            distance_mm, height_mm, tilt_deg = place_of(cam_from_rig)
+            distance_mm, height_mm, tilt_deg = camera_position(cam_from_rig)
             off_mm = float(np.hypot(distance_mm - ring.distance_mm, height_mm - ring.height_mm))
             where = f"camera: is {distance_mm:.0f} mm from the axis at z = {height_mm:.0f} mm, {tilt_deg:.1f} deg down"
             near = off_mm <= FAR_MM and abs(tilt_deg - ring.tilt_deg) <= FAR_DEG
             if near or self._ask is None:
-                self._note("placed", f"{where} (planned: {described(ring)})")
+                self._note("placed", f"{where} (planned: {describe_ring(ring)})")
                 return seen
-            answer = self._ask(f"{where}, but planned is {described(ring)}. Move it and press Enter, or type ok to keep it: ")
+            answer = self._ask(f"{where}, but planned is {describe_ring(ring)}. Move it and press Enter, or type ok to keep it: ")
             if answer.strip().lower() == "ok":
-                self._note("placed", f"{where} (planned: {described(ring)})")
+                self._note("placed", f"{where} (planned: {describe_ring(ring)})")
                 return seen
-            _, seen = self._eye.look()
+            _, seen = self._camera.look()
 
     def joints(self) -> tuple[None, None]:
         """Return None, as there is no arm."""
         return None, None
 
 
-def described(ring: Ring) -> str:
+def describe_ring(ring: Ring) -> str:
     """Return a description of the camera position of a ring."""
     return f"{ring.distance_mm:g} mm from the axis at z = {ring.height_mm:g} mm, {ring.tilt_deg:g} deg down"

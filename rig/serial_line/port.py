@@ -18,7 +18,7 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.serial_line.recording import Recorder
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.lock import lock_file
 
 _WRITE_TIMEOUT_S = 5.0
 _READ_AT_ONCE = 4096
@@ -92,7 +92,7 @@ class Port:
             self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0.0, write_timeout=_WRITE_TIMEOUT_S, **only_for_files)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             self._held.close()
-            raise RigError(f"{device}: {_why_not_open(url, error)}") from error
+            raise RigError(f"{device}: {_open_error(url, error)}") from error
         try:
             if recorder is not None:
                 recorder.record_open(clock.now_s(), device, url=url, baud=baud)
@@ -183,7 +183,7 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
     """Lock a network port against other programs of this computer, as the system does for device files."""
     name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
     try:
-        stack.enter_context(locked(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
+        stack.enter_context(lock_file(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
     except UserError as error:
         raise RigError(str(error)) from error
     except PermissionError as error:
@@ -199,7 +199,7 @@ def _slice_s(left_s: float) -> float:
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
 
 
-def _why_not_open(url: str, error: OSError | ValueError) -> str:
+def _open_error(url: str, error: OSError | ValueError) -> str:
     code = error.errno if isinstance(error, OSError) else None
     if code == errno.EACCES:
         return (

@@ -261,7 +261,7 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: cannot be read as a recording ({error})") from error
     # an incomplete last line was truncated by a crash
-    plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
+    plain = [_parse_line(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
         raise UserError(f"{path}: is not a recording of format {FORMAT}")
@@ -277,7 +277,7 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     return ReplayPort(path, device, entries, ReplayClock() if clock is None else clock)
 
 
-def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
+def _parse_line(path: Path, number: int, line: str) -> dict[str, Any]:
     """Parse one line, and check all entries that `replay_port` uses."""
     try:
         plain = json.loads(line)

@@ -62,7 +62,7 @@ REAL = replace(BENCH, swing_hz=0.86, swing_damping=1.4)
 and its drag is 1.4 of critical damping (calculations in docs/twin.md)."""
 
 
-def imperfections_of(profile_name: str) -> Imperfections:
+def device_errors(profile_name: str) -> Imperfections:
     """Return the device errors of a disturbance profile.
 
     There are none for ``clean``; ``real`` has flexible roots; all others are those of a bench.

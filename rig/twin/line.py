@@ -62,7 +62,7 @@ class Line:
             elif fault.kind == "request_dropped":
                 return
             else:
-                data = corrupted(data, fault.amount)
+                data = corrupt(data, fault.amount)
                 self._mute_ok |= fault.kind == "ok_missing_after_resend"
         self._request_free_s = max(self._request_free_s, now_s) + len(data) * self._byte_s
         self._requests.append((self._request_free_s, data))
@@ -150,7 +150,7 @@ class Line:
                     self._carry(BUSY, at_s)
             if fault.kind in ("busy", "reply_late"):
                 delay_s += fault.amount
-            pieces = hit(pieces, fault)
+            pieces = apply_fault(pieces, fault)
         for piece in pieces:
             self._carry(piece, now_s + delay_s)
 
@@ -165,12 +165,12 @@ class Line:
                 self._arrive(self._reply_free_s, piece)
 
 
-def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
+def apply_fault(pieces: list[bytes], fault: Fault) -> list[bytes]:
     """Return the messages that result from some messages after a transmission fault."""
     if fault.kind in ("reply_dropped", "ok_missing"):
         return []
     if fault.kind == "reply_corrupted":
-        return [corrupted(piece, fault.amount) for piece in pieces]
+        return [corrupt(piece, fault.amount) for piece in pieces]
     if fault.kind == "reply_doubled":
         return [*pieces, *pieces]
     if fault.kind == "reply_truncated":
@@ -182,7 +182,7 @@ def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
     return pieces
 
 
-def corrupted(data: bytes, amount: float) -> bytes:
+def corrupt(data: bytes, amount: float) -> bytes:
     """Return a message with one inverted bit, which ``amount`` (0 to 1) selects."""
     if not data:
         return data

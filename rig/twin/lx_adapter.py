@@ -42,7 +42,7 @@ class LxAdapter:
         while (frame := self._frame()) is not None:
             answers = [answer for servo in self._meant(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None]
             if answers and (frame[2] != BROADCAST or frame[4] == ID_READ):
-                replies.append(Reply(now_s + THINKING_S, _collided(answers)))
+                replies.append(Reply(now_s + THINKING_S, _merge_collision(answers)))
         return replies
 
     def next_s(self) -> float:
@@ -144,7 +144,7 @@ def frame_of(number: int, command: int, parameters: bytes) -> bytes:
     return b"\x55\x55" + body + bytes([checksum(body)])
 
 
-def _collided(frames: list[bytes]) -> bytes:
+def _merge_collision(frames: list[bytes]) -> bytes:
     """Return the bytes that the host receives if several servos reply at once: a low level dominates."""
     heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
     for frame in frames:

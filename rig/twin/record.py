@@ -21,13 +21,13 @@ class TakenShot:
     """One picture taken by the twin's camera."""
 
     pixels: str
-    """SHA-256 of its pixels (`digest_of`)."""
+    """SHA-256 of its pixels (`picture_digest`)."""
     time_s: float
     """Virtual time of the exposure's middle."""
     sight: Sight
 
 
-def digest_of(image: Grey) -> str:
+def picture_digest(image: Grey) -> str:
     """Return the SHA-256 of a picture's size, depth and pixels, in hexadecimal."""
     head = f"{image.shape} {image.dtype}".encode()
     return hashlib.sha256(head + np.ascontiguousarray(image).tobytes()).hexdigest()
@@ -52,7 +52,7 @@ class Record:
         try:
             lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
             for line in lines:
-                shot = _parsed(line)
+                shot = _parse_line(line)
                 if shot is not None:
                     self._known[shot.pixels] = shot
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -80,7 +80,7 @@ class Record:
         time_s : float
             Time of the picture.
         """
-        shot = TakenShot(pixels=digest_of(image), time_s=time_s, sight=sight)
+        shot = TakenShot(pixels=picture_digest(image), time_s=time_s, sight=sight)
         self.shots.append(shot)
         self._known[shot.pixels] = shot
         if self._path is not None:
@@ -89,7 +89,7 @@ class Record:
 
     def shot_of(self, image: Grey) -> TakenShot | None:
         """Return the shot of a picture; None if it was not taken by this twin."""
-        return self._known.get(digest_of(image))
+        return self._known.get(picture_digest(image))
 
 
 def _line(shot: TakenShot) -> str:
@@ -97,7 +97,7 @@ def _line(shot: TakenShot) -> str:
     return json.dumps({"pixels": shot.pixels, "time_s": shot.time_s, "sight": sight}) + "\n"
 
 
-def _parsed(line: str) -> TakenShot | None:
+def _parse_line(line: str) -> TakenShot | None:
     """Parse a line; return None for an incomplete one of a killed run."""
     try:
         plain: dict[str, Any] = json.loads(line)

@@ -149,7 +149,7 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
                 say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
             server.start()
             say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")
-            for word in _lines(_typed_at() if commands is None else commands):
+            for word in _lines(_console_descriptor() if commands is None else commands):
                 if word == "quit":
                     break
                 say(_answer(server, word))
@@ -157,7 +157,7 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
             server.stop()
 
 
-def _typed_at() -> int | None:
+def _console_descriptor() -> int | None:
     """Return stdin's descriptor; None if there is none, or it belongs to another program in the foreground."""
     try:
         descriptor = sys.stdin.fileno()

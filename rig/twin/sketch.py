@@ -101,7 +101,7 @@ class Sketch:
 
     def _draw_roots(self, light: Light, cam_from_canister: frames.Array, panel: np.float32, twist_deg: float) -> None:
         top_mm = self._scene.net_pot.grid_z_mm
-        hanging = [frames.twisted(line, (top_mm - line[:, 2]) / ROOT_DEPTH_MM, twist_deg) for line in self._roots_mm]
+        hanging = [frames.twist(line, (top_mm - line[:, 2]) / ROOT_DEPTH_MM, twist_deg) for line in self._roots_mm]
         lines = [self._project(cam_from_canister, line) for line in hanging]
         for i, line in enumerate(lines):
             if line is not None:

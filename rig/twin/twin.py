@@ -11,13 +11,13 @@ import serial
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.rig_file import ArmPart, BandPart, CameraPart, RigFile
-from rhizotwin.rig.twin import pictures as rendering
 from rhizotwin.rig.twin import protocol_twin
+from rhizotwin.rig.twin import rendered_pictures as rendering
 from rhizotwin.rig.twin.adapter import Adapter
 from rhizotwin.rig.twin.camera import Look, TwinCamera
 from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.faults import Device, Fault, Pending
-from rhizotwin.rig.twin.imperfections import imperfections_of
+from rhizotwin.rig.twin.imperfections import device_errors
 from rhizotwin.rig.twin.line import Line
 from rhizotwin.rig.twin.lsc_adapter import LscAdapter
 from rhizotwin.rig.twin.lx_adapter import LxAdapter
@@ -91,10 +91,10 @@ class Twin:
         drawn = rendering.draw(scene, seed=seed)
         self._ring_cameras = drawn.ring_cameras
         self.world = TwinWorld(
-            scene, self.rig, seed=seed, imperfections=imperfections_of(profile_name), table_from_canister=drawn.table_from_canister
+            scene, self.rig, seed=seed, imperfections=device_errors(profile_name), table_from_canister=drawn.table_from_canister
         )
         self.put_camera(0)
-        self._rendered = rendering.Rendered(scene, seed=seed, samples=samples) if pictures == "render" else None
+        self._rendered = rendering.RenderedPictures(scene, seed=seed, samples=samples) if pictures == "render" else None
         self._painter: Painter = self._rendered or Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
         self.board = MarlinAdapter(self.world.table, (self.world.lamp(0), self.world.lamp(1)), outputs_on=self.world.outputs_on)
         self._resets_on_open = resets_on_open
@@ -108,7 +108,7 @@ class Twin:
         self._sockets = []
         for (name, line), url in zip(self.lines.items(), self._urls(), strict=True):
             self.clock.add(line)
-            socket = protocol_twin.Socket(line, self.clock, self.board_opened if name == "table" else _nothing)
+            socket = protocol_twin.Socket(line, self.clock, self.board_opened if name == "table" else _do_nothing)
             protocol_twin.register(url, socket)
             self._sockets.append(socket)
 
@@ -277,5 +277,5 @@ def _with_ports(rig: RigFile, base: str) -> RigFile:
     return replace(rig, turntable=table, arm=None if rig.arm is None else replace(rig.arm, port=f"{base}/arm"))
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     """No effect."""

@@ -22,7 +22,7 @@ FILTER_DEG = 5.0
 """Maximum deviation of the filter wheel from a band's angle, within which the filter covers the light path."""
 GRIPPER = 1
 GRIPPER_CELSIUS = 47.0
-_WEIGHTS = np.array([0.06, 0.06, 0.12])
+_MASSES = np.array([0.06, 0.06, 0.12])
 """Masses at elbow, wrist and camera, kg."""
 _FALLING_STEP_S = 0.02
 
@@ -218,9 +218,9 @@ class TwinWorld:
         lean_rad = np.cumsum(np.deg2rad(self._angles(arm, [self.servos[j.servo].unbent_counts for j in arm.joints])[1:4]))
         links = np.array(arm.links_mm[1:])
         across = np.concatenate([[0.0], np.cumsum(links * np.sin(lean_rad))])
-        most = float(_WEIGHTS @ np.cumsum(links)) or 1.0
+        most = float(_MASSES @ np.cumsum(links)) or 1.0
         for i, joint in enumerate(arm.joints[1:4]):
-            torque = float(_WEIGHTS[i:] @ (across[i + 1 :] - across[i])) / most
+            torque = float(_MASSES[i:] @ (across[i + 1 :] - across[i])) / most
             self.servos[joint.servo].torque = joint.sign * torque
 
 

@@ -8,7 +8,7 @@ import pytest
 from rhizotwin.rig import bands
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes.bands import Band
@@ -41,7 +41,7 @@ RIG = RigFile(
 def scanned(twin: Twin, folder: Path, **options) -> Dataset:
     devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, twin.calibrated_scene(), folder, audience=Audience(say=lambda _: None), **options)
+        return scan(devices, twin.calibrated_scene(), folder, observers=Observers(say=lambda _: None), **options)
     finally:
         devices.close()
 
@@ -93,9 +93,9 @@ def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
 def test_each_band_of_the_default_twin_can_be_set() -> None:
     rig = default_rig(scene=SCENE)
     check_rig(rig, Place("rig"))
-    bands.refuse_unknown(rig, SCENE)
-    assert bands.part_of(rig, "white") == BandPart(name="white")
-    assert bands.part_of(rig, "") is None
+    bands.check_bands(rig, SCENE)
+    assert bands.band_part(rig, "white") == BandPart(name="white")
+    assert bands.band_part(rig, "") is None
     assert {part.output for part in rig.camera.bands} == {None, 0, 2}
 
 

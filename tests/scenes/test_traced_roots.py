@@ -39,7 +39,7 @@ def test_a_gap_is_closed_where_the_file_names_a_node_nearby(tmp_path: Path, node
 def test_a_stretch_that_two_roots_share_counts_once() -> None:
     first = line((0, 0, -10), (0, 0, -60))
     second = line((0, 0, -10), (0, 0, -30), (20, 0, -50))  # traced from the base, as some programs do
-    kept, shared_mm = traced_roots.once([first, second])
+    kept, shared_mm = traced_roots.merge_shared_stretches([first, second])
     assert shared_mm == pytest.approx(20.0, abs=0.5)
     assert length_mm(kept) == pytest.approx(50.0 + 800.0**0.5, abs=0.5)
     assert kept[0] is first or np.array_equal(kept[0].points_mm, first.points_mm)
@@ -51,7 +51,7 @@ def test_a_stretch_that_two_roots_share_counts_once() -> None:
 def test_a_root_traced_twice_is_left_out_and_its_laterals_stay() -> None:
     first = line((0, 0, -10), (0, 0, -60))
     again, lateral = replace(first), line((0, 0, -40), (30, 0, -40), parent=1, diameter_mm=0.4)
-    kept, shared_mm = traced_roots.once([first, again, lateral])
+    kept, shared_mm = traced_roots.merge_shared_stretches([first, again, lateral])
     assert len(kept) == 2
     assert shared_mm == pytest.approx(50.0)
     assert kept[1].parent == 0
@@ -60,6 +60,6 @@ def test_a_root_traced_twice_is_left_out_and_its_laterals_stay() -> None:
 def test_roots_that_cross_or_run_side_by_side_stay_as_they_are() -> None:
     down, across = line((0, 0, -10), (0, 0, -60)), line((-20, 0, -35), (20, 0, -35), diameter_mm=0.6)
     beside = line((1.0, 0, -10), (1.0, 0, -60))  # it touches the first: a diameter apart
-    kept, shared_mm = traced_roots.once([down, across, beside])
+    kept, shared_mm = traced_roots.merge_shared_stretches([down, across, beside])
     assert shared_mm == 0.0
     assert [len(root.points_mm) for root in kept] == [len(root.points_mm) for root in (down, across, beside)]

@@ -33,7 +33,7 @@ def root(x: float, long_mm: float, plant: str) -> Root:
 ROOTS = root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")
 
 
-def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
+def divided(*, is_open: bool = False) -> tuple[by_plant.PlantResult, ...]:
     """Divide a shape of two cuboids, 20 and 40 mm long, whose volumes are as 1 to 2."""
     low = np.array([[x, 0, -k] for x, count in ((-10, 20), (10, 40)) for k in range(11, 11 + count)], np.int32)
     ones, half = np.ones(60, np.int32), np.full(60, 0.5, np.float32)
@@ -79,7 +79,7 @@ def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
     assert [row["plant"] for row in table if row["trait"] == "total_length"] == ["", "A", "B"]
     summary["plants"][0]["at_mm"] = "here"
     with pytest.raises(UserError, match="at_mm"):
-        by_plant.of_summary(summary, "result.json")
+        by_plant.from_summary(summary, "result.json")
 
 
 def test_each_plant_is_scored_against_its_own_truth() -> None:

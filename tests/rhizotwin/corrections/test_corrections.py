@@ -172,7 +172,7 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, 
     before, after = (result_files.read_mesh(folder / "shape.ply").vertices_mm for folder in (plant.result, tmp_path / "new"))
     assert after[:, 0].max() < 5.0 < before[:, 0].max()  # root 1 went that way
     assert summary["edits"]["who"] == ["ann", "ben"]
-    told = result_traits.edited(summary)
+    told = result_traits.describe_edits(summary)
     assert told.startswith("2 edits by ann, ben, -")
     assert told in stored_traits.spreadsheet([("a", summary, stored_traits.read(tmp_path / "new"))])
     assert json.loads((tmp_path / "new" / "traits.json").read_text())["edits"] == told
@@ -262,7 +262,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def own_of(folder: Path) -> dict[str, tuple[float, float, str]]:
     """Return volume, length and treatment of each plant."""
     summary = result_files.read_summary(folder)
-    found = by_plant.of_summary(summary, "result.json")
+    found = by_plant.from_summary(summary, "result.json")
     assert sum(one.volume_mm3 for one in found) == pytest.approx(summary["volume_mm3"])
     return {one.subject.plant: (one.volume_mm3, float(one.traits.total_length_mm or 0.0), one.subject.treatment) for one in found}
 

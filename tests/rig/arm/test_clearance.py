@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
 from rhizotwin.rig.arm.kinematics import arm_from_cam, rig_from_arm
-from rhizotwin.rig.arm.placing import Joints, camera_wanted, joints_for
-from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rhizotwin.rig.arm.placement import Joints, compute_joints, planned_camera_pose
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, minimum_distance, point_to_segment
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Bar, Clearance, RigFile
 from rhizotwin.scenes import frames
@@ -23,7 +23,7 @@ ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
 """On a stand so low that it reaches the floor."""
 RIG = RigFile(arm=ARM)
 SCENE = Scene()
-RING = joints_for(RIG, camera_wanted(Ring()))
+RING = compute_joints(RIG, planned_camera_pose(Ring()))
 SOLIDS: tuple[Solid, ...] = (
     Cylinder("can", 76.2, -152.4, 0.0),
     Box("bar", (-30.0, -20.0, 5.0), (40.0, 60.0, 25.0)),
@@ -75,7 +75,7 @@ def test_distance_of_a_link_is_the_least_of_its_points(at: Array, begin: Array, 
     coarse = np.linalg.norm(end - begin) / 4000.0 + 1e-6
     for solid in SOLIDS:
         sampled = solid.distance_mm(along).min()
-        assert sampled - coarse <= float(least_distance(solid, begin[None], end[None])[0]) <= sampled + 1e-4
+        assert sampled - coarse <= float(minimum_distance(solid, begin[None], end[None])[0]) <= sampled + 1e-4
     sampled = np.linalg.norm(along - at, axis=1).min()
     assert sampled - coarse <= float(point_to_segment(at[None], begin[None], end[None])[0]) <= sampled + 1e-6
 
@@ -104,7 +104,7 @@ def test_default_arm_is_clear_at_rest_and_on_its_way_to_the_rings() -> None:
     assert (at_rest.distance_mm > at_rest.margin_mm + 20.0).all()
     at: Joints = arm.park_deg
     for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), shoot_ring_of_the_page(), Ring(height_mm=-65.0)):
-        goal = joints_for(rig, camera_wanted(ring))
+        goal = compute_joints(rig, planned_camera_pose(ring))
         assert plan_path(rig, SCENE, at, goal) == [goal]
         at = goal
     assert plan_path(rig, SCENE, at, arm.park_deg) == [arm.park_deg]

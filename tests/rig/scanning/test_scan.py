@@ -10,7 +10,7 @@ from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import load_dataset, read_image
@@ -93,7 +93,7 @@ def test_refused_before_anything_moves(scene: Scene, joints_deg: tuple[float, ..
 
 
 def test_dark_and_saturated_pictures_and_those_of_another_size_are_refused(tmp_path: Path) -> None:
-    quiet, full = Audience(say=lambda _: None), np.full((300, 400), 65520, np.uint16)
+    quiet, full = Observers(say=lambda _: None), np.full((300, 400), 65520, np.uint16)
     for level, image, scene, named in (
         (0.1, None, SCENE, "too dark"),
         (1.0, full, SCENE, "at full scale"),
@@ -105,7 +105,7 @@ def test_dark_and_saturated_pictures_and_those_of_another_size_are_refused(tmp_p
         if image is not None:
             opened.camera.capture = lambda: Shot(image=full, exposure_s=1.0, gain=1.0)
         with pytest.raises(RigError, match=named):
-            scan(opened, scene, tmp_path / named[:8], audience=quiet)
+            scan(opened, scene, tmp_path / named[:8], observers=quiet)
         assert (world.panel, world.front) == (0.0, 0.0)
 
 

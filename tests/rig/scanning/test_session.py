@@ -10,11 +10,11 @@ import pytest
 
 from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.rig.scanning import session as session_module
-from rhizotwin.rig.scanning.session import Session, file_of, take_up
+from rhizotwin.rig.scanning.session import Session, open_session, picture_file
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Frame, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import LOCK, held
+from rhizotwin.scenes.folders import LOCK, lock_folder
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.picture_codec import encode_png
 
@@ -26,7 +26,7 @@ RIG = RigFile(arm=ArmPart())
 def begin(folder: Path, **changes: Any) -> Session:
     options = {"rig": RIG, "settings": {"twin": None}, "seed": None} | changes
     scene = options.pop("scene", SCENE)
-    return take_up(folder, scene, plan.views(scene), **options)
+    return open_session(folder, scene, plan.views(scene), **options)
 
 
 def picture(index: int) -> np.ndarray:
@@ -35,7 +35,9 @@ def picture(index: int) -> np.ndarray:
 
 def frame(index: int, **changes: Any) -> Frame:
     view = VIEWS[index]
-    return Frame(file=file_of(view), sha256="", ring=view.ring, kind=view.kind, table_deg=view.table_deg, time_s=float(index), **changes)
+    return Frame(
+        file=picture_file(view), sha256="", ring=view.ring, kind=view.kind, table_deg=view.table_deg, time_s=float(index), **changes
+    )
 
 
 def taken(folder: Path, *indices: int) -> None:
@@ -76,7 +78,7 @@ def test_a_listed_frame_without_its_picture_is_taken_again(tmp_path: Path) -> No
     assert (made.next_placement(0), made.next_placement(1), made.begun_s) == (1, 0, 2.0)
     made.record(frame(3, placement=1), picture(3))
     made.record(frame(1, placement=1), picture(1))
-    assert [frame.file for frame in made.save(complete=True).frames] == [file_of(view) for view in VIEWS]
+    assert [frame.file for frame in made.save(complete=True).frames] == [picture_file(view) for view in VIEWS]
     made.close()
     assert load_dataset(tmp_path / "d").origin["complete"]
 
@@ -118,7 +120,7 @@ def test_what_a_killed_scan_left_half_written_is_removed(tmp_path: Path) -> None
     for path in left:
         path.write_bytes(b"half")
     (tmp_path / "d" / LOCK).write_text('{"pid": 77, "host": "bench", "since": "yesterday"}')
-    with held(tmp_path / "d"):
+    with lock_folder(tmp_path / "d"):
         begin(tmp_path / "d", resume=True).close()
         assert not any(path.exists() for path in left)
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import against
+from benchmarks import commit_comparison
 from benchmarks.__main__ import main
-from benchmarks.against import Job
+from benchmarks.commit_comparison import Job
 from rhizotwin.scenes.errors import UserError
 
 
@@ -21,22 +21,22 @@ def checkout(folder: Path, megabytes: int, loops: int) -> Path:
 
 def test_ratios_are_of_this_code_by_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heavy, light = checkout(tmp_path / "heavy", 600, 10_000_000), checkout(tmp_path / "light", 1, 1)
-    monkeypatch.setattr(against, "ROOT", light)
-    monkeypatch.setattr(against, "checked_out", lambda _: heavy)
+    monkeypatch.setattr(commit_comparison, "ROOT", light)
+    monkeypatch.setattr(commit_comparison, "check_out", lambda _: heavy)
     said: list[str] = []
-    (found,) = against.compare("old", jobs=[Job("both", (), makes=False, must=0.5)], repeats=2, device="cpu", say=said.append)
+    (found,) = commit_comparison.compare("old", jobs=[Job("both", (), makes=False, must=0.5)], repeats=2, device="cpu", say=said.append)
     assert found.cpu < 0.5
     assert found.memory < 0.5
     assert found.before.memory_mib > 600.0 > found.after.memory_mib
-    assert said == [against.table([found]).splitlines()[-1]]
+    assert said == [commit_comparison.table([found]).splitlines()[-1]]
 
 
 def test_a_run_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = checkout(tmp_path / "one", 1, 1)
-    monkeypatch.setattr(against, "ROOT", folder)
-    monkeypatch.setattr(against, "checked_out", lambda _: folder)
+    monkeypatch.setattr(commit_comparison, "ROOT", folder)
+    monkeypatch.setattr(commit_comparison, "check_out", lambda _: folder)
     with pytest.raises(UserError, match=r"--wrong.* ended with code 1"):
-        against.compare("old", jobs=[Job("fails", ("--wrong",), makes=False)], repeats=1, device="cpu", say=str)
+        commit_comparison.compare("old", jobs=[Job("fails", ("--wrong",), makes=False)], repeats=1, device="cpu", say=str)
 
 
 def test_an_unknown_commit_or_job_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:

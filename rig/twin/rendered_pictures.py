@@ -34,7 +34,7 @@ _KEPT = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class RigErrors:
     """Random values of a scene's disturbances for a seed that concern the rig."""
 
     table_from_canister: frames.Array
@@ -44,7 +44,7 @@ class Drawn:
     """``cam_from_rig`` of a manually placed camera, for each ring of the plan."""
 
 
-def draw(scene: Scene, *, seed: int) -> Drawn:
+def draw(scene: Scene, *, seed: int) -> RigErrors:
     """Draw the random values as `sim.world.draw_world` does.
 
     The same scene and seed give the same values in simulated pictures and in the twin.
@@ -53,7 +53,7 @@ def draw(scene: Scene, *, seed: int) -> Drawn:
 
     world = draw_world(scene, seed=seed)
     firsts = np.cumsum([0, *(ring.views for ring in scene.plan.rings)])[:-1]
-    return Drawn(
+    return RigErrors(
         table_from_canister=world.table_from_canister,
         canister_from_strip=world.canister_from_strip,
         distortion=world.distortion,
@@ -63,12 +63,12 @@ def draw(scene: Scene, *, seed: int) -> Drawn:
 
 def calibrated_scene(scene: Scene) -> Scene:
     """Return the scene as known to a laboratory: the nominal rig and the calibrated lens."""
-    from rhizotwin.sim.world import as_given
+    from rhizotwin.sim.world import scene_for_reconstruction
 
-    return as_given(scene)
+    return scene_for_reconstruction(scene)
 
 
-class Rendered:
+class RenderedPictures:
     """Renders a scene as `sim.simulate` does, with the ``backlit`` fidelity, for any position of camera and table.
 
     Parameters
@@ -125,7 +125,7 @@ class Rendered:
 
         The scene must have a specimen.
         """
-        from rhizotwin.sim.truth import truth_of, write_specimen
+        from rhizotwin.sim.truth import build_truth, write_specimen
 
         world = self._drawn()
         if self._solid is None:
@@ -136,7 +136,7 @@ class Rendered:
                 self._look(sight, panel=True, front=True)
             mask = np.frombuffer(zlib.decompress(self._masks[sight.place_key]), np.uint16)
             write_image(folder / "truth" / "masks" / Path(file).name, mask.reshape(self._scene.camera.image_wh[::-1]))
-        save_truth(folder, truth_of(world, self._solid, [(file, _camera(sight)) for file, sight in taken]))
+        save_truth(folder, build_truth(world, self._solid, [(file, _camera(sight)) for file, sight in taken]))
 
     def _look(self, sight: Sight, *, panel: bool, front: bool) -> Light:
         """Render with one lamp or both at full brightness; cache the mask."""

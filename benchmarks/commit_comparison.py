@@ -133,7 +133,7 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
     UserError
         If git does not know the commit, or a run fails.
     """
-    other = checked_out(commit)
+    other = check_out(commit)
     found = []
     for job in jobs:
         with tempfile.TemporaryDirectory(prefix="rhizotwin-against-") as working:
@@ -151,7 +151,7 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
     return found
 
 
-def checked_out(commit: str) -> Path:
+def check_out(commit: str) -> Path:
     """Return a folder with a checkout of a commit, created if it is not in the cache."""
     try:
         done = subprocess.run(

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import paired
+from benchmarks import run_comparison
 from benchmarks.cases import ladder
 from rhizotwin.scenes.errors import UserError
 
@@ -14,7 +14,7 @@ CASES = ladder(scenes=("radish_day05*", "radish_day10*"), profiles=("clean", "be
 
 
 def test_mean_interval_and_sign_test_by_hand():
-    found = paired.difference([5.0, 4.0, 6.0, 8.0], [3.0, 3.0, 3.0, 6.0], name="error", unit="%", smaller_is_better=True)
+    found = run_comparison.difference([5.0, 4.0, 6.0, 8.0], [3.0, 3.0, 3.0, 6.0], name="error", unit="%", smaller_is_better=True)
     assert (found.before, found.after, found.mean) == (5.75, 3.75, -2.0)
     reach = 3.182446 * math.sqrt(2.0 / 3.0) / 2.0  # t(0.975, 3) sd / sqrt(n)
     assert (found.low, found.high) == (pytest.approx(-2.0 - reach, abs=1e-5), pytest.approx(-2.0 + reach, abs=1e-5))
@@ -51,4 +51,4 @@ def test_runs_that_share_nothing_and_files_that_are_none_are_refused(tmp_path, r
         if content is not None:
             path.write_text(content)
         with pytest.raises(UserError, match=r"run\.json"):
-            paired.read_records(path)
+            run_comparison.read_records(path)

@@ -6,9 +6,9 @@ Angles are in degrees here, and in radians in the modules below.
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.rig.arm.inverse import Branches, Found, inverse, newton
+from rhizotwin.rig.arm.inverse import Branches, NewtonSolution, inverse, newton
 from rhizotwin.rig.arm.kinematics import forward, rig_from_arm
-from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent
+from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent_pose
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.scenes import frames
@@ -28,11 +28,11 @@ MOST_ASIDE_DEG = 0.5
 """Tolerance of a target direction, within the accuracy of the servos."""
 UPRIGHT = 1e-3
 """Minimum sine of the angle from the vertical at which the picture's up direction is defined."""
-_TRIED = 1001
+_TESTED = 1001
 """Number of positions tested between target and shoulder."""
 
 
-def camera_wanted(ring: Ring) -> Array:
+def planned_camera_pose(ring: Ring) -> Array:
     """Return the planned ``cam_from_rig`` of a ring.
 
     Parameters
@@ -48,7 +48,7 @@ def camera_wanted(ring: Ring) -> Array:
     return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
 
 
-def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
+def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
     """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
 
     If five joints cannot reach the orientation (for an arm that is not exactly in front of the table), the camera is
@@ -71,25 +71,25 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
     UnsafeError
         If the pose is out of reach or beyond a joint's limit; the message states the numbers.
     """
-    part = arm_of(rig)
+    part = require_arm(rig)
     arm_from_rig = frames.invert(rig_from_arm(part))
     target = arm_from_rig @ frames.invert(cam_from_rig)
     branches = inverse(part, target)
     _refuse_beyond_reach(part, branches, cam_from_rig)
     joints_rad = branches.joints_rad
     if branches.left_over_rad > LEFT_OVER_RAD:
-        joints_rad = _turned_round(part, arm_from_rig, target, branches, cam_from_rig)
-    excess, joints_deg = _fitted(part, joints_rad)
+        joints_rad = _rotate_about_table(part, arm_from_rig, target, branches, cam_from_rig)
+    excess, joints_deg = _fit_joints(part, joints_rad)
     if excess.min() > ROUNDING_DEG:
         raise UnsafeError(
-            f"arm: {_place(cam_from_rig)} cannot be reached within the joints' limits: {_beyond(part, joints_deg[excess.argmin()])}; "
-            "move the ring or the arm's base"
+            f"arm: {_describe_position(cam_from_rig)} cannot be reached within the joints' limits: "
+            f"{_describe_excess(part, joints_deg[excess.argmin()])}; move the ring or the arm's base"
         )
     elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
-    return _clipped(part, joints_deg[int(np.argmax(elbow_up))])
+    return _clip_joints(part, joints_deg[int(np.argmax(elbow_up))])
 
 
-def camera_looking(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
+def camera_pose_from_direction(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
     """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction, rig frame.
 
     Raises
@@ -108,7 +108,7 @@ def camera_looking(position_mm: tuple[float, float, float], direction: tuple[flo
     return frames.invert(rig_from_cam)
 
 
-def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
+def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
     """Return joint angles for a given position and viewing direction of the camera.
 
     Five joints can place the camera anywhere in reach, but its optical axis remains in the vertical plane through the
@@ -127,7 +127,7 @@ def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direct
         If the position is out of reach, the direction is not possible there, or a joint would exceed its limits; the
         message states the nearest possible values.
     """
-    part, wanted = arm_of(rig), camera_looking(position_mm, direction)
+    part, wanted = require_arm(rig), camera_pose_from_direction(position_mm, direction)
     arm_from_rig = frames.invert(rig_from_arm(part))
     branches = inverse(part, arm_from_rig @ frames.invert(wanted))
     at = ", ".join(f"{value:.4g}" for value in position_mm)
@@ -142,18 +142,20 @@ def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direct
             f"arm: at ({at}) mm five joints cannot reach that direction: it would be {np.rad2deg(branches.left_over_rad):.1f} deg off; "
             f"the nearest direction is ({near})"
         )
-    excess, joints_deg = _fitted(part, joints_rad)
+    excess, joints_deg = _fit_joints(part, joints_rad)
     if excess.min() > ROUNDING_DEG:
-        raise UnsafeError(f"arm: ({at}) mm cannot be reached within the joints' limits: {_beyond(part, joints_deg[excess.argmin()])}")
+        raise UnsafeError(
+            f"arm: ({at}) mm cannot be reached within the joints' limits: {_describe_excess(part, joints_deg[excess.argmin()])}"
+        )
     elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
-    return _clipped(part, joints_deg[int(np.argmax(elbow_up))])
+    return _clip_joints(part, joints_deg[int(np.argmax(elbow_up))])
 
 
 def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
     """Return the nearest position toward the shoulder at which the camera can keep its direction, as text."""
     arm_from_rig, rig_from_cam = frames.invert(rig_from_arm(part)), frames.invert(wanted)
     shoulder = frames.apply(rig_from_arm(part), np.array([[0.0, 0.0, part.links_mm[0]]]))[0]
-    for share in np.linspace(0.0, 1.0, _TRIED):
+    for share in np.linspace(0.0, 1.0, _TESTED):
         tried = rig_from_cam.copy()
         tried[:3, 3] += share * (shoulder - rig_from_cam[:3, 3])
         if not np.isnan(inverse(part, arm_from_rig @ tried).joints_rad).all():
@@ -161,7 +163,7 @@ def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
     return "none on the way to the shoulder"
 
 
-def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
+def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
     """Return corrected joint angles that bring the camera nearer to its target, at any azimuth.
 
     The correction starts from the pose measured by the markers.
@@ -189,15 +191,15 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
         If no such pose is within reach and limits, or the correction is implausibly large; the message states the
         numbers.
     """
-    part = arm_of(rig)
-    wanted = tangent(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
+    part = require_arm(rig)
+    wanted = tangent_pose(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
     found = correct(part, np.deg2rad(joints_deg), cam_from_rig_measured, wanted)
-    if not _met(found)[()]:
+    if not _is_reached(found)[()]:
         left = np.linalg.norm(found.left_over[:3])
         raise UnsafeError(
-            f"arm: {_place(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
+            f"arm: {_describe_position(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
         )
-    excess, fitted = _fitted(part, found.joints_rad[None], near_deg=joints_deg)
+    excess, fitted = _fit_joints(part, found.joints_rad[None], near_deg=joints_deg)
     change = np.abs(fitted[0] - joints_deg)
     if change.max() > MOST_CORRECTION_DEG:
         k = int(change.argmax())
@@ -207,19 +209,19 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
         )
     if excess[0] > ROUNDING_DEG:
         raise UnsafeError(
-            f"arm: the camera's place cannot be corrected within the joints' limits: {_beyond(part, fitted[0])}; move the ring"
+            f"arm: the camera's place cannot be corrected within the joints' limits: {_describe_excess(part, fitted[0])}; move the ring"
         )
-    return _clipped(part, fitted[0])
+    return _clip_joints(part, fitted[0])
 
 
-def arm_of(rig: RigFile) -> ArmPart:
+def require_arm(rig: RigFile) -> ArmPart:
     """Return the rig's arm; raise an error if it has none."""
     if rig.arm is None:
         raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
     return rig.arm
 
 
-def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
+def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
     """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera.
 
     Parameters
@@ -237,39 +239,39 @@ def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
     return float(np.hypot(x, y)), float(z), float(np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0))))
 
 
-def within_limits(part: ArmPart, joints_deg: Joints) -> None:
+def check_limits(part: ArmPart, joints_deg: Joints) -> None:
     """Raise an error for joint angles beyond the limits."""
     for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
         if not joint.min_deg <= angle <= joint.max_deg:
             raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
 
 
-def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
+def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
     """Return the branches (n, 5) of the target pose, rotated about the table's axis until five joints can reach it."""
     found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
-    met = _met(found)
+    met = _is_reached(found)
     left_deg = float(np.rad2deg(branches.left_over_rad))
     if not met.any():
         raise UnsafeError(
-            f"arm: {_place(cam_from_rig)} leaves {left_deg:.2f} deg over that five joints cannot turn; "
-            "put the arm's base before the table, upright (position_mm and rotation_deg in the rig file)"
+            f"arm: {_describe_position(cam_from_rig)} is {left_deg:.2f} deg off what five joints can reach; "
+            "place the arm's base in front of the table, upright (position_mm and rotation_deg in the rig file)"
         )
     turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
     if turn_deg > MOST_AZIMUTH_DEG:
         raise UnsafeError(
-            f"arm: for {_place(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, and at most "
+            f"arm: for {_describe_position(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, and at most "
             f"{MOST_AZIMUTH_DEG:g} deg face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
         )
     return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
 
 
-def _met(found: Found) -> NDArray[np.bool_]:
+def _is_reached(found: NewtonSolution) -> NDArray[np.bool_]:
     """Return whether the targets were reached, and not only approached."""
     left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
     return found.converged & (left < 1.0)
 
 
-def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
+def _fit_joints(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
     """Return joint angles (n, 5) in degrees, and the excess of the worst joint over its limit.
 
     Multiples of a full turn are chosen to fit the limits.
@@ -281,7 +283,7 @@ def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None)
     return np.maximum(low - joints_deg, joints_deg - high).max(axis=-1), joints_deg
 
 
-def _clipped(part: ArmPart, joints_deg: Array) -> Joints:
+def _clip_joints(part: ArmPart, joints_deg: Array) -> Joints:
     return tuple(round(float(angle), 9) + 0.0 for angle in np.clip(joints_deg, *_limits_deg(part)))  # + 0.0 avoids -0.0
 
 
@@ -294,12 +296,13 @@ def _refuse_beyond_reach(part: ArmPart, branches: Branches, cam_from_rig: Array)
         return
     _, upper, fore, _ = part.links_mm
     raise UnsafeError(
-        f"arm: {_place(cam_from_rig)} is out of reach: the wrist would have to be {branches.wrist_mm:.0f} mm from the shoulder, "
-        f"the links reach {abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the arm's base"
+        f"arm: {_describe_position(cam_from_rig)} is out of reach: the wrist would have to be "
+        f"{branches.wrist_mm:.0f} mm from the shoulder, the links reach "
+        f"{abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the arm's base"
     )
 
 
-def _beyond(part: ArmPart, joints_deg: Array) -> str:
+def _describe_excess(part: ArmPart, joints_deg: Array) -> str:
     low, high = _limits_deg(part)
     return ", ".join(
         f"{name} {angle:.1f} deg (limits {least:g} to {most:g})"
@@ -308,9 +311,9 @@ def _beyond(part: ArmPart, joints_deg: Array) -> str:
     )
 
 
-def _place(cam_from_rig: Array) -> str:
+def _describe_position(cam_from_rig: Array) -> str:
     """Return a description of the camera's position in terms of a ring."""
-    distance_mm, height_mm, tilt_deg = place_of(cam_from_rig)
+    distance_mm, height_mm, tilt_deg = camera_position(cam_from_rig)
     beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
     beside = f", {beside_deg:.1f} deg from the x axis" if abs(beside_deg) > 0.05 else ""
     return f"the camera at distance {distance_mm:.0f} mm, height {height_mm:.0f} mm, tilt {tilt_deg:.0f} deg{beside}"

@@ -7,9 +7,9 @@ from pathlib import Path
 from rhizotwin.rig import bands
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.open import Devices
-from rhizotwin.rig.scanning.eye import Eye
-from rhizotwin.rig.scanning.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrapped
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrap_angle
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.rig.scanning.session import Session
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, decode_grey
@@ -43,7 +43,7 @@ class BoardFaultError(Exception):
 
 
 @contextmanager
-def board_watched() -> Iterator[None]:
+def convert_board_errors() -> Iterator[None]:
     """Convert failures of the board into `BoardFaultError`, to distinguish them from those of other devices."""
     try:
         yield
@@ -51,15 +51,22 @@ def board_watched() -> Iterator[None]:
         raise BoardFaultError(error) from error
 
 
-class Turning:
+class ScanTurntable:
     """The turntable with the state of its angle."""
 
     def __init__(
-        self, devices: Devices, scene: Scene, eye: Eye, *, ask: Ask | None, given_deg: float | None, note: Callable[[str, str], None]
+        self,
+        devices: Devices,
+        scene: Scene,
+        camera: ScanCamera,
+        *,
+        ask: Ask | None,
+        given_deg: float | None,
+        note: Callable[[str, str], None],
     ) -> None:
         self._devices = devices
         self._scene = scene
-        self._eye = eye
+        self._camera = camera
         self._ask = ask
         self._given_deg = given_deg
         self._note = note
@@ -84,7 +91,7 @@ class Turning:
         """
         if not self._looks:
             self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
-        return wrapped(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
+        return wrap_angle(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
 
     def camera_moved(self) -> None:
         """Discard the pictures used to restore the angle, as the camera has moved."""
@@ -126,7 +133,7 @@ class Turning:
                 shown_deg = angle_against(seen.cam_from_canister, references, self._scene)
             elif seen is not None:
                 shown_deg, most_deg = facing_angle(seen, self._scene), BESIDE_DEG
-            if abs(wrapped(shown_deg - kept_deg)) <= most_deg:
+            if abs(wrap_angle(shown_deg - kept_deg)) <= most_deg:
                 checked = "not checked by markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
                 self._note("angle", f"turntable: kept its angle, {kept_deg:.2f} deg ({checked})")
                 return
@@ -145,32 +152,32 @@ class Turning:
 
         A board that was reset has switched the lights off, which must not be mistaken for a fault of the camera.
         """
-        with board_watched():
+        with convert_board_errors():
             self._devices.table.position_deg()
 
     def turn(self, angle_deg: float) -> float:
         """Turn the table; return the measured angle, which agrees with the commanded one within the tolerance."""
-        with board_watched():
+        with convert_board_errors():
             read_deg = self._devices.table.move_to(angle_deg)
         self._compare(angle_deg, read_deg)
         return read_deg
 
     def accelerate(self, deg_per_s2: float) -> None:
         """Set the acceleration of subsequent moves."""
-        with board_watched():
+        with convert_board_errors():
             self._devices.table.accelerate(deg_per_s2)
         self._acceleration = deg_per_s2
 
     def verify(self, angle_deg: float) -> None:
         """Verify the angle after a picture, as a board that was reset since the move has lost it."""
-        with board_watched():
+        with convert_board_errors():
             read_deg = self._devices.table.position_deg()
         self._compare(angle_deg, read_deg)
 
     def light(self, band: str | None = None) -> None:
         """Switch the lights on for a band of the camera; None for the previous one."""
         self.band = self.band if band is None else band
-        with board_watched():
+        with convert_board_errors():
             bands.light(self._devices.lights, self._devices.rig, self.band)
 
     def recover(self, fault: BoardFaultError, *, near_deg: float, again: bool) -> bool:
@@ -203,12 +210,12 @@ class Turning:
         self.lost = True
         self._note("fault", f"{fault.cause}; reconnecting")
         self._reconnect(fault.cause)
-        shot, seen = self._eye.look()
+        shot, seen = self._camera.look()
         references = [*self._looks, *self._read(self.pictures)]
         kept_deg = self._kept_deg()
         if kept_deg is not None:
             shown_deg = angle_against(seen.cam_from_canister, references, self._scene) if seen is not None and references else kept_deg
-            if abs(wrapped(shown_deg - kept_deg)) <= self.slip_deg:
+            if abs(wrap_angle(shown_deg - kept_deg)) <= self.slip_deg:
                 self._note("angle", f"turntable: is reconnected and kept its angle, {kept_deg:.2f} deg")
                 self.lost = False
                 return False
@@ -230,7 +237,7 @@ class Turning:
             shown = self._read([(table_deg, path)])
             if not references or not shown:
                 break
-            if abs(wrapped(angle_against(shown[0].cam_from_canister, references, self._scene) - table_deg)) <= self.slip_deg:
+            if abs(wrap_angle(angle_against(shown[0].cam_from_canister, references, self._scene) - table_deg)) <= self.slip_deg:
                 break
             found.append(path)
         return found[::-1]
@@ -242,25 +249,25 @@ class Turning:
         """
         read_deg = self.turn(angle_deg)
         self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
-        _, seen = self._eye.look()
+        _, seen = self._camera.look()
         if seen is None:
             return
-        off_deg = wrapped(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
+        off_deg = wrap_angle(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
         if abs(off_deg) > FINE_DEG:
             self._declare(Angle(table_deg=read_deg + off_deg, source=f"{seen.markers} markers, without backlash"))
 
     def _kept_deg(self) -> float | None:
         """Return the angle stored in the board, or None."""
         table = self._devices.table
-        with board_watched():
+        with convert_board_errors():
             return table.position_deg() if table.knows_zero() else None
 
     def _found(self, seen: Sighting | None, image: Grey, references: list[Reference], near_deg: float, *, given_deg: float | None) -> Angle:
-        why = "" if seen is not None else why_unread(image, self._scene)
+        why = "" if seen is not None else unread_reason(image, self._scene)
         return find_angle(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg, ask=self._ask, why=why)
 
     def _declare(self, angle: Angle) -> None:
-        with board_watched():
+        with convert_board_errors():
             self._devices.table.declare(angle.table_deg)
         self._note("homed", f"turntable: is at {angle.table_deg:.2f} deg ({angle.source})")
 

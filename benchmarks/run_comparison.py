@@ -177,7 +177,7 @@ def compare(a: Mapping[tuple[Any, ...], Record], b: Mapping[tuple[Any, ...], Rec
         inside = [pair for pair, what in zip(pairs, shared, strict=True) if what[1] == profile]
         lines += ["", f"{profile} only:"]
         lines += [_row(found) for compared in COMPARED[:2] if (found := _over_pairs(compared, inside)) is not None]
-    return "\n".join([*lines, *_named(pairs)])
+    return "\n".join([*lines, *_largest_changes(pairs)])
 
 
 def _over_pairs(compared: _Compared, pairs: Sequence[tuple[Record, Record]]) -> Difference | None:
@@ -194,7 +194,7 @@ def _row(found: Difference) -> str:
     return f"{found.name:<22}{numbers}  {interval:<20}{found.better:>7}{found.worse:>7}  p = {found.p_sign:.3f}"
 
 
-def _named(pairs: Sequence[tuple[Record, Record]]) -> list[str]:
+def _largest_changes(pairs: Sequence[tuple[Record, Record]]) -> list[str]:
     """Return the cases with the largest changes of the volume error in both directions."""
     volume = COMPARED[0]
     changes = []

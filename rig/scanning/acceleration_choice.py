@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.rig_file import TurntablePart
-from rhizotwin.rig.scanning.settling import MARGIN, WATCH_S, settling, watch
-from rhizotwin.rig.scanning.turning import Turning
+from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
+from rhizotwin.rig.scanning.settling_time import MARGIN, WATCH_S, measure_settling_time, take_series
 from rhizotwin.scenes.picture_codec import Grey
 
 GENTLER = (1.0, 0.5, 0.25, 0.125)
@@ -15,7 +15,7 @@ degrees at 60 degrees per second squared takes 0.8 s, and at an eighth of it 2.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Resting:
+class TurnTiming:
     """Duration of a turn by one view's step, and of the pause after it."""
 
     acceleration_deg_per_s2: float
@@ -41,12 +41,14 @@ class Resting:
         return f"{at} the picture moves for {self.moves_s:.2f} s after a turn; each picture waits {self.rest_s:.2f} s"
 
 
-def choose(turning: Turning, look: Callable[[], Grey], clock: Clock, *, angles_deg: Sequence[float], part: TurntablePart) -> Resting:
+def choose_acceleration(
+    turntable: ScanTurntable, look: Callable[[], Grey], clock: Clock, *, angles_deg: Sequence[float], part: TurntablePart
+) -> TurnTiming:
     """Turn by a view's step at several accelerations, measure the motion of the picture, and set the best acceleration.
 
     Parameters
     ----------
-    turning : Turning
+    turntable : ScanTurntable
         Turntable with a known angle.
     look : callable
         Function that takes a picture.
@@ -59,27 +61,27 @@ def choose(turning: Turning, look: Callable[[], Grey], clock: Clock, *, angles_d
 
     Returns
     -------
-    Resting
+    TurnTiming
         Result with the shortest time from the beginning of a turn to its picture.
     """
-    turning.accelerate(part.acceleration_deg_per_s2)
-    turning.turn(angles_deg[0])
+    turntable.accelerate(part.acceleration_deg_per_s2)
+    turntable.turn(angles_deg[0])
     clock.sleep(WATCH_S)  # so that no trial is affected by a previous turn
-    best: Resting | None = None
+    best: TurnTiming | None = None
     for share, angle_deg in zip(GENTLER, angles_deg[1:], strict=False):
         tried = share * part.acceleration_deg_per_s2
-        turning.accelerate(tried)
+        turntable.accelerate(tried)
         begun_s = clock.now_s()
-        turning.turn(angle_deg)
+        turntable.turn(angle_deg)
         turn_s = clock.now_s() - begun_s
-        moves_s = settling(*watch(look, clock)).rest_s
+        moves_s = measure_settling_time(*take_series(look, clock)).rest_s
         rest_s = max(part.settle_s, WATCH_S if moves_s is None else MARGIN * moves_s)
-        found = Resting(acceleration_deg_per_s2=tried, turn_s=turn_s, moves_s=moves_s, rest_s=rest_s)
+        found = TurnTiming(acceleration_deg_per_s2=tried, turn_s=turn_s, moves_s=moves_s, rest_s=rest_s)
         if best is None or found.view_s < best.view_s or best.moves_s is None:
             best = found
         if turn_s + part.settle_s >= best.view_s:  # lower accelerations take even longer
             break
     if best is None:
         raise ValueError(f"{angles_deg=} but expected two or more")
-    turning.accelerate(best.acceleration_deg_per_s2)
+    turntable.accelerate(best.acceleration_deg_per_s2)
     return best

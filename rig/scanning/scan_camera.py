@@ -14,7 +14,7 @@ TRIES = 3
 FIRST_PAUSE_S = 1.0
 
 
-class Eye:
+class ScanCamera:
     """Takes pictures for a scan."""
 
     def __init__(self, camera: Camera, clock: Clock, scene: Scene, *, note: Callable[[str, str], None]) -> None:

@@ -10,11 +10,11 @@ import trimesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
-from rhizotwin.sim import placing
+from rhizotwin.sim import placement
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
 SCENE = Scene()
-GRID_MM = SCENE.net_pot.grid_z_mm - placing.FREE_MM
+GRID_MM = SCENE.net_pot.grid_z_mm - placement.FREE_MM
 
 
 def rsml(path: Path, points: list[tuple[float, ...]], *, unit: str = "mm", resolution: str = "1", diameter: float = 1.0) -> str:

@@ -2,26 +2,26 @@
 
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from rhizotwin.rig.scanning.change import LEAST_SHARE, changed_share
 from rhizotwin.rig.scanning.markers import Sighting, read_strip
-from rhizotwin.rig.scanning.onlooker import Look, Onlooker
-from rhizotwin.rig.scanning.preflight import exposure_of
-from rhizotwin.rig.scanning.turning import Turning
+from rhizotwin.rig.scanning.observer import Look, Observer
+from rhizotwin.rig.scanning.picture_change import LEAST_SHARE, changed_share
+from rhizotwin.rig.scanning.preflight import measure_exposure
+from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 
-class Watch:
+class TurnCheck:
     """Detects the strip in each picture during the next movement.
 
     Without a strip it checks whether the rotation changed the picture.
     """
 
-    def __init__(self, turning: Turning, scene: Scene, onlooker: Onlooker) -> None:
-        self._turning = turning
+    def __init__(self, turntable: ScanTurntable, scene: Scene, observer: Observer) -> None:
+        self._turntable = turntable
         self._scene = scene
-        self._onlooker = onlooker
+        self._observer = observer
         self._reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="reader")
         self._before: tuple[Frame, Grey] | None = None
         self._pending: tuple[Frame, Future[tuple[Sighting | None, float | None]]] | None = None
@@ -57,8 +57,8 @@ class Watch:
         seen, changed = looked.result()
         commanded_deg = frame.table_deg or 0.0
         if seen is not None:
-            off_deg = self._turning.off_deg(commanded_deg, seen)
-            if abs(off_deg) > self._turning.slip_deg:
+            off_deg = self._turntable.off_deg(commanded_deg, seen)
+            if abs(off_deg) > self._turntable.slip_deg:
                 return frame.file, f"the markers of {frame.file} deviate by {off_deg:+.2f} deg from the commanded {commanded_deg:g} deg"
             return None
         if changed is not None and changed < LEAST_SHARE:
@@ -73,5 +73,5 @@ class Watch:
     def _look(self, frame: Frame, image: Grey, before: Grey | None, again: Grey | None) -> tuple[Sighting | None, float | None]:
         seen = read_strip(image, self._scene)
         motion = None if again is None else changed_share(again, image)
-        self._onlooker.on_look(Look(frame=frame, image=image, exposure=exposure_of(image), sighting=seen, motion=motion))
+        self._observer.on_look(Look(frame=frame, image=image, exposure=measure_exposure(image), sighting=seen, motion=motion))
         return seen, None if seen is not None or before is None else changed_share(image, before)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile, TurntablePart
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
-from rhizotwin.rig.scanning.settling import settling
+from rhizotwin.rig.scanning.settling_time import measure_settling_time
 from rhizotwin.rig.table.ramp import move_s
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.dataset import read_image
@@ -34,14 +34,18 @@ def swinging(at_s: float, *, amplitude_px: float, decay_s: float, noise: float, 
 def test_the_rest_is_where_the_swing_drowns_in_noise(decay_s: float) -> None:
     rng, times = np.random.default_rng(0), np.arange(0.0, 12.0, 0.25)
     noise, amplitude = 200.0, 3.0
-    found = settling([swinging(t, amplitude_px=amplitude, decay_s=decay_s, noise=noise, rng=rng) for t in times], times.tolist())
+    found = measure_settling_time(
+        [swinging(t, amplitude_px=amplitude, decay_s=decay_s, noise=noise, rng=rng) for t in times], times.tolist()
+    )
     slope = 8000.0 * 0.25 * np.sqrt(np.mean((2.0 / np.cosh(2.0 * np.sin(np.arange(160) / 4.0)) ** 2 * np.cos(np.arange(160) / 4.0)) ** 2))
     # moved beyond 1.15 times the noise: the swing makes sqrt(1.15^2 - 1) of it
     expected = decay_s * np.log(amplitude * slope / (noise * np.sqrt(1.15**2 - 1.0)))
     assert found.rest_s is not None
     assert expected - 0.6 <= found.rest_s <= expected + 0.6  # half a period of its swing and a look either way
     assert found.moved > 5.0
-    ever = settling([swinging(t, amplitude_px=amplitude, decay_s=30.0, noise=noise, rng=rng) for t in times[:24]], times[:24].tolist())
+    ever = measure_settling_time(
+        [swinging(t, amplitude_px=amplitude, decay_s=30.0, noise=noise, rng=rng) for t in times[:24]], times[:24].tolist()
+    )
     assert ever.rest_s is None
 
 
@@ -82,7 +86,7 @@ def test_a_scan_turns_and_rests_as_it_saw_the_water_move(
 
     opened.table.move_to, opened.camera.capture = moving, sloshing
     said: list[str] = []
-    dataset = scan(opened, world.scene, tmp_path / "scan", audience=Audience(say=said.append))
+    dataset = scan(opened, world.scene, tmp_path / "scan", observers=Observers(say=said.append))
     assert world.acceleration_deg_per_s2 == chosen_deg_per_s2
     (line,) = [text for text in said if "each picture waits" in text]
     rest_s = min(rests[-len(dataset.frames) :])
@@ -101,7 +105,7 @@ def test_on_the_emulated_rig_pictures_are_at_rest(
     opened = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     said: list[str] = []
     try:
-        dataset = scan(opened, twin.calibrated_scene(), tmp_path / "scan", audience=Audience(say=said.append))
+        dataset = scan(opened, twin.calibrated_scene(), tmp_path / "scan", observers=Observers(say=said.append))
     finally:
         opened.close()
     shots = [twin.record.shot_of(read_image(dataset, frame)) for frame in dataset.frames]

@@ -6,20 +6,20 @@ from dataclasses import dataclass, field
 from tqdm import tqdm
 
 from rhizotwin.rig.scanning.homing import Ask
-from rhizotwin.rig.scanning.onlooker import Onlooker
+from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.monitor import Monitor
 
 
 @dataclass(frozen=True, kw_only=True)
-class Audience:
+class Observers:
     """Everyone beside the devices who takes part in a scan."""
 
     ask: Ask | None = None
     """Asks the user a question; None if there is no user."""
     say: Say = tqdm.write
     """Receives lines for the user."""
-    onlooker: Onlooker = field(default_factory=Onlooker)
+    observer: Observer = field(default_factory=Observer)
     """Receives the contents of every picture, and can pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
     """Receives the progress of the scan."""

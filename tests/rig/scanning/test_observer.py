@@ -3,11 +3,11 @@
 import threading
 from pathlib import Path
 
-from rhizotwin.rig.scanning.onlooker import Look, Onlooker
+from rhizotwin.rig.scanning.observer import Look, Observer
 from tests.rig.fake_devices import World, run
 
 
-class _Heard(Onlooker):
+class _Heard(Observer):
     """Keeps what it hears, and holds the scan as often as it should."""
 
     watches_motion = True
@@ -37,7 +37,7 @@ class _Heard(Onlooker):
 
 def test_every_picture_is_heard_of_once_with_what_it_shows(tmp_path: Path):
     world, heard = World(), _Heard(2)
-    made = run(world, tmp_path / "d", onlooker=heard)
+    made = run(world, tmp_path / "d", observer=heard)
     assert heard.plan == (len(made.frames), 0)
     assert [look.frame.file for look in heard.looks] == [frame.file for frame in made.frames]
     assert heard.asked == len(made.frames) + 2

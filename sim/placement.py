@@ -22,7 +22,7 @@ _UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
-class Placing:
+class Placement:
     """A similarity transform: p -> scale * turn * p + shift."""
 
     turn: Array
@@ -41,7 +41,7 @@ class Placing:
         return tuple(replace(root, points_mm=self.of(root.points_mm), diameters_mm=self.scale * root.diameters_mm) for root in roots)
 
 
-def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array | None = None) -> Placing:
+def find_placement(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array | None = None) -> Placement:
     """Compute the placement of a specimen.
 
     Parameters
@@ -57,7 +57,7 @@ def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array
 
     Returns
     -------
-    Placing
+    Placement
         With ``place = "auto"``, flat traced roots (constant z) are rotated upright, with their y pointing down; roots
         with the base below the centre are turned over. The highest point is `FREE_MM` below the grid; the smallest
         enclosing circle is centred on the axis.
@@ -65,14 +65,14 @@ def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array
     shift = np.array(specimen.shift_mm)
     turn = np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)
     if specimen.place == "given":
-        return Placing(turn, specimen.scale, shift)
+        return Placement(turn, specimen.scale, shift)
     if base_mm is not None and _is_flat(points_mm):
         turn = turn @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # (x, y, z) -> (x, z, -y)
     turned = points_mm @ turn.T
     if base_mm is not None and float(np.mean(base_mm @ turn.T, axis=0)[2]) < float(turned[:, 2].mean()) and not specimen.flip:
         turn = np.diag(_UPSIDE_DOWN) @ turn
         turned = points_mm @ turn.T
-    return Placing(turn, specimen.scale, hung(specimen.scale * turned, scene) + shift)
+    return Placement(turn, specimen.scale, translation_below_grid(specimen.scale * turned, scene) + shift)
 
 
 def _is_flat(points_mm: Array) -> bool:
@@ -81,13 +81,13 @@ def _is_flat(points_mm: Array) -> bool:
     return float(np.ptp(points_mm[:, 2])) < 0.2 * wide
 
 
-def hung(points_mm: Array, scene: Scene) -> Array:
+def translation_below_grid(points_mm: Array, scene: Scene) -> Array:
     """Return the translation (3,) that places points (N, 3) below the grid, centred on the axis."""
     (x, y), _ = _circle(points_mm)
     return np.array([-x, -y, scene.net_pot.grid_z_mm - FREE_MM - float(points_mm[:, 2].max())])
 
 
-def fitting_scale(points_mm: Array, scene: Scene) -> float:
+def maximum_scale(points_mm: Array, scene: Scene) -> float:
     """Return the maximum scale factor, rounded down to three digits, at which points (N, 3) fit below the grid."""
     height_mm = scene.net_pot.grid_z_mm - FREE_MM - scene.canister.floor_z_mm
     most = min(scene.canister.inner_radius_mm / max(_circle(points_mm)[1], 1e-12), height_mm / max(float(np.ptp(points_mm[:, 2])), 1e-12))
@@ -131,23 +131,23 @@ def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
         x, y, z = points_mm[worst]
         raise UserError(
             f"The specimen is not inside the water: {what} extends {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
-            f"move or shrink it. It is {said_size(points_mm)} mm; the water extends to radius {canister.inner_radius_mm:g}, "
+            f"move or shrink it. It is {format_size(points_mm)} mm; the water extends to radius {canister.inner_radius_mm:g}, "
             f"from z {canister.floor_z_mm:g} to {scene.water.level_mm:g} mm (z = 0 is the rim, the axis is x = y = 0). "
             f"{_advice(points_mm, scene)}"
         )
 
 
-def said_size(points_mm: Array) -> str:
+def format_size(points_mm: Array) -> str:
     """Return the size of points (N, 3) along x, y and z as text."""
     return " x ".join(f"{value:.3g}" for value in np.ptp(points_mm, axis=0))
 
 
 def _advice(points_mm: Array, scene: Scene) -> str:
-    most = fitting_scale(points_mm, scene)
+    most = maximum_scale(points_mm, scene)
     if most >= 1.0:
-        x, y, z = hung(points_mm, scene)
-        return f"--place auto moves it below the grid, as does --shift-mm={x:.1f},{y:.1f},{z:.1f}."
-    x, y, z = hung(most * points_mm, scene)
+        x, y, z = translation_below_grid(points_mm, scene)
+        return f"--place auto moves it below the grid, as does --shift-mm={x:.1f},{y:.1f},{z:.1f} from its present position."
+    x, y, z = translation_below_grid(most * points_mm, scene)
     return (
         f"It is too large for the space below the grid; --scale {most:g} --place auto fits (relative to its present size), "
         f"as does --scale {most:g} --shift-mm={x:.1f},{y:.1f},{z:.1f}; if it should fit unscaled, check its unit."

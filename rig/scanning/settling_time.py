@@ -22,7 +22,7 @@ STRIDE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settling:
+class SettlingTime:
     """Motion after a stop."""
 
     rest_s: float | None
@@ -31,7 +31,7 @@ class Settling:
     """Ratio of the first picture's difference from the still ones to the difference by noise alone."""
 
 
-def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
+def measure_settling_time(pictures: Sequence[Grey], times_s: Sequence[float]) -> SettlingTime:
     """Measure the time at which pictures stopped moving.
 
     Parameters
@@ -43,7 +43,7 @@ def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
 
     Returns
     -------
-    Settling
+    SettlingTime
         Its rest is the time of the first picture after which none differs from the mean of the late ones by more than
         noise.
 
@@ -68,10 +68,12 @@ def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
     still_moves = max(noise, stepping) > ABOVE_NOISE * max(min(noise, stepping), 1e-9) or moving[-count:].any()
     last = int(np.flatnonzero(moving).max(initial=-1))
     rest = None if still_moves or last + 1 >= len(times_s) else float(times_s[last + 1])
-    return Settling(rest_s=rest, moved=float(apart[0] / max(floor, 1e-9)))
+    return SettlingTime(rest_s=rest, moved=float(apart[0] / max(floor, 1e-9)))
 
 
-def watch(look: Callable[[], Grey], clock: Clock, *, seconds: float = WATCH_S, every_s: float = 0.25) -> tuple[list[Grey], list[float]]:
+def take_series(
+    look: Callable[[], Grey], clock: Clock, *, seconds: float = WATCH_S, every_s: float = 0.25
+) -> tuple[list[Grey], list[float]]:
     """Take pictures for a given duration, and return them with their start times.
 
     Parameters

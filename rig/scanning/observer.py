@@ -19,11 +19,11 @@ class Look:
     sighting: Sighting | None
     """Measurement of the strip; None if it cannot be read."""
     motion: float | None
-    """Fraction of the picture's blocks that still changed after the stop (`rig.scanning.change`); None if it was not
+    """Fraction of the picture's blocks that changed after the stop (`rig.scanning.picture_change`); None if it was not
     measured."""
 
 
-class Onlooker:
+class Observer:
     """An observer without any action; subclasses override methods, which are called from several threads."""
 
     watches_motion = False
