@@ -30,7 +30,7 @@ Record = dict[str, Any]
 
 
 def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False, change: str = UNCHANGED, projection: bool = True) -> Run:
-    """Run the cases one after the other; a failed case is recorded, and the rest continue.
+    """Run the cases in order; a failed case is recorded, and the rest continue.
 
     Parameters
     ----------

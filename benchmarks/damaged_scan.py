@@ -31,8 +31,8 @@ Mask = NDArray[np.bool_]
 EVERY = 2
 """Interval of the views used: 20 of a printed phantom's 40, which halves the time of reconstruction."""
 _FACES_CAMERA = 0.1
-"""Minimum cosine between the wall's normal and the line of sight at which the near wall is drawn; it is a line beyond.
-"""
+"""Minimum cosine between the wall's normal and the line of sight at which the near wall is drawn; at smaller values its
+projection degenerates to a line."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,7 +39,7 @@ BOARD_PICTURES = 20
 
 
 def measure(*, quick: bool, say: Say) -> Run:
-    """Measure the parts of the rig one after the other; a failed one is recorded, and the rest continue."""
+    """Measure the parts of the rig in order; a failed one is recorded, and the rest continue."""
     run = Run()
     parts: dict[str, Callable[[], list[Metric]]] = {
         "inverse": lambda: _inverse(1000 if quick else 10_000),

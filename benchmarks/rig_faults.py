@@ -37,7 +37,7 @@ SAME_STAND_DEG = 0.35
 ZERO_DEG = 3.0
 """Maximum error of the zero: the true position of the arm."""
 DEVICES = ("turntable", "lights", "arm", "camera", "markers", "board")
-"""Names of devices, one of which must be part of a stop's message."""
+"""Names of devices; the message of a stop must contain one of them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,7 @@ class Plant:
     name: str
     day: float
     grams: float
-    """Fresh mass of its roots, table A.1; that of the twin's plant at 1 g/ml."""
+    """Fresh mass of its roots (table A.1), which the twin's plant has at 1 g/ml."""
     thesis_ml: float | None
     """Volume in table 4.1; None for two lost plants."""
     redone: Record | None

@@ -47,8 +47,8 @@ class Frame:
     table_read_deg: float | None = None
     """Table angle reported by the turntable after its move."""
     placement: int = 0
-    """Number of the camera's placement in this ring, which increases whenever the camera is placed, or the table's zero
-    is found, anew; within one placement the camera is static."""
+    """Number of the camera's placement in this ring, which increases whenever the camera is placed or the table's zero
+    is determined again; within one placement the camera is static."""
     joints_deg: tuple[float, ...] | None = None
     """Commanded joint angles of the arm, from base to wrist roll."""
     joints_read_deg: tuple[float, ...] | None = None

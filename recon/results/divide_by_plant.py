@@ -48,7 +48,7 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 
     Returns
     -------
-    tuple of OfPlant
+    tuple of PlantResult
         Results of the plants that have roots, in the given order.
     """
     names = [plant.plant for plant in plants if any(root.plant == plant.plant for root in planted.roots)]

@@ -48,7 +48,7 @@ def compare_plants(
 
     Parameters
     ----------
-    found : sequence of OfPlant
+    found : sequence of PlantResult
         Of the result.
     roots, true : sequence of Root
         Found and true, with their plants.

@@ -170,7 +170,7 @@ def _picamera2(name: str) -> Any:
 
 
 def _check_range(controls: Mapping[str, Any], key: str, value: float, unit: str, name: str) -> None:
-    """Raise an error for a value outside the sensor's range; an upper limit of 0 stands for none."""
+    """Raise an error for a value outside the sensor's range; an upper limit of 0 means no limit."""
     low, high = controls[key][:2]
     if value < low * (1.0 - RELATIVE) or (high > low and value > high * (1.0 + RELATIVE)):
         raise RigError(

@@ -26,7 +26,7 @@ class Picture:
 
 
 class CameraService:
-    """A camera for several concurrent requests, which are processed one after the other."""
+    """A camera for several concurrent requests, which are processed sequentially."""
 
     def __init__(self, camera: Camera, *, reopen: Callable[[CameraSettings], Camera] | None = None) -> None:
         """Create the service for a camera.

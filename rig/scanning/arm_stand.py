@@ -124,7 +124,7 @@ class ArmStand:
         Raises
         ------
         UnsafeError
-            If the camera is so far from the position according to the joints that the rig file must be wrong.
+            If the distance from the position according to the joints indicates a wrong rig file.
         """
         wanted = planned_camera_pose(ring)
         done = 0

@@ -1,4 +1,4 @@
-"""Observers of a scan, and the user who can be asked."""
+"""Observers of a scan, and callbacks to the user."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from rhizotwin.scenes.monitor import Monitor
 
 @dataclass(frozen=True, kw_only=True)
 class Observers:
-    """Everyone beside the devices who takes part in a scan."""
+    """Observers and callbacks of a scan."""
 
     ask: Ask | None = None
     """Asks the user a question; None if there is no user."""

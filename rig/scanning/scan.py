@@ -200,7 +200,7 @@ class _Scan:
         self._refuse_still()
 
     def _wait(self) -> None:
-        """Wait as long as the observer pauses the scan; the arm is monitored meanwhile."""
+        """Wait as long as the observer pauses the scan; the arm is monitored during this time."""
         while self._observer.holds():
             self._stand.joints()
 

@@ -92,7 +92,7 @@ class TwinCamera:
         raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and check that no other program uses it")
 
     def close(self) -> None:
-        """No effect: there is nothing to release."""
+        """Do nothing, as there is nothing to release."""
 
     def _frame(self) -> _Raw:
         self._count += 1

@@ -8,7 +8,7 @@ Key = tuple[int, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Imperfections:
-    """Errors of the devices. Zero stands for no error; quantisation is always present."""
+    """Errors of the devices. Zero means no error; quantisation is always present."""
 
     servo_zero_deg: float = 0.0
     """Maximum error of each joint's zero in both directions, drawn once."""

@@ -42,7 +42,7 @@ class LscAdapter:
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:
-        """No effect."""
+        """Do nothing, as there are no scheduled actions."""
         return []
 
     def _frame(self) -> bytes | None:

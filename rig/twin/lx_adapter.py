@@ -50,7 +50,7 @@ class LxAdapter:
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:
-        """No effect, as servos send nothing unsolicited."""
+        """Do nothing, as servos send nothing unsolicited."""
         return []
 
     def _frame(self) -> bytes | None:

@@ -124,7 +124,7 @@ class Serial(SerialBase):
         self._there().line.drop_input()
 
     def reset_output_buffer(self) -> None:
-        """No effect, as written bytes are already in transmission."""
+        """Do nothing, as written bytes are already in transmission."""
         self._there()
 
     def _there(self) -> Socket:
@@ -140,10 +140,10 @@ class Serial(SerialBase):
         """Accept any setting, as a USB port does."""
 
     def _update_dtr_state(self) -> None:
-        """No effect."""
+        """Ignore the state of DTR."""
 
     def _update_rts_state(self) -> None:
-        """No effect."""
+        """Ignore the state of RTS."""
 
     def _update_break_state(self) -> None:
-        """No effect."""
+        """Ignore the break condition."""

@@ -278,4 +278,4 @@ def _with_ports(rig: RigFile, base: str) -> RigFile:
 
 
 def _do_nothing() -> None:
-    """No effect."""
+    """Do nothing."""
