@@ -213,7 +213,7 @@ def _scatter(given: argparse.Namespace) -> int:
         say(f"recorded: {_scatter_path()}")
     rounding, everything = scatter.read(_scatter_path()), {key.rpartition("/")[0] for key in baseline.values}
     for case in chosen:
-        one, measured = baseline.without(everything - {case.name}), [scatter.of_cases(run.metrics, [case]) for run in runs]
+        one, measured = baseline.without(everything - {case.name}), [scatter.metrics_of_pictures(run.metrics, [case]) for run in runs]
         is_open = [gate.all_pass(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
         say(f"{case.name}: the gate is open in {sum(is_open)} of {len(is_open)} runs")
     return 0
@@ -312,7 +312,7 @@ def _run(given: argparse.Namespace) -> int:
     baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
     is_scattered = given.what == "accuracy" and given.quick and baseline is not None
     rounding = scatter.read(_scatter_path()) if is_scattered else None
-    run = _measured(given, chosen)
+    run = _measure(given, chosen)
     is_long = given.what == "accuracy" and not given.quick
     shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
     say("\n" + results_table(shown))
@@ -339,7 +339,7 @@ def _run(given: argparse.Namespace) -> int:
             baseline = baseline.without({case.name for case in cases.quick()} - {case.name for case in chosen})
         findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding)
         say("\n" + gate.table(findings))
-        runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.of_cases(run.metrics, chosen)]
+        runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.metrics_of_pictures(run.metrics, chosen)]
         unmeasured = sum(count < scatter.RUNS for count in runs or ())
         if unmeasured:
             say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
@@ -353,7 +353,7 @@ def _results() -> Path:
     return cache.folder() / "results"
 
 
-def _measured(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
+def _measure(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
     if given.what == "accuracy":
         from benchmarks import accuracy, table
 

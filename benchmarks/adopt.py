@@ -26,7 +26,7 @@ def adopt(folder: Path) -> Path:
         If it does not match, with the differences.
     """
     dataset = load_dataset(folder)
-    pictures = pictures_of(dataset)
+    pictures = read_pictures(dataset)
     goal = datasets.place(pictures)
     if not goal.is_dir():
         goal.parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def adopt(folder: Path) -> Path:
     return datasets.make(pictures)
 
 
-def pictures_of(dataset: Dataset) -> Pictures:
+def read_pictures(dataset: Dataset) -> Pictures:
     """Return the pictures of which a dataset is a rendering, according to its manifest.
 
     Raise UserError if it is not a rendering of the ladder's kind.

@@ -191,8 +191,8 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
 
 
 def _add_profiles_and_methods(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--profiles", type=_words_of(cases.PROFILES), metavar="NAME,...", help=f"only these of {', '.join(cases.PROFILES)}")
-    one.add_argument("--methods", type=_words_of(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
+    one.add_argument("--profiles", type=_choices(cases.PROFILES), metavar="NAME,...", help=f"only these of {', '.join(cases.PROFILES)}")
+    one.add_argument("--methods", type=_choices(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
 
 
 def _change(text: str) -> str:
@@ -209,7 +209,7 @@ def _words(text: str) -> tuple[str, ...]:
     return words
 
 
-def _words_of(allowed: Sequence[str]) -> Callable[[str], tuple[str, ...]]:
+def _choices(allowed: Sequence[str]) -> Callable[[str], tuple[str, ...]]:
     def words(text: str) -> tuple[str, ...]:
         found = _words(text)
         unknown = [word for word in found if word not in allowed]

@@ -56,7 +56,7 @@ class Assumptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Counted:
+class CountedVolumes:
     """Relative error of a hull's volume, by the treatment of voxels that are partly inside."""
 
     assumed: Assumptions
@@ -76,7 +76,7 @@ def every() -> list[Assumptions]:
     return [Assumptions(poses=pose, outlines=outline, blind_carves=blind) for pose, outline, blind in chosen]
 
 
-def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Counted]:
+def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[CountedVolumes]:
     """Measure every combination on a dataset; measurements of an earlier run with this code are reused.
 
     Parameters
@@ -90,22 +90,22 @@ def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Co
 
     Returns
     -------
-    list of Counted
+    list of CountedVolumes
         Errors of the volume for each combination.
     """
-    found: list[Counted] = []
+    found: list[CountedVolumes] = []
     scan: _Scan | None = None
     wanted, keep = every(), _Keep.of(pictures)
     for number, assumed in enumerate(wanted, start=1):
         path = keep.place(asdict(assumed))
         head = f"[{number}/{len(wanted)}] {pictures.name}: {_words(assumed)}"
         if path.is_file():
-            found.append(Counted(**{**json.loads(path.read_text(encoding="utf-8")), "assumed": assumed}))
+            found.append(CountedVolumes(**{**json.loads(path.read_text(encoding="utf-8")), "assumed": assumed}))
             say(f"{head}: kept")
         elif not only_kept:
             scan = scan or _Scan(pictures)
             mm3, true_mm3 = scan.volumes(assumed), load_truth(scan.dataset().folder).volume_mm3
-            counted = Counted(assumed=assumed, **{name: value / true_mm3 - 1.0 for name, value in mm3.items()})
+            counted = CountedVolumes(assumed=assumed, **{name: value / true_mm3 - 1.0 for name, value in mm3.items()})
             atomic.write_json(path, asdict(counted))
             found.append(counted)
             say(f"{head}: {100.0 * counted.kept:+.1f}, {100.0 * counted.shared:+.1f}, {100.0 * counted.dropped:+.1f} %")
@@ -265,7 +265,7 @@ def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Lev
     return found
 
 
-def table(counted: Sequence[Counted]) -> str:
+def table(counted: Sequence[CountedVolumes]) -> str:
     """Return the combinations as a Markdown table."""
     rows = ["| poses | outlines | blind views | partial voxels kept | shared | dropped |", "|---|---|---|---|---|---|"]
     for one in counted:

@@ -18,7 +18,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import encode_light_png, encode_png
 from rhizotwin.scenes.transfer import SRGB
@@ -156,7 +156,7 @@ def over(light: Light, share: Light, grey: float) -> Light:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stored:
+class StorageFormat:
     """Storage format of a camera's pictures, and the corresponding settings of the scene."""
 
     suffix: str
@@ -183,23 +183,23 @@ def _jpeg(quality: int, subsampled: bool) -> Callable[[Light], bytes]:
     return encode
 
 
-def linear_png(full: int = 65535) -> Stored:
+def linear_png(full: int = 65535) -> StorageFormat:
     """Return 16-bit PNGs, linear in light as stated in the file, with ``full`` for a light of 1."""
-    return Stored(suffix=".png", transfer="linear", bits=16, encode=lambda light: encode_light_png(_steps(light, full, np.uint16)))
+    return StorageFormat(suffix=".png", transfer="linear", bits=16, encode=lambda light: encode_light_png(_steps(light, full, np.uint16)))
 
 
-def srgb_jpeg(quality: int, *, subsampled: bool = False) -> Stored:
+def srgb_jpeg(quality: int, *, subsampled: bool = False) -> StorageFormat:
     """Return JPEGs of a slightly warm panel, stated as sRGB in the scene."""
-    return Stored(suffix=".jpg", transfer="srgb", bits=8, encode=_jpeg(quality, subsampled))
+    return StorageFormat(suffix=".jpg", transfer="srgb", bits=8, encode=_jpeg(quality, subsampled))
 
 
-def gamma_png(exponent: float) -> Stored:
+def gamma_png(exponent: float) -> StorageFormat:
     """Return 8-bit PNGs with a gamma, stated as linear in the scene."""
 
     def encode(light: Light) -> bytes:
         return encode_png(_steps(np.clip(light, 0.0, 1.0) ** (1.0 / exponent), 255, np.uint8))
 
-    return Stored(suffix=".png", transfer="linear", bits=8, encode=encode)
+    return StorageFormat(suffix=".png", transfer="linear", bits=8, encode=encode)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +211,7 @@ class Damage:
     """Cause of the damage."""
     light: Callable[[Scan, int], Light] = lambda scan, k: scan.light[k]
     """Function that returns the damaged k-th picture (H, W)."""
-    stored: Stored = field(default_factory=linear_png)
+    stored: StorageFormat = field(default_factory=linear_png)
     scene: Callable[[Scene], Scene] = lambda scene: scene
     """Function that returns the stated scene; the pictures do not change."""
     table_deg: Callable[[Scan, int], float | None] = lambda scan, k: scan.frames[k].table_deg
@@ -228,7 +228,7 @@ class Damage:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 atomic.write_bytes(path, self.stored.encode(self.light(scan, k)))
                 name = path.relative_to(folder).as_posix()
-                frames.append(replace(before, file=name, sha256=sha256_of(path), table_deg=self.table_deg(scan, k)))
+                frames.append(replace(before, file=name, sha256=file_sha256(path), table_deg=self.table_deg(scan, k)))
         shutil.copytree(scan.dataset.folder / "truth", folder / "truth")
         camera = replace(scan.dataset.scene.camera, transfer=self.stored.transfer, bits=self.stored.bits)
         scene = self.scene(replace(scan.dataset.scene, camera=camera))

@@ -26,7 +26,7 @@ def _blur(light: Light, sigma_px: float) -> Light:
     return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px))
 
 
-def _sharpened(sigma_px: float) -> Damage:
+def _sharpen(sigma_px: float) -> Damage:
     def light(scan: Scan, k: int) -> Light:
         number = _numbers(scan.light[k])
         return SRGB.of(np.clip(2.0 * number - _blur(number, sigma_px), 0.0, 1.0))
@@ -34,14 +34,14 @@ def _sharpened(sigma_px: float) -> Damage:
     return Damage(name=f"sharpened-{sigma_px:g}", why="the camera sharpens its pictures", light=light, stored=_JPEG)
 
 
-def _toned(scan: Scan, k: int) -> Light:
+def _tone(scan: Scan, k: int) -> Light:
     """Compress the range of pixel values and keep details (as Durand and Dorsey 2002, with a Gaussian base layer)."""
     number = np.log(np.maximum(_numbers(scan.light[k]), 1.0 / 255.0))
     base = _blur(number, 12.0)
     return SRGB.of(np.clip(np.exp(0.5 * (base - base.max()) + number - base), 0.0, 1.0))
 
 
-def _stretched(scan: Scan, k: int) -> Light:
+def _stretch(scan: Scan, k: int) -> Light:
     number = _numbers(scan.light[k])
     low, high = np.percentile(number, [1.0, 99.0])
     return SRGB.of(np.clip((number - low) / (high - low), 0.0, 1.0))
@@ -57,7 +57,7 @@ def _turbid(scan: Scan, k: int) -> Light:
     return _in_water(scan, k, 0.85 * (0.75 * scan.light[k] + 0.25 * _blur(scan.light[k], 20.0)))
 
 
-def _veiled(scan: Scan, k: int) -> Light:
+def _veil(scan: Scan, k: int) -> Light:
     """Add a seventh of the panel's light over the water."""
     return _in_water(scan, k, 0.85 * scan.light[k] + 0.15 * float(np.median(scan.light[k])))
 
@@ -73,7 +73,7 @@ def _shadow(scan: Scan, k: int) -> Light:
     return scan.light[k] * (1.0 - (0.25 / (1.0 + np.exp(-(0.3 - x) / 0.1)) if 6 <= k < 10 else 0.0))
 
 
-def _stamped(scan: Scan, k: int) -> Light:
+def _stamp(scan: Scan, k: int) -> Light:
     height, width = scan.light[k].shape
     mask = np.zeros((height, width), np.uint8)
     text = f"12:{3 * k:02d}:{(17 * k) % 60:02d}"
@@ -102,7 +102,7 @@ def _dead_columns(scan: Scan, k: int) -> Light:
     return light
 
 
-def _vignetted(scan: Scan, k: int) -> Light:
+def _vignette(scan: Scan, k: int) -> Light:
     x, y = _place(scan.light[k])
     return scan.light[k] * (1.0 - 0.2 * (x**2 + y**2))
 
@@ -113,7 +113,7 @@ LIGHT = (
     Damage(name="jpeg-30", why="a smaller file: quality 30", stored=srgb_jpeg(30)),
     Damage(name="gamma-1.8-as-linear", why="a program's PNG with an unstated gamma of 1.8", stored=gamma_png(1.8)),
     Damage(name="ten-bits-in-sixteen", why="values of a 10-bit converter stored right-aligned", stored=linear_png(1023)),
-    Damage(name="vignetted", why="the lens darkens the corners by 40 %", light=_vignetted),
+    Damage(name="vignetted", why="the lens darkens the corners by 40 %", light=_vignette),
     Damage(
         name="lamp-fades",
         why="the panel fades by 30 % during the scan",
@@ -132,10 +132,10 @@ LIGHT = (
         why="black level subtracted 5 % too high",
         light=lambda scan, k: np.maximum(scan.light[k] - 0.05, 0.0) / 0.95,
     ),
-    _sharpened(1.0),
-    _sharpened(3.0),
-    Damage(name="tone-mapped", why="a telephone's picture with high dynamic range", light=_toned, stored=_JPEG),
-    Damage(name="stretched", why="a program stretched the contrast of each picture", light=_stretched, stored=_JPEG),
+    _sharpen(1.0),
+    _sharpen(3.0),
+    Damage(name="tone-mapped", why="a telephone's picture with high dynamic range", light=_tone, stored=_JPEG),
+    Damage(name="stretched", why="a program stretched the contrast of each picture", light=_stretch, stored=_JPEG),
     Damage(
         name="s-curve",
         why="a camera's 'vivid' setting",
@@ -162,9 +162,9 @@ LIGHT = (
         light=lambda scan, k: 0.8 * scan.light[k] + 0.2 * float(np.mean(scan.light[k])),
     ),
     Damage(name="turbid", why="milky water", light=_turbid),
-    Damage(name="veiled", why="room light on the canister's front", light=_veiled),
+    Damage(name="veiled", why="room light on the canister's front", light=_veil),
     Damage(name="tinted", why="brown water: half of the light", light=lambda scan, k: _in_water(scan, k, 0.5 * scan.light[k])),
-    Damage(name="stamped", why="the time in each picture, below the roots", light=_stamped),
+    Damage(name="stamped", why="the time in each picture, below the roots", light=_stamp),
     Damage(name="bayer", why="a raw mosaic interpreted as grey", light=_bayer),
     Damage(name="half-written", why="the lower half of one picture is grey", light=_half),
     Damage(name="dead-columns", why="two dead columns of the sensor", light=_dead_columns),

@@ -15,7 +15,7 @@ _DIM, _BUBBLES, _BUBBLE_MM = 0.4, 40, 1.0
 """Light of a grey label, relative to the panel's; number of bubbles on the roots, and their radius."""
 
 
-def _shifted(light: Light, dx_px: float, dy_px: float) -> Light:
+def _shift(light: Light, dx_px: float, dy_px: float) -> Light:
     height, width = light.shape
     moved = np.array([[1.0, 0.0, dx_px], [0.0, 1.0, dy_px]])
     return np.asarray(cv2.warpAffine(light, moved, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
@@ -26,14 +26,14 @@ def _below(scan: Scan, k: int, light: Light) -> Light:
     return np.where(np.logical_and.reduce(scan.water), light, scan.light[k])
 
 
-def _slipped(scan: Scan, k: int) -> Light:
+def _slip(scan: Scan, k: int) -> Light:
     other = (k + 1) % scan.count
     return _below(scan, k, scan.light[other]) if 2 * k >= scan.count else scan.light[k]
 
 
 def _sagging(scan: Scan, k: int) -> Light:
     px_per_mm = scan.dataset.scene.camera.focal_px[1] / scan.views[k].rho_mm
-    return _below(scan, k, _shifted(scan.light[k], 0.0, 1.5 * px_per_mm * k / scan.count))
+    return _below(scan, k, _shift(scan.light[k], 0.0, 1.5 * px_per_mm * k / scan.count))
 
 
 def _vibrating(scan: Scan, k: int) -> Light:
@@ -44,7 +44,7 @@ def _vibrating(scan: Scan, k: int) -> Light:
     return np.asarray(cv2.remap(scan.light[k], moved, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _sheared(scan: Scan, k: int) -> Light:
+def _shear(scan: Scan, k: int) -> Light:
     """Shear a picture by 3 px from top to bottom, in opposite directions in successive pictures."""
     height, width = scan.light[k].shape
     shear = 3.0 / height * (1.0 if k % 2 else -1.0)
@@ -52,13 +52,13 @@ def _sheared(scan: Scan, k: int) -> Light:
     return np.asarray(cv2.warpAffine(scan.light[k], moved, (width, height), borderMode=cv2.BORDER_REPLICATE))
 
 
-def _interlaced(scan: Scan, k: int) -> Light:
+def _interlace(scan: Scan, k: int) -> Light:
     light = scan.light[k].copy()
-    light[1::2] = _shifted(light, 2.0, 0.0)[1::2]
+    light[1::2] = _shift(light, 2.0, 0.0)[1::2]
     return light
 
 
-def _distorted(scan: Scan, k: int) -> Light:
+def _distort(scan: Scan, k: int) -> Light:
     camera = replace(scan.dataset.scene.camera, distortion=(-0.15, 0.0, 0.0, 0.0, 0.0))
     height, width = scan.light[k].shape
     px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(np.float64)
@@ -113,7 +113,7 @@ def _half_panel(scan: Scan, k: int) -> Light:
     return light
 
 
-def _fogged(scan: Scan, k: int) -> Light:
+def _fog(scan: Scan, k: int) -> Light:
     """Draw a growing band of fog on the wall below the net pot, which scatters up to 40 % of the light."""
     height = scan.light[k].shape[0]
     y = np.arange(height)[:, None] / height
@@ -121,19 +121,19 @@ def _fogged(scan: Scan, k: int) -> Light:
     return _below(scan, k, (1.0 - band) * scan.light[k] + band * cv2.GaussianBlur(scan.light[k], (0, 0), 6.0))
 
 
-def _turned(scene: Scene) -> Scene:
+def _turn(scene: Scene) -> Scene:
     camera = scene.camera
     (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.image_wh
     return replace(scene, camera=replace(camera, image_wh=(height, width), focal_px=(fy, fx), principal_px=(cy, width - 1 - cx)))
 
 
-def _halved(scene: Scene) -> Scene:
+def _halve(scene: Scene) -> Scene:
     """State the new size only."""
     width, height = scene.camera.image_wh
     return replace(scene, camera=replace(scene.camera, image_wh=(width // 2, height // 2)))
 
 
-def _cropped(scene: Scene) -> Scene:
+def _crop(scene: Scene) -> Scene:
     width, height = scene.camera.image_wh
     return replace(scene, camera=replace(scene.camera, image_wh=(width - 40, height - 10)))
 
@@ -194,7 +194,7 @@ PLACE = (
         name="turned-90",
         why="the camera is in portrait orientation, as stated in the scene",
         light=lambda scan, k: np.rot90(scan.light[k]),
-        scene=_turned,
+        scene=_turn,
     ),
     Damage(name="turned-180", why="the camera is upside down", light=lambda scan, k: scan.light[k][::-1, ::-1]),
     Damage(name="mirrored", why="pictures of a mirror image", light=lambda scan, k: scan.light[k][:, ::-1]),
@@ -209,30 +209,30 @@ PLACE = (
     Damage(
         name="cropped",
         why="40 columns and 10 rows cropped, and only the size changed in the scene",
-        scene=_cropped,
+        scene=_crop,
         light=lambda scan, k: scan.light[k][10:, 40:],
     ),
     Damage(
         name="halved",
         why="pictures reduced by half, and only the size changed in the scene",
-        scene=_halved,
+        scene=_halve,
         light=lambda scan, k: cv2.resize(scan.light[k], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
     ),
-    Damage(name="distorted", why="an uncalibrated lens of k1 = -0.15", light=_distorted),
+    Damage(name="distorted", why="an uncalibrated lens of k1 = -0.15", light=_distort),
     Damage(name="focal-said-3-more", why="the focal length is stated 3 % too large", scene=_said_focal),
     Damage(name="strip-97", why="a marker strip printed at 97 %", light=_small_print),
     Damage(name="strip-said-3-more", why="markers and rows are stated 3 % too large", scene=_said_strip),
     Damage(name="n-said-1.37", why="the liquid is stated to be syrup", scene=_said_n),
     Damage(name="radius-said-3-more", why="the canister's radius is stated 3 % too large", scene=_said_wide),
     Damage(name="vibrating", why="the arm vibrates under a rolling shutter: 1 px", light=_vibrating),
-    Damage(name="sheared", why="the table swings under a rolling shutter: 3 px from top to bottom", light=_sheared),
-    Damage(name="interlaced", why="every second row is 2 px off", light=_interlaced),
-    Damage(name="slipped", why="the plant slips in its pot half-way, by a step of the table", light=_slipped),
+    Damage(name="sheared", why="the table swings under a rolling shutter: 3 px from top to bottom", light=_shear),
+    Damage(name="interlaced", why="every second row is 2 px off", light=_interlace),
+    Damage(name="slipped", why="the plant slips in its pot half-way, by a step of the table", light=_slip),
     Damage(name="sagging", why="the roots sink by 1.5 mm during the scan", light=_sagging),
     *(_swaying(mm) for mm in (0.1, 0.3, 0.6, 1.2)),
     Damage(name="bubbles", why="40 bubbles of 2 mm on the roots", light=_bubbles),
     Damage(name="half-panel", why="the panel is behind the left half only", light=_half_panel),
-    Damage(name="fogged", why="the wall fogs up during the scan", light=_fogged),
+    Damage(name="fogged", why="the wall fogs up during the scan", light=_fog),
     Damage(
         name="label",
         why="a grey label on the canister",

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.picture_codec import Grey, decode_grey
 from rhizotwin.scenes.transfer import LINEAR
 
@@ -140,7 +140,7 @@ def _write_dataset(dataset_folder: Path, folder: Path, one: Callable[[int, Frame
         path = folder / frame.file
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic.write_image(path, image)
-        frames.append(replace(frame, sha256=sha256_of(path)))
+        frames.append(replace(frame, sha256=file_sha256(path)))
     truth = dataset_folder / "truth"
     if truth.is_dir():
         shutil.copytree(truth, folder / "truth")

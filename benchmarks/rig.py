@@ -49,7 +49,7 @@ def measure(*, quick: bool, say: Say) -> Run:
         "calibrate": lambda: _calibrate(("bench",) if quick else ("clean", "bench")),
     }
     if not quick:
-        parts["scan"] = _scanned
+        parts["scan"] = _scan_and_reconstruct
     for name, part in parts.items():
         began = time.perf_counter()
         try:
@@ -155,13 +155,13 @@ def _calibrate(profiles: tuple[str, ...]) -> list[Metric]:
     return metrics
 
 
-def _scanned() -> list[Metric]:
+def _scan_and_reconstruct() -> list[Metric]:
     """Scan the printed root on the twin as in a laboratory, and reconstruct it."""
     scene = replace(files.load_scene("printed_8ml"), disturbances=files.load_profile("bench"))
     twin = Twin(scene, seed=0, profile_name="bench", pictures="render")
     with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
         folder, result = Path(working) / "dataset", Path(working) / "result"
-        dataset = rig_faults.scan_of(twin, folder)
+        dataset = rig_faults.run_scan(twin, folder)
         result.mkdir()
         reconstruct(folder).save(result)
         twin.write_truth(folder, dataset.frames)

@@ -21,10 +21,10 @@ from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
-from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, kind_of
+from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, fault_kind
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import plan
-from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image, sha256_of
+from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset, read_image
 from rhizotwin.scenes.files import load_profile, load_scene
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
@@ -106,7 +106,7 @@ def run_one(seed: int, kinds: Sequence[str]) -> FaultRun:
     """Scan with faults, resume a stopped scan, and compare the dataset with the true views."""
     rng = np.random.default_rng([seed, 77])
     faults = draw_faults(rng, tuple(kinds), messages=120, duration_s=60.0, shots=12)
-    protocol = kind_of(kinds[0]).protocol or kind_of(kinds[-1]).protocol or ("lx", "lsc")[seed % 2]
+    protocol = fault_kind(kinds[0]).protocol or fault_kind(kinds[-1]).protocol or ("lx", "lsc")[seed % 2]
     twin = Twin(small_scene(), seed=seed, profile_name="bench", faults=faults, pictures="sketch", rig=default_rig(protocol))
     began = time.monotonic()
     before = signal.signal(signal.SIGALRM, _raise_hang)
@@ -141,7 +141,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
     ended, stop = "complete", ""
     kept: dict[str, str] = {}
     try:
-        dataset = scan_of(twin, folder)
+        dataset = run_scan(twin, folder)
     except RigError as error:
         ended, stop = "stopped", str(error)
         if not any(name in stop for name in DEVICES):
@@ -151,7 +151,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
         shots = len(twin.record.shots)
         twin.repair()
         try:
-            dataset = scan_of(twin, folder, resume=True)
+            dataset = run_scan(twin, folder, resume=True)
         except Exception as error:  # noqa: BLE001 - any error is a result
             return ended, stop, [*problems, f"cannot be resumed: {type(error).__name__}: {error}"]
         if len(dataset.frames) - len(kept) > len(twin.record.shots) - shots:
@@ -165,7 +165,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
     return ended, stop, problems
 
 
-def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
+def run_scan(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
     """Scan an emulated rig.
 
     Parameters
@@ -203,7 +203,7 @@ def _find_errors(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str
     off: dict[tuple[int, int], list[float]] = {}
     seen = set()
     for frame in dataset.frames:
-        if sha256_of(dataset.folder / frame.file) != frame.sha256:
+        if file_sha256(dataset.folder / frame.file) != frame.sha256:
             problems.append(f"{frame.file} is not the recorded picture")
             continue
         shot = twin.record.shot_of(read_image(dataset, frame))

@@ -19,7 +19,7 @@ from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.twin.server import TwinServer, rig_text
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import atomic, files
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 VIEWS = 12
@@ -120,7 +120,7 @@ def _differences(whole: Dataset, found: Dataset, *, same_pixels: bool) -> list[s
         problems.append("its scene differs")
     for one, other in zip(whole.frames, found.frames, strict=False):
         path = found.folder / other.file
-        if not path.is_file() or sha256_of(path) != other.sha256:
+        if not path.is_file() or file_sha256(path) != other.sha256:
             problems.append(f"{other.file} is not the recorded picture")
         elif same_pixels and (read_image(whole, one) != read_image(found, other)).any():
             problems.append(f"{other.file} has other contents")

@@ -99,7 +99,7 @@ def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: 
     for seed in range(1, runs + 1):
         say(f"run {seed} of {runs}")
         run = accuracy.measure(cases, device=device, say=say, change=f"{change}:{seed}", projection=False)
-        found.append(replace(run, metrics=of_cases(run.metrics, cases)))
+        found.append(replace(run, metrics=metrics_of_pictures(run.metrics, cases)))
     return found
 
 
@@ -111,7 +111,7 @@ def values(runs: Sequence[Run]) -> dict[str, list[float]]:
     return found
 
 
-def of_cases(metrics: Sequence[Metric], cases: Sequence[Case]) -> list[Metric]:
+def metrics_of_pictures(metrics: Sequence[Metric], cases: Sequence[Case]) -> list[Metric]:
     """Return the metrics that depend on pictures, the only ones affected by simulated rounding."""
     names = {case.name for case in cases}
     return [metric for metric in metrics if metric.key.rpartition("/")[0] in names]

@@ -112,7 +112,7 @@ def _named(name: str) -> Callable[[Record], bool]:
     return lambda record: bool(record["case"]["scene"] == name)
 
 
-def _of(record: Record, *path: str) -> float:
+def _score_value(record: Record, *path: str) -> float:
     value: Any = record
     for name in path:
         value = None if value is None else value.get(name)
@@ -120,7 +120,7 @@ def _of(record: Record, *path: str) -> float:
 
 
 def _sizes(*path: str) -> Callable[[Sequence[Record]], list[float]]:
-    return lambda records: [abs(_of(record, *path)) for record in records]
+    return lambda records: [abs(_score_value(record, *path)) for record in records]
 
 
 def _over(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import accuracy, assumptions, gate
-from benchmarks.assumptions import Counted, Level
+from benchmarks.assumptions import CountedVolumes, Level
 from benchmarks.cases import Case, Pictures, ladder
 from benchmarks.run import Say
 from rhizotwin.experiment import tables
@@ -112,7 +112,11 @@ def plants(records: Sequence[Record]) -> list[Plant]:
 
 
 def write(
-    path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], method: Mapping[str, bytes] | None = None
+    path: Path,
+    found: Sequence[Plant],
+    levels: Sequence[Level],
+    counted: Sequence[CountedVolumes],
+    method: Mapping[str, bytes] | None = None,
 ) -> list[Path]:
     """Write the page (Markdown) and its figures beside it, and return their paths.
 
@@ -124,7 +128,7 @@ def write(
         Plants by both methods.
     levels : sequence of Level
         Volume and time by voxel.
-    counted : sequence of Counted
+    counted : sequence of CountedVolumes
         Errors by the thesis's assumptions.
     method : mapping of bytes, optional
         Figures of `thesis_figures.draw`.
@@ -155,7 +159,7 @@ def write(
     return [path, *made]
 
 
-def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], *, figures: Mapping[str, str]) -> str:
+def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[CountedVolumes], *, figures: Mapping[str, str]) -> str:
     """Return the page.
 
     Parameters
@@ -164,7 +168,7 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         Plants by both methods.
     levels : sequence of Level
         Volume and time by voxel.
-    counted : sequence of Counted
+    counted : sequence of CountedVolumes
         Errors by the thesis's assumptions.
     figures : mapping of str
         Files of the figures: volume_by_level (3.10), time_by_level (5.3), growth (4.1); circle (3.6), rays (3.8) and

@@ -146,7 +146,7 @@ class Page:
             time.sleep(0.2)
         raise UserError("the page drew no picture")
 
-    def asked(self, pattern: str, act: Any) -> float:
+    def response_time(self, pattern: str, act: Any) -> float:
         """Return the seconds from the end of a click until the text that matches a pattern changes."""
         self.page.evaluate("pattern => bench.ask(pattern)", pattern)
         act()
@@ -206,7 +206,7 @@ def measure(results: Sequence[Path], dataset: Path | None, *, clean: Path | None
         browser.new_page().close()  # a user's browser is already running
         for result in results:
             try:
-                found = _of_result(browser, result, dataset, repeats=repeats, say=say)
+                found = _measure_result(browser, result, dataset, repeats=repeats, say=say)
                 if clean is not None:
                     found |= viewer_debris.measure(browser, result, clean, dataset or _dataset(result), window=WINDOW)
             except (UserError, BrowserError) as error:
@@ -218,7 +218,7 @@ def measure(results: Sequence[Path], dataset: Path | None, *, clean: Path | None
     return run
 
 
-def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int, say: Say) -> dict[str, tuple[float, str]]:
+def _measure_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int, say: Say) -> dict[str, tuple[float, str]]:
     """Return the numbers of one result with their units."""
     found: dict[str, tuple[float, str]] = {}
     with tempfile.TemporaryDirectory(prefix="rhizotwin-benchmark-") as working:
@@ -260,20 +260,20 @@ def _measure_edits(page: Page) -> dict[str, tuple[float, str]]:
         spots = _vivid(page)
         times = []
         for x, y in spots[:PICKS]:
-            times.append(page.asked(_CHOSEN, lambda x=x, y=y: page.page.mouse.click(x, y)))
+            times.append(page.response_time(_CHOSEN, lambda x=x, y=y: page.page.mouse.click(x, y)))
             if len(times) < PICKS:
-                page.asked(_CHOSEN, lambda: page.press("Choose nothing"))
+                page.response_time(_CHOSEN, lambda: page.press("Choose nothing"))
         found["pick"] = statistics.median(times), "s"
         found["pick_worst"] = max(times), "s"
-        found["delete_root"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
-        found["undo"] = page.asked(_CORRECTED, lambda: page.press("Undo")), "s"
-        page.asked(_CORRECTED, lambda: page.press("Redo"))
+        found["delete_root"] = page.response_time(_CORRECTED, lambda: page.press("Delete")), "s"
+        found["undo"] = page.response_time(_CORRECTED, lambda: page.press("Undo")), "s"
+        page.response_time(_CORRECTED, lambda: page.press("Redo"))
     page.layer("Surface", on=False)  # it hides the voxels, and is updated after the number
     page.layer("Voxels", on=True)
     page.page.get_by_role("tab", name="Correct").click()
     found["voxels"], found["choose_voxels"] = _drag(page)
     if found["voxels"][0]:
-        found["delete_voxels"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
+        found["delete_voxels"] = page.response_time(_CORRECTED, lambda: page.press("Delete")), "s"
     return found
 
 

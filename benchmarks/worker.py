@@ -55,7 +55,7 @@ def pictures_as_text(pictures: Pictures) -> str:
     return json.dumps(asdict(pictures))
 
 
-def pictures_of(text: str) -> Pictures | Mixture:
+def parse_pictures(text: str) -> Pictures | Mixture:
     """Return the pictures described by an argument."""
     plain = json.loads(text)
     if "mixture" in plain:
@@ -184,7 +184,7 @@ def parser() -> argparse.ArgumentParser:
     reconstructing.add_argument("dataset", type=Path)
     reconstructing.add_argument("voxel_mm", type=float)
     making = jobs.add_parser("dataset")
-    making.add_argument("pictures", type=pictures_of)
+    making.add_argument("pictures", type=parse_pictures)
     scoring = jobs.add_parser("score")
     scoring.add_argument("dataset", type=Path)
     scoring.add_argument("method", choices=METHODS)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from rhizotwin.recon.bands import measure_bands
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes import transfer
-from rhizotwin.scenes.dataset import Dataset, Frame, read_image, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.picture_codec import Grey
@@ -150,7 +150,7 @@ def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey |
 
 def picture_hash(dataset: Dataset, frame: Frame) -> str:
     """Return the hash of a picture's file, from the dataset or else computed from the file."""
-    return frame.sha256.lower() or sha256_of(dataset.folder / frame.file)
+    return frame.sha256.lower() or file_sha256(dataset.folder / frame.file)
 
 
 def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:

@@ -12,7 +12,7 @@ from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import SUFFIXES, list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_bytes
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
@@ -204,7 +204,7 @@ class _Copying:
         pose = None if self._given is None else _pose_of(path, self._given)
         return Frame(
             file=name,
-            sha256=sha256_of(self._folder / name),
+            sha256=file_sha256(self._folder / name),
             kind=self._scene.plan.rings[ring].kind,
             band=band,
             view=view if band else None,

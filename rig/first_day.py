@@ -72,7 +72,9 @@ class FirstDay:
         wrong_devices : int
             Number of problems found by `rig.bench.check`.
         """
-        self._found("devices", wrong_devices == 0, f"{wrong_devices} wrong; see the lines above" if wrong_devices else "all answer")
+        self._record_finding(
+            "devices", wrong_devices == 0, f"{wrong_devices} wrong; see the lines above" if wrong_devices else "all answer"
+        )
         steps: list[tuple[str, Callable[[], None]]] = [
             ("lamps", self._lamps),
             *[(f"joint {k + 1}", self._joint_step(k)) for k in range(len(JOINTS))],
@@ -100,7 +102,7 @@ class FirstDay:
 
     def _lamps(self) -> None:
         self._jog.do(["lights", "1", "1"])
-        self._found(
+        self._record_finding(
             "lamps",
             self._yes("Are the whole panel and the front lamp lit, evenly to the eye and without flicker?"),
             "judged by eye",
@@ -121,7 +123,7 @@ class FirstDay:
             return
         self._jog.do(["go", f"{ring.distance_mm:g}", f"{ring.height_mm:g}", f"{ring.tilt_deg:g}"])
         self._before_canister = self._yes("Does the camera face the canister, with strip and water in the picture?")
-        self._found("arm", self._before_canister, f"judged by eye: {where}")
+        self._record_finding("arm", self._before_canister, f"judged by eye: {where}")
 
     def _out_of_place(self, step: str) -> bool:
         """Skip a step whose picture would not show the canister."""
@@ -135,7 +137,7 @@ class FirstDay:
         image = self._jog.shot()
         write_bytes(self._folder / "focus.png", encode_png(image))
         if contrast(image) < LEAST_CONTRAST:
-            self._found(
+            self._record_finding(
                 "focus", False, "there is no dark object in front of the panel: bring pot, strip and canister into the picture (focus.png)"
             )
             return
@@ -143,7 +145,7 @@ class FirstDay:
         sharp = width_px < 0.5 * cell_px
         text = f"the sharpest edges are {width_px:.1f} px wide, a cell of a marker {cell_px:.1f} px"
         cure = "; turn the focus until edges are less than half a cell wide"
-        self._found("focus", sharp, text if sharp else text + cure, edge_px=width_px, cell_px=cell_px)
+        self._record_finding("focus", sharp, text if sharp else text + cure, edge_px=width_px, cell_px=cell_px)
 
     def _strip(self) -> None:
         if self._out_of_place("strip"):
@@ -151,13 +153,15 @@ class FirstDay:
         image = self._jog.shot()
         seen = read_strip(image, self._scene)
         if seen is not None:
-            self._found("strip", True, f"{seen.markers} markers, {seen.reprojection_px:.2f} px error", reprojection_px=seen.reprojection_px)
+            self._record_finding(
+                "strip", True, f"{seen.markers} markers, {seen.reprojection_px:.2f} px error", reprojection_px=seen.reprojection_px
+            )
         elif read_strip(np.ascontiguousarray(image[:, ::-1]), self._scene) is not None:
-            self._found(
+            self._record_finding(
                 "strip", False, "the picture is mirrored: switch off the camera's flip, or print the strip anew if it was printed mirrored"
             )
         else:
-            self._found("strip", False, unread_reason(image, self._scene))
+            self._record_finding("strip", False, unread_reason(image, self._scene))
 
     def _panel(self) -> None:
         if self._out_of_place("panel"):
@@ -168,7 +172,7 @@ class FirstDay:
         even, full = panel_evenness(image), preflight.measure_exposure(image).saturated
         good = even >= LEAST_EVEN and full <= preflight.MOST_SATURATED
         text = f"its darker parts have {100.0 * even:.0f} % of the light of its brighter ones, {100.0 * full:.1f} % is at full scale"
-        self._found("panel", good, text, evenness=even, saturated=full)
+        self._record_finding("panel", good, text, evenness=even, saturated=full)
         self._jog.do(["lights", "1", "1"])
 
     def _table(self) -> None:
@@ -181,7 +185,7 @@ class FirstDay:
         self._jog.do(["table", f"-{TURN_DEG:g}"])
         back = self._sighting()
         if before is None or after is None or back is None:
-            self._found("table", seen_right, "judged by eye; the markers could not be read")
+            self._record_finding("table", seen_right, "judged by eye; the markers could not be read")
             return
         turn, miss = (wrap_angle(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
         measured = abs(turn - TURN_DEG) <= TURN_TOLERANCE_DEG
@@ -192,7 +196,7 @@ class FirstDay:
             text += ": correct the steps per degree"
         elif not seen_right:
             text += f"; the markers confirm it, but no turn {sense} was observed: is the strip upside down?"
-        self._found("table", measured and seen_right, text, turned_deg=turn, back_deg=miss)
+        self._record_finding("table", measured and seen_right, text, turned_deg=turn, back_deg=miss)
 
     def _joint_step(self, k: int) -> Callable[[], None]:
         def step() -> None:
@@ -211,7 +215,9 @@ class FirstDay:
             right = self._yes(f"Did {JOINTS[k]}?")
             self._jog.do(["joint", str(k + 1), f"-{JOINT_DEG:g}"])
             text = f"commanded to move by {JOINT_DEG:g} deg, the servo reports {moved_deg:+.1f}"
-            self._found(name, right, text + ("" if right else f"; set sign of arm.joints {k + 1} to the other one"), moved_deg=moved_deg)
+            self._record_finding(
+                name, right, text + ("" if right else f"; set sign of arm.joints {k + 1} to the other one"), moved_deg=moved_deg
+            )
 
         return step
 
@@ -244,7 +250,7 @@ class FirstDay:
             near = abs(measured_mm - given_mm) <= CALIPER_MM
             text = f"{what} {measured_mm:.2f} mm, in the scene {given_mm:.2f}"
             cure = f"; correct {key}" if key else "; the printer scales: see its ruler, and `rhizotwin markers --printed-ruler-mm`"
-            self._found("calipers", near, text if near else text + cure, measured_mm=measured_mm, given_mm=given_mm)
+            self._record_finding("calipers", near, text if near else text + cure, measured_mm=measured_mm, given_mm=given_mm)
 
     def _sighting(self) -> Sighting | None:
         return read_strip(self._jog.shot(), self._scene)
@@ -254,10 +260,10 @@ class FirstDay:
 
         A marker has 8 cells including its border (AprilTag 36h11: 10).
         """
-        from rhizotwin.scenes.markers import dictionary_named
+        from rhizotwin.scenes.markers import get_dictionary
 
         lens, ring, strip = self._scene.camera.as_pinhole(), self._scene.plan.rings[0], self._scene.strip
-        cells = int(dictionary_named(strip.dictionary).markerSize) + 2
+        cells = int(get_dictionary(strip.dictionary).markerSize) + 2
         distance_mm = ring.distance_mm - self._scene.net_pot.outer_radius_mm
         return lens.focal_px[0] * strip.marker_mm / cells / distance_mm
 
@@ -268,7 +274,7 @@ class FirstDay:
                 return answer.startswith("y")
             self._say("please answer yes or no")
 
-    def _found(self, step: str, good: bool, text: str, **measured: float) -> None:
+    def _record_finding(self, step: str, good: bool, text: str, **measured: float) -> None:
         self._note(Finding(step=step, verdict="ok" if good else "wrong", text=text, measured=measured))
 
     def _note(self, finding: Finding) -> None:

@@ -63,9 +63,9 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
                 stream.flush()
                 os.fsync(descriptor)
                 if sys.platform != "win32":
-                    _put(temporary, path, new=new)
+                    _rename_file(temporary, path, new=new)
             if sys.platform == "win32":  # Windows cannot rename open files
-                _put(temporary, path, new=new)
+                _rename_file(temporary, path, new=new)
             sync_folder(path.parent)
         finally:
             with suppress(OSError):
@@ -193,7 +193,7 @@ def _remove_left(path: Path) -> None:
                     os.close(descriptor)
 
 
-def _put(temporary: Path, path: Path, *, new: bool) -> None:
+def _rename_file(temporary: Path, path: Path, *, new: bool) -> None:
     """Rename a file to its final name; with ``new``, only if that name is free."""
     if new:
         _link(temporary, path)

@@ -201,7 +201,7 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     return image
 
 
-def sha256_of(path: Path | str) -> str:
+def file_sha256(path: Path | str) -> str:
     """Return the SHA-256 of a file in hexadecimal."""
     if not Path(path).is_file():
         raise UserError(f"{path}: cannot be read (there is no such file)")

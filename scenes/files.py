@@ -72,7 +72,7 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
     plain = scene_to_dict(scene)
     if not plants:
         del plain["plants"]  # with an empty list, users could not add a [[plants]] section
-    write_text(path, key_descriptions.commented(_without_none(plain)), new=new)
+    write_text(path, key_descriptions.to_commented_toml(_without_none(plain)), new=new)
 
 
 def _resolve(specimen: Specimen | None, folder: Path) -> Specimen | None:

@@ -13,7 +13,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from rhizotwin.scenes import toml_text
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.schema import kind_of
+from rhizotwin.scenes.schema import union_tag
 
 UNITS = {
     "per_mm": "per mm",
@@ -65,7 +65,7 @@ def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
         if not parts or get_origin(hints[one.name]) is tuple:  # a list of sections may be empty, and is then a key
             yield Key(here, _default(one), _unit(one.name), _limits(one, hints[one.name]), said.get(one.name, ""))
         for part in parts:
-            kind = kind_of(part)
+            kind = union_tag(part)
             yield from keys(part, f"{here}.{kind}" if kind else here)
 
 
@@ -76,13 +76,13 @@ def sections(of: type = Scene, path: str = "") -> Iterator[tuple[str, str]]:
         if f"{path}.{one.name}" == _ELSEWHERE:
             continue
         for part in _parts(hints[one.name]):
-            kind = kind_of(part)
+            kind = union_tag(part)
             here = ".".join(filter(None, (path, one.name, kind)))
             yield here, _plain(inspect.getdoc(part) or "")
             yield from sections(part, here)
 
 
-def commented(plain: Mapping[str, Any]) -> str:
+def to_commented_toml(plain: Mapping[str, Any]) -> str:
     """Return a scene (`scenes.files.scene_to_dict`, without None) as TOML with a comment above each key."""
     said = {key.path: key.line() for key in keys()}
     kinds = iter(one["kind"] for one in (plain.get("specimen"), *(plant.get("specimen") for plant in plain.get("plants", ()))) if one)

@@ -358,12 +358,12 @@ class _Reader:
                 if match is None or match[1].lower() != word:
                     continue
                 scale_mm = to_diameter * (self.units.unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
-                return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
+                return self._check_diameters(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
             text = rsml_xml.read_property(own, word)
             if text:
                 value = self.units.number(text, f"{word} of {name}")
                 scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
-                return self._checked(np.full(len(points_mm), value * scale_mm), name)
+                return self._check_diameters(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
             raise UserError(
                 f"{self.path}: {name} has no diameter; set one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
@@ -391,7 +391,7 @@ class _Reader:
         along: Array = np.interp(way_mm, at_mm, values)
         return along
 
-    def _checked(self, diameters_mm: Array, name: str) -> Array:
+    def _check_diameters(self, diameters_mm: Array, name: str) -> Array:
         if diameters_mm.min() < 0.0 or diameters_mm.max() == 0.0:
             raise UserError(f"{self.path}: {name} has a diameter of {diameters_mm.min():g} mm; diameters must be above 0")
         return diameters_mm

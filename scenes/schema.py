@@ -39,7 +39,7 @@ class Place:
 
     def error(self, must: str, *value: Any) -> UserError:
         """Return the error ``WHERE, line N: [section] key = value: must ...``."""
-        line = _line_of(self.text, self.path)
+        line = _find_line(self.text, self.path)
         start = self.where if line is None else f"{self.where}, line {line}"
         section, key = _split_path(self.path)
         shown = f" = {_format_value(value[0])}" if value else ""
@@ -55,7 +55,7 @@ def suggestion(name: str, known: list[str]) -> str:
 def to_plain(value: Any) -> Any:
     """Return dataclasses as dicts and tuples as lists, ready for JSON; members of unions get their ``kind``."""
     if is_dataclass(value) and not isinstance(value, type):
-        plain = {"kind": kind_of(type(value))} if kind_of(type(value)) else {}
+        plain = {"kind": union_tag(type(value))} if union_tag(type(value)) else {}
         return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, (tuple, list)):
         return [to_plain(item) for item in value]
@@ -159,7 +159,7 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
 
 def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
     """Select one of several dataclasses by the key ``kind``."""
-    kinds = {kind_of(choice): choice for choice in choices}
+    kinds = {union_tag(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
     named = ", ".join(f'"{k}"' for k in kinds)
@@ -171,7 +171,7 @@ def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
     return from_plain(kinds[kind], {key: item for key, item in value.items() if key != "kind"}, place)
 
 
-def kind_of(choice: type) -> str:
+def union_tag(choice: type) -> str:
     """Return the tag of a member of a union: ``sphere`` for ``SphereSpecimen``; empty for other classes."""
     name = choice.__name__
     return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""
@@ -202,7 +202,7 @@ def _split_path(path: tuple[str | int, ...]) -> tuple[str, str]:
     return "".join(words).lstrip("."), key
 
 
-def _line_of(text: str, path: tuple[str | int, ...]) -> int | None:
+def _find_line(text: str, path: tuple[str | int, ...]) -> int | None:
     """Find the line of a TOML text that contains a path, or its deepest part found; None if nothing is found."""
     best: tuple[int, int | None] = (0, None)
     table: tuple[str | int, ...] = ()

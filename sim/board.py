@@ -256,12 +256,12 @@ def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
     x_mm, y_mm = np.linspace(0.0, wide_mm, columns + 1) - BORDER_MM, np.linspace(0.0, high_mm, rows + 1) - BORDER_MM
     black = np.zeros((rows, columns), np.float32)
     for left, top, right, bottom in black_parts(board):
-        (i, across), (j, down) = _covered(x_mm, left, right), _covered(y_mm, top, bottom)
+        (i, across), (j, down) = _coverage(x_mm, left, right), _coverage(y_mm, top, bottom)
         black[j, i] += np.outer(down, across).astype(np.float32)
     return (PAPER + (INK - PAPER) * black).astype(np.float32)
 
 
-def _covered(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
+def _coverage(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
     """Return the range of texels between ``edges`` that an interval touches, and the covered fraction of each."""
     first, last = int(np.searchsorted(edges, low, "right")) - 1, int(np.searchsorted(edges, high, "left"))
     low_edges, high_edges = edges[first:last], edges[first + 1 : last + 1]

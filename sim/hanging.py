@@ -59,7 +59,7 @@ def sway(scene: mi.Scene, hanging: Sequence[HangingObject], tip_mm: tuple[float,
     ----------
     scene : mi.Scene
         Scene created by `optics.build`.
-    hanging : sequence of Hanging
+    hanging : sequence of HangingObject
         Hanging objects at rest.
     tip_mm : tuple of float
         Displacement of the lowest tip in x and y.

@@ -179,12 +179,12 @@ class Renderer:
         self._refine(eye, image, coverage, mixed | (self.targets[ring] == optics.SHOOT))
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
-            image = self._traced(eye, stream)
+            image = self._path_trace(eye, stream)
         if self.world.highlight is not None:
             image = image + self.world.highlight.astype(np.float32)
         return image, coverage
 
-    def _traced(self, eye: Any, stream: int) -> Image:
+    def _path_trace(self, eye: Any, stream: int) -> Image:
         """Path-trace a view in as many passes as memory requires, each with its own seed."""
         width, height = self.image_wh
         most = max(1, MAX_PATHS // (width * height))
@@ -211,15 +211,15 @@ class Renderer:
         edges = _differ(np.array(way.course).reshape(shape))
         if self.fine is not None:
             found = self._fine_things(self.fine, way)
-            edges |= _of_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
+            edges |= _combine_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
             edges |= (found > 0) & (found < len(BETWEEN))
             edges |= _around(found, 1, cv2.dilate) != _around(found, 1, cv2.erode)
         mixed = _around(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
         if self.near_dirt is not None:
             dirty = self.near_dirt.follow(ray).coverage
-            mixed |= _of_corners(np.array(dirty).reshape(shape), np.maximum) > 0
+            mixed |= _combine_corners(np.array(dirty).reshape(shape), np.maximum) > 0
         if self.fidelity == "backlit":
-            mixed |= _of_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
+            mixed |= _combine_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
 
     def _fine_things(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
@@ -303,18 +303,18 @@ def _blur_px(scene: Scene) -> float:
     return half
 
 
-def _of_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
+def _combine_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
     """Combine the four corners (H + 1, W + 1) of every pixel (H, W) by a function of two arrays."""
     return np.asarray(combine(combine(corners[:-1, :-1], corners[:-1, 1:]), combine(corners[1:, :-1], corners[1:, 1:])))
 
 
 def _mean_of_corners(corners: NDArray[np.float32]) -> Image:
-    return np.asarray(_of_corners(corners, np.add) * np.float32(0.25), np.float32)
+    return np.asarray(_combine_corners(corners, np.add) * np.float32(0.25), np.float32)
 
 
 def _differ(corners: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Return which pixels have different corners."""
-    return np.asarray(_of_corners(corners, np.maximum) != _of_corners(corners, np.minimum))
+    return np.asarray(_combine_corners(corners, np.maximum) != _combine_corners(corners, np.minimum))
 
 
 def _bend(light: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_image, write_json
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
@@ -210,4 +210,4 @@ def _scene_hash(scene: Scene, solid: SpecimenSolid) -> str:
 
 
 def _hashes(*paths: Path) -> list[str]:
-    return [sha256_of(path) for path in paths]
+    return [file_sha256(path) for path in paths]

@@ -146,13 +146,13 @@ class _Handler(BaseHTTPRequestHandler):
         self._late.cancel()
         self._check_host()
         if self.path == "/prepare":
-            wanted = self._parsed(body, _Prepare)
+            wanted = self._parse(body, _Prepare)
             _check_name(wanted.session)
             said = self.server.service.prepare(wanted.session, wanted.settings)
             self.server.say(f"for {self.client_address[0]}: {said}")
             self._send_json(HTTPStatus.OK, {"camera": said})
         elif self.path == "/capture":
-            asked = self._parsed(body, _Capture)
+            asked = self._parse(body, _Capture)
             _check_name(asked.session)
             _check_name(asked.picture)
             self._send_picture(asked)
@@ -181,7 +181,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"requests may have at most {MAX_BODY_BYTES} bytes")
         return body
 
-    def _parsed(self, body: bytes, kind: type[Any]) -> Any:
+    def _parse(self, body: bytes, kind: type[Any]) -> Any:
         """Check a request's JSON."""
         if self.headers.get_content_type() != "application/json":
             raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "requests must be of type application/json")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rhizotwin.rig.lens.saddle_fit import Saddle, fit_saddle
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.markers import dictionary_named
+from rhizotwin.scenes.markers import get_dictionary
 from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 LEAST_CORNERS: Final = 8
@@ -181,5 +181,5 @@ def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int)
 
 def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
     """Return the number of markers of a dictionary in a picture."""
-    ids = cv2.aruco.ArucoDetector(dictionary_named(dictionary)).detectMarkers(picture)[1]
+    ids = cv2.aruco.ArucoDetector(get_dictionary(dictionary)).detectMarkers(picture)[1]
     return 0 if ids is None else len(ids)

@@ -61,7 +61,7 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     return paths
 
 
-def figure_of(page: Page) -> "Figure":
+def to_figure(page: Page) -> "Figure":
     """Return a page as a figure of the same size, with 1 mm on paper per unit of its axes."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -121,7 +121,7 @@ def _settings() -> Any:
 def _svg(page: Page, title: str) -> bytes:
     stored = io.BytesIO()
     with _settings():
-        figure_of(page).savefig(stored, format="svg", metadata={"Title": title, "Creator": CREATOR, "Date": None})
+        to_figure(page).savefig(stored, format="svg", metadata={"Title": title, "Creator": CREATOR, "Date": None})
     wide_mm, high_mm = page.size_mm
     # points are rounded, and some programs do not interpret them as points
     head = re.compile(rb'width="[0-9.]+pt" height="[0-9.]+pt"')
@@ -134,7 +134,7 @@ def _pdf(pages: Sequence[Page], title: str) -> bytes:
     stored = io.BytesIO()
     with _settings(), PdfPages(stored, metadata={"Title": title, "Creator": CREATOR, "CreationDate": None}) as pdf:
         for page in pages:
-            pdf.savefig(figure_of(page))
+            pdf.savefig(to_figure(page))
     return _at_true_scale(stored.getvalue())
 
 

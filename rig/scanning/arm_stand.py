@@ -84,7 +84,7 @@ class ArmStand:
     def place(self, ring: Ring) -> None:
         """Move the camera to the position of a ring, according to the joints."""
         goal = compute_joints(self._rig, planned_camera_pose(ring))
-        with self._watched():
+        with self._note_failure():
             start = self._arm.read_joints()
         self._move(plan_path(self._rig, self._scene, start, goal))
 
@@ -97,11 +97,11 @@ class ArmStand:
         placed = self._placed
         for tilt_deg in SEARCH_DEG:
             goal = (*placed.joints_deg[:WRIST], placed.joints_deg[WRIST] + tilt_deg, *placed.joints_deg[WRIST + 1 :])
-            if self._moved_checked(goal):
+            if self._move_if_clear(goal):
                 shot, seen = self._camera.look()
                 if seen is not None:
                     return shot, seen
-        self._moved_checked(placed.joints_deg)
+        self._move_if_clear(placed.joints_deg)
         return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
@@ -162,7 +162,7 @@ class ArmStand:
         placed = self._placed
         if placed is None:
             return None, None
-        with self._watched():
+        with self._note_failure():
             if not self._arm.holds():
                 raise LostError(
                     "arm: a servo lost its torque: its supply voltage dropped or it became too warm; "
@@ -194,9 +194,9 @@ class ArmStand:
         count_deg = min(1.0 / joint.counts_per_deg for joint in self._part.joints)
         if np.abs(np.subtract(goal, self._placed.joints_deg)).max() < 0.5 * count_deg:  # the servos would not move
             return False
-        return self._moved_checked(goal)
+        return self._move_if_clear(goal)
 
-    def _moved_checked(self, goal: Joints) -> bool:
+    def _move_if_clear(self, goal: Joints) -> bool:
         """Move directly to a nearby configuration; return False, without motion, if the path is not clear."""
         try:
             here = self._placed.joints_read_deg if self._placed is not None else self._arm.read_joints()
@@ -210,14 +210,14 @@ class ArmStand:
 
     def _move(self, path: Sequence[Joints]) -> None:
         self._placed = None
-        with self._watched():
+        with self._note_failure():
             for joints_deg in path:
                 read = self._arm.move_to(joints_deg)
         self._clock.sleep(self._part.settle_s)
         self._placed = ArmPlacement(joints_deg=tuple(path[-1]), joints_read_deg=tuple(read))
 
     @contextmanager
-    def _watched(self) -> Iterator[None]:
+    def _note_failure(self) -> Iterator[None]:
         try:
             yield
         except RigError:

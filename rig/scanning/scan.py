@@ -127,7 +127,7 @@ class _Scan:
 
     def run(self, planned: list[View]) -> Dataset:
         """Take the missing pictures, and leave the rig in a safe state in any case."""
-        self._drop_slipped(self._turntable.pictures_of(self._session))
+        self._remove_slipped(self._turntable.pictures_of(self._session))
         remaining = self._session.remaining()
         if not remaining:
             self._say(f"{self._session.folder}: all {len(planned)} pictures exist")
@@ -142,7 +142,7 @@ class _Scan:
             with self._monitor.stage("pictures"), self._monitor.steps("pictures", len(remaining), "view") as step:
                 for ring in rings:
                     self._take_ring(ring, [view for view in remaining if view.ring == ring], step)
-            self._say_unchecked(len(planned))
+            self._report_unverified(len(planned))
             dataset = self._session.save(complete=True)
             finished = True
         except BoardFaultError as fault:  # a fault during the recovery from another one, or before the first picture
@@ -182,19 +182,19 @@ class _Scan:
     def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
         ring = self._scene.plan.rings[index]
         self._select(plan.main_band(self._scene, index))
-        self._turntable.camera_moved()
+        self._turntable.forget_references()
         self._stand.place(ring)
-        self._cured(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
-        self._cured(lambda: self._measure_rest(views), near_deg=views[0].table_deg)
+        self._run_with_recovery(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
+        self._run_with_recovery(lambda: self._measure_rest(views), near_deg=views[0].table_deg)
         self._placement = self._session.next_placement(index)
         self._watch.begin_ring()
         for view in views:
             self._wait()
-            (frame, image), others, again = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
+            (frame, image), others, again = self._run_with_recovery(partial(self._shoot, view), near_deg=view.table_deg)
             self._refuse_still()
             for one in ((frame, image), *others):
                 self._session.record(*one)
-            self._turntable.remember_picture(view.table_deg, self._session.folder / frame.file)
+            self._turntable.add_picture(view.table_deg, self._session.folder / frame.file)
             self._watch.begin_look(frame, image, again)
             step()
         self._refuse_still()
@@ -213,7 +213,7 @@ class _Scan:
         if wrong is None:
             return
         file, why = wrong
-        if not self._drop_slipped(self._turntable.pictures):
+        if not self._remove_slipped(self._turntable.pictures):
             self._session.drop([file])
             self._observer.on_drop([file])
         raise RigError(
@@ -233,7 +233,7 @@ class _Scan:
         self._rest_s, self._rest_known = chosen.rest_s, True
         self._note("rest", f"turntable: {chosen.text()}")
 
-    def _say_unchecked(self, planned: int) -> None:
+    def _report_unverified(self, planned: int) -> None:
         """Report properties of the scan that could not be verified."""
         unread = len(self._watch.unread)
         if unread:
@@ -255,12 +255,12 @@ class _Scan:
             self._turntable.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
             self._homed = True
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turntable.angle_deg)
-        self._turntable.remember_sighting(seen)
+        self._turntable.add_sighting(seen)
         self._report(
             "markers", "cannot be read from this position" if seen is None else f"{seen.markers} read, {seen.reprojection_px:.2f} px error"
         )
 
-    def _cured(self, action: Callable[[], T], *, near_deg: float) -> T:
+    def _run_with_recovery(self, action: Callable[[], T], *, near_deg: float) -> T:
         """Run an action; if the board of table and lights fails in it, recover the board and repeat it."""
         faults = 0
         fault: BoardFaultError | None = None
@@ -356,13 +356,13 @@ class _Scan:
             "their supply and the view of the camera, then finish the scan with --resume"
         )
 
-    def _drop_slipped(self, pictures: list[Taken]) -> str:
+    def _remove_slipped(self, pictures: list[Taken]) -> str:
         """Remove pictures at other angles than commanded, and return a description of them.
 
         Lost steps cannot be read back, but they affect all subsequent pictures.
         """
         self._session.flush()
-        slipped = self._turntable.slipped(pictures)
+        slipped = self._turntable.find_slipped(pictures)
         if not slipped:
             return ""
         files = [f"images/{path.name}" for path in slipped]
@@ -379,7 +379,7 @@ class _Scan:
     def _stopped(self, error: BaseException) -> None:
         """Write the log, and report how to resume the scan; the first error is the one that is reported."""
         with suppress(Exception):
-            self._drop_slipped(self._turntable.pictures)
+            self._remove_slipped(self._turntable.pictures)
         with suppress(Exception):
             self._note("stopped", str(error) or type(error).__name__, quiet=True)
             done = len(self._session.save().frames)

@@ -36,7 +36,7 @@ class ScanCamera:
         RigError
             If the camera fails repeatedly, or its pictures differ in size from the scene's camera.
         """
-        shot = self._tried(table_deg)
+        shot = self._take_picture(table_deg)
         check_size(shot.image, self._scene.camera)
         return shot
 
@@ -45,7 +45,7 @@ class ScanCamera:
         shot = self.picture()
         return shot, read_strip(shot.image, self._scene)
 
-    def _tried(self, table_deg: float | None) -> Shot:
+    def _take_picture(self, table_deg: float | None) -> Shot:
         broken = False
         for attempt in range(TRIES):
             try:

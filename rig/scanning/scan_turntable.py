@@ -93,12 +93,12 @@ class ScanTurntable:
             self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
         return wrap_angle(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
 
-    def camera_moved(self) -> None:
+    def forget_references(self) -> None:
         """Discard the pictures used to restore the angle, as the camera has moved."""
         self._looks.clear()
         self.pictures.clear()
 
-    def remember_sighting(self, seen: Sighting | None) -> None:
+    def add_sighting(self, seen: Sighting | None) -> None:
         """Store a measurement of the strip at a known angle."""
         if seen is not None:
             self._looks.append(Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister))
@@ -108,7 +108,7 @@ class ScanTurntable:
         """Return the pictures of the camera's last position in an earlier run, which may not have been verified."""
         return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
 
-    def remember_picture(self, table_deg: float, path: Path) -> None:
+    def add_picture(self, table_deg: float, path: Path) -> None:
         """Store a picture of the scan from the camera's present position."""
         self.pictures.append((table_deg, path))
 
@@ -138,7 +138,7 @@ class ScanTurntable:
                 self._note("angle", f"turntable: kept its angle, {kept_deg:.2f} deg ({checked})")
                 return
             self._note("angle", f"turntable: reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg: it was turned")
-        self._declare(self._found(seen, image, references, near_deg, given_deg=self._given_deg))
+        self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
 
     def angle_deg(self) -> float:
         """Return the measured table angle."""
@@ -219,13 +219,13 @@ class ScanTurntable:
                 self._note("angle", f"turntable: is reconnected and kept its angle, {kept_deg:.2f} deg")
                 self.lost = False
                 return False
-        self._declare(self._found(seen, shot.image, references, near_deg, given_deg=None))
+        self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
         if seen is not None and references:
             self._refine(references, near_deg)
         self.lost = False
         return True
 
-    def slipped(self, pictures: list[Taken]) -> list[Path]:
+    def find_slipped(self, pictures: list[Taken]) -> list[Path]:
         """Return the pictures whose markers show another angle than commanded.
 
         Pictures are checked from the last one back to the first that agrees, since lost steps affect all subsequent
@@ -262,7 +262,9 @@ class ScanTurntable:
         with convert_board_errors():
             return table.position_deg() if table.knows_zero() else None
 
-    def _found(self, seen: Sighting | None, image: Grey, references: list[Reference], near_deg: float, *, given_deg: float | None) -> Angle:
+    def _find_angle(
+        self, seen: Sighting | None, image: Grey, references: list[Reference], near_deg: float, *, given_deg: float | None
+    ) -> Angle:
         why = "" if seen is not None else unread_reason(image, self._scene)
         return find_angle(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg, ask=self._ask, why=why)
 

@@ -17,7 +17,7 @@ from typing import Any
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_bytes
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents
 from rhizotwin.scenes.model import Disturbances, Scene
@@ -65,7 +65,7 @@ class Session:
     def remaining(self) -> list[View]:
         """Return the views without a picture."""
         self.flush()
-        return [view for view in self._planned if any(file not in self._frames for file in self._files_of(view))]
+        return [view for view in self._planned if any(file not in self._frames for file in self._view_files(view))]
 
     def next_placement(self, ring: int) -> int:
         """Return the number of the next placement of the camera in a ring."""
@@ -152,10 +152,10 @@ class Session:
         write_bytes(self.folder / frame.file, data)
 
     def _snapshot(self) -> Dataset:
-        found = (self._frames.get(file) for view in self._planned for file in self._files_of(view))
+        found = (self._frames.get(file) for view in self._planned for file in self._view_files(view))
         return replace(self._dataset, frames=tuple(frame for frame in found if frame is not None))
 
-    def _files_of(self, view: View) -> list[str]:
+    def _view_files(self, view: View) -> list[str]:
         return [picture_file(view, band) for band in plan.ring_bands(self._dataset.scene, view.ring)]
 
     def _is_main(self, frame: Frame) -> bool:
@@ -245,7 +245,7 @@ def _is_complete(folder: Path, frame: Frame) -> bool:
     path = folder / frame.file
     if not path.is_file():
         return False
-    if frame.sha256 and sha256_of(path) != frame.sha256:
+    if frame.sha256 and file_sha256(path) != frame.sha256:
         raise UserError(f"{path}: differs from the recorded picture; remove it to take it again")
     return True
 

@@ -96,7 +96,7 @@ class MarlinLink:
         RigError
             If the firmware does not support the command.
         """
-        return self._guarded(text, expect_s=expect_s, optional=optional, awaited=None)
+        return self._exchange_guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
         """Send a command and return its reply.
@@ -190,14 +190,14 @@ class MarlinLink:
     def _ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float) -> tuple[re.Match[str], list[str]]:
         output: list[str] = []
         for _ in range(ASKS):
-            output = self._guarded(text, expect_s=expect_s, optional=False, awaited=pattern)
+            output = self._exchange_guarded(text, expect_s=expect_s, optional=False, awaited=pattern)
             for line in reversed(output):
                 if found := pattern.search(line):
                     return found, output
         heard = repr(output[-1]) if output else "nothing"
         raise NoAnswerError(f"{self._wire.name}: does not answer {text} as Marlin does ({heard}); check port, baud rate and cable")
 
-    def _guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
+    def _exchange_guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
         if self._lost is not None:
             raise LostError(self._lost)
         try:

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, field
 
 from rhizotwin.rig.errors import NoAnswerError, RigError
-from rhizotwin.rig.table.marlin_lines import Kind, Line, numbered
+from rhizotwin.rig.table.marlin_lines import Kind, Line, encode_line
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 ANSWER_S = 10.0
@@ -45,14 +45,14 @@ class Journal:
     """Lines of a session by number, in case the board requests one again."""
 
     last: int = 0
-    lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", numbered(0, "M110 N0"))})
+    lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", encode_line(0, "M110 N0"))})
     optional: set[str] = field(default_factory=set)
     """Commands that the firmware need not support."""
 
     def add(self, text: str, *, optional: bool) -> None:
         """Add a command with the next number; an interruption leaves the journal consistent."""
         number = self.last + 1
-        sent = Sent(text, numbered(number, text))
+        sent = Sent(text, encode_line(number, text))
         if optional:
             self.optional.add(sent.command)
         self.lines[number] = sent
@@ -156,7 +156,7 @@ class Exchange:
             self._wanted.add(line.number)
             self._quiet_s = now_s + TRAILING_S
         elif line.kind is Kind.OK:
-            self._taken(line)
+            self._handle_ok(line)
         elif line.kind is Kind.BUSY:
             if not self._refused:
                 self._silences = 0
@@ -177,7 +177,7 @@ class Exchange:
                 self._hinted = True
                 self._quiet_s = now_s + TRAILING_S
 
-    def _taken(self, line: Line) -> None:
+    def _handle_ok(self, line: Line) -> None:
         """Handle an ``ok``."""
         now_s = self._wire.clock.now_s()
         if self._refused:

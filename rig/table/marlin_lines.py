@@ -63,7 +63,7 @@ _UNKNOWN = re.compile(r'Unknown command:\s*"?([^"]*)')
 _NOISE = "".join(map(chr, [*range(33), 127, 0xFFFD]))
 
 
-def numbered(number: int, text: str) -> bytes:
+def encode_line(number: int, text: str) -> bytes:
     """Return a command as the line that is sent: number, command, and the XOR of all bytes before the asterisk.
 
     Raises

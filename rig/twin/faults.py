@@ -139,7 +139,7 @@ _KINDS = {kind.name: kind for kind in MENU}
 KIND_NAMES: tuple[str, ...] = tuple(_KINDS)
 
 
-def kind_of(name: str) -> FaultKind:
+def fault_kind(name: str) -> FaultKind:
     """Return a kind of fault by its name.
 
     Raises
@@ -173,7 +173,7 @@ def draw_faults(
         Faults in the order of the kinds.
     """
     faults = []
-    for kind in map(kind_of, kinds):
+    for kind in map(fault_kind, kinds):
         device = kind.devices[int(rng.integers(len(kind.devices)))]
         count_at = int(rng.integers(1, (shots if device == "camera" else messages) + 1))
         by_time = device != "camera" and bool(rng.integers(2))
@@ -200,7 +200,7 @@ def parse_fault(text: str) -> Fault:
         If the line is invalid, with the valid options.
     """
     name, *words = text.split() or [""]
-    kind = kind_of(name)
+    kind = fault_kind(name)
     device: Device = kind.devices[0]
     values: dict[str, float] = {}
     for word in words:
@@ -236,7 +236,7 @@ class Pending:
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
-            kind_of(fault.kind)
+            fault_kind(fault.kind)
         self._lock = threading.Lock()
         self._left = list(faults)
         self.happened: list[tuple[float, Fault]] = []
@@ -244,7 +244,7 @@ class Pending:
 
     def add(self, fault: Fault) -> None:
         """Add a fault."""
-        kind_of(fault.kind)
+        fault_kind(fault.kind)
         with self._lock:
             self._left.append(fault)
 
@@ -273,7 +273,7 @@ class Pending:
             Faults that are due.
         """
         with self._lock:
-            here = [fault for fault in self._left if fault.device == device and kind_of(fault.kind).where == where]
+            here = [fault for fault in self._left if fault.device == device and fault_kind(fault.kind).where == where]
         return [fault for fault in here if _is_due(fault, number, now_s)]
 
     def use(self, fault: Fault, now_s: float) -> None:
@@ -286,7 +286,7 @@ class Pending:
     def next_s(self) -> float:
         """Return the time of the next device fault that is scheduled by time."""
         with self._lock:
-            times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
+            times = [fault.at_s for fault in self._left if fault.at_s is not None and fault_kind(fault.kind).where == "device"]
         return min(times, default=float("inf"))
 
 

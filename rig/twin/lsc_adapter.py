@@ -68,9 +68,9 @@ class LscAdapter:
         if command == 3:
             self._move(parameters)
         elif command == 6 and len(parameters) == 3:
-            return [Reply(now_s + THINKING_S, frame_of(6, parameters)), Reply(now_s + 1.0, frame_of(8, parameters))]
+            return [Reply(now_s + THINKING_S, build_frame(6, parameters)), Reply(now_s + 1.0, build_frame(8, parameters))]
         elif command == 15 and not parameters:
-            return [Reply(now_s + THINKING_S, frame_of(15, struct.pack("<H", self._supply.millivolt)))]
+            return [Reply(now_s + THINKING_S, build_frame(15, struct.pack("<H", self._supply.millivolt)))]
         elif command in (20, 21) and parameters and len(parameters) == parameters[0] + 1:
             there = [number for number in parameters[1:] if number in self._servos]
             if command == 20:
@@ -79,7 +79,7 @@ class LscAdapter:
             else:
                 body = b"".join(struct.pack("<Bh", number, self._servos[number].counts) for number in there)
                 due_s = now_s + THINKING_S + PER_SERVO_S * len(parameters[1:])
-                return [Reply(due_s, frame_of(21, bytes([len(there)]) + body))]
+                return [Reply(due_s, build_frame(21, bytes([len(there)]) + body))]
         return []
 
     def _move(self, parameters: bytes) -> None:
@@ -91,6 +91,6 @@ class LscAdapter:
                 self._servos[number].move(min(counts, 1000), duration_ms)
 
 
-def frame_of(command: int, parameters: bytes) -> bytes:
+def build_frame(command: int, parameters: bytes) -> bytes:
     """Return a complete frame."""
     return b"\x55\x55" + bytes([len(parameters) + 2, command]) + parameters

@@ -40,7 +40,9 @@ class LxAdapter:
         self._buffer += data
         replies: list[Reply] = []
         while (frame := self._frame()) is not None:
-            answers = [answer for servo in self._meant(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None]
+            answers = [
+                answer for servo in self._addressed_servos(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None
+            ]
             if answers and (frame[2] != BROADCAST or frame[4] == ID_READ):
                 replies.append(Reply(now_s + THINKING_S, _merge_collision(answers)))
         return replies
@@ -76,7 +78,7 @@ class LxAdapter:
                 return frame
             del buffer[0]
 
-    def _meant(self, number: int) -> list[int]:
+    def _addressed_servos(self, number: int) -> list[int]:
         if number == BROADCAST:
             return sorted(self._servos)
         return [number] if number in self._servos else []
@@ -85,10 +87,10 @@ class LxAdapter:
         """Execute a command of one servo, and return the reply if there is one."""
         servo = self._servos[number]
         if command in _READS:
-            return frame_of(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
+            return build_frame(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
         if command in _STORED_READS:
             write, default = _STORED_READS[command]
-            return frame_of(number, command, self._kept.get((number, write), default)) if not parameters else None
+            return build_frame(number, command, self._kept.get((number, write), default)) if not parameters else None
         if command in _STORED_WRITES:
             if len(parameters) == _STORED_WRITES[command]:
                 self._kept[number, command] = parameters
@@ -123,7 +125,7 @@ def checksum(body: bytes) -> int:
     return ~sum(body) & 0xFF
 
 
-def frame_of(number: int, command: int, parameters: bytes) -> bytes:
+def build_frame(number: int, command: int, parameters: bytes) -> bytes:
     """Return a complete frame.
 
     Parameters

@@ -127,7 +127,7 @@ class RenderedPictures:
         """
         from rhizotwin.sim.truth import build_truth, write_specimen
 
-        world = self._drawn()
+        world = self._draw_world()
         if self._solid is None:
             raise ValueError(f"scene {self._scene.name!r} has no specimen")
         write_specimen(folder, self._solid)
@@ -153,7 +153,7 @@ class RenderedPictures:
         from rhizotwin.sim.render import Renderer
 
         if (panel, front, band) not in self._renderers:
-            world = self._drawn()
+            world = self._draw_world()
             scene = scene_in_band(self._scene, band)
             lights = scene.lights
             lit = replace(lights, backlight_level=lights.backlight_level * panel, front_level=lights.front_level * front)
@@ -161,7 +161,7 @@ class RenderedPictures:
             self._renderers[panel, front, band] = Renderer(scene, replace(world, scene=scene), self._solid, samples=self._samples)
         return self._renderers[panel, front, band]
 
-    def _drawn(self) -> World:
+    def _draw_world(self) -> World:
         from rhizotwin.sim.specimen import build_specimen
         from rhizotwin.sim.world import draw_world
 

@@ -46,8 +46,8 @@ class TwinServer:
 
     def __init__(self, twin: Twin, folder: Path, *, speed: float = 1.0, camera_port: int = 0, say: Say = lambda _: None) -> None:
         self.twin = twin
-        self._ports = PtyPorts(twin.lines, twin.clock, folder, speed=speed, opened=self._opened)
-        self._camera = CameraServer(self._camera_of(twin.rig.camera), port=camera_port, reopen=self._reopen, say=say)
+        self._ports = PtyPorts(twin.lines, twin.clock, folder, speed=speed, opened=self._on_open)
+        self._camera = CameraServer(self._open_camera(twin.rig.camera), port=camera_port, reopen=self._reopen, say=say)
 
     @property
     def rig(self) -> RigFile:
@@ -85,14 +85,14 @@ class TwinServer:
             lamps = f"panel {world.panel.level:.3f}, front light {world.front.level:.3f}"
             return f"true state: table {world.table_deg:.3f} deg; joints {joints} deg; {lamps}"
 
-    def _opened(self, name: str) -> None:
+    def _on_open(self, name: str) -> None:
         if name == "table":
-            self.twin.board_opened()
+            self.twin.on_board_opened()
 
     def _reopen(self, settings: CameraSettings) -> Camera:
-        return self._camera_of(replace(self.twin.rig.camera, exposure_s=settings.exposure_s, gain=settings.gain))
+        return self._open_camera(replace(self.twin.rig.camera, exposure_s=settings.exposure_s, gain=settings.gain))
 
-    def _camera_of(self, part: CameraPart) -> Camera:
+    def _open_camera(self, part: CameraPart) -> Camera:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:

@@ -108,7 +108,7 @@ class Twin:
         self._sockets = []
         for (name, line), url in zip(self.lines.items(), self._urls(), strict=True):
             self.clock.add(line)
-            socket = protocol_twin.Socket(line, self.clock, self.board_opened if name == "table" else _do_nothing)
+            socket = protocol_twin.Socket(line, self.clock, self.on_board_opened if name == "table" else _do_nothing)
             protocol_twin.register(url, socket)
             self._sockets.append(socket)
 
@@ -220,7 +220,7 @@ class Twin:
         if self.board.halted or self.board.commands.stopped:
             self._reset("External Reset")
 
-    def board_opened(self) -> None:
+    def on_board_opened(self) -> None:
         """Simulate the board's reaction to the opening of its port."""
         if self._resets_on_open:
             self._reset("External Reset")

@@ -11,7 +11,7 @@ from benchmarks import accuracy, cases, gate, perturb, scatter
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
@@ -34,7 +34,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
             path.parent.mkdir(parents=True, exist_ok=True)
             atomic.write_image(path, picture)
         name = f"images/{number}.png"
-        frames.append(Frame(file=name, sha256=sha256_of(tmp_path / "given" / name), cam_from_canister=POSE))
+        frames.append(Frame(file=name, sha256=file_sha256(tmp_path / "given" / name), cam_from_canister=POSE))
     made = Dataset(folder=tmp_path / "given", scene=scene, frames=tuple(frames))
     save_dataset(made)
     return made

@@ -119,7 +119,7 @@ def scan(work: Path) -> int:
     from rhizotwin.rig.rig_file import RigFile
     from rhizotwin.rig.scanning.session import open_session, picture_file
     from rhizotwin.scenes import plan
-    from rhizotwin.scenes.dataset import Frame, load_dataset, sha256_of
+    from rhizotwin.scenes.dataset import Frame, file_sha256, load_dataset
     from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
     goal, scene = work / "goal", Scene(plan=CapturePlan(rings=(Ring(views=3),)))
@@ -128,7 +128,7 @@ def scan(work: Path) -> int:
     def look() -> None:
         if (goal / "dataset.json").is_file():
             for frame in load_dataset(goal).frames:
-                assert not (goal / frame.file).is_file() or sha256_of(goal / frame.file) == frame.sha256
+                assert not (goal / frame.file).is_file() or file_sha256(goal / frame.file) == frame.sha256
 
     def action() -> None:
         with folders.lock_folder(goal):
@@ -139,7 +139,7 @@ def scan(work: Path) -> int:
             done = session.save(complete=True)
             session.close()
         assert done.origin["complete"]
-        assert [sha256_of(goal / frame.file) for frame in load_dataset(goal).frames] == [frame.sha256 for frame in done.frames]
+        assert [file_sha256(goal / frame.file) for frame in load_dataset(goal).frames] == [frame.sha256 for frame in done.frames]
         assert len(done.frames) == len(planned)
 
     return every(lambda: None, action, work, reader=look, in_part=True)
