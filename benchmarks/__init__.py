@@ -1,4 +1,4 @@
-"""The accuracy ladder and the speed of rhizotwin, with committed baselines and a gate.
+"""Accuracy ladder and speed of rhizotwin, with committed baselines and a gate.
 
 See ``python -m benchmarks --help``.
 """

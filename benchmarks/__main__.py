@@ -1,4 +1,4 @@
-"""The benchmarks' command line."""
+"""Command line of the benchmarks."""
 
 import argparse
 import json
@@ -23,13 +23,13 @@ HERE = Path(__file__).resolve().parent
 
 
 def say(text: str) -> None:
-    """Write a line for the person who waits."""
+    """Write a line of progress."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def about(given: argparse.Namespace) -> dict[str, Any]:
-    """Return what the numbers were measured with."""
+    """Return the versions, device and command of the measurements."""
     from rhizotwin import sources
 
     packages = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
@@ -49,7 +49,7 @@ def about(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def results_table(metrics: Sequence[Metric]) -> str:
-    """Return the numbers as text, with what must be reached beside them."""
+    """Return the numbers as text, with their targets."""
     width = max((len(metric.key) for metric in metrics), default=0)
     lines = [f"{'metric':<{width}}  {'value':>12} unit  target"]
     for metric in metrics:
@@ -62,14 +62,14 @@ def results_table(metrics: Sequence[Metric]) -> str:
 
 
 _HERE = ("thesis", "batch", "growth", "damages", "adopt", "rig")
-"""What computes in this process; the others run workers."""
+"""Commands that compute in this process; the others run workers."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmarks; returns the exit code."""
+    """Run the benchmarks; return the exit code."""
     given = parser().parse_args(arguments)
     try:
-        if given.what in _HERE:  # before anything imports Dr.Jit, which loads the first LLVM that it finds
+        if given.what in _HERE:  # before any import of Dr.Jit, which loads the first LLVM that it finds
             from rhizotwin import engine
 
             engine.start(getattr(given, "device", "cpu"))
@@ -105,16 +105,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _thesis(given: argparse.Namespace) -> int:
-    """Write the page of the thesis beside ours."""
+    """Write the page that compares the thesis with our results."""
     from benchmarks import assumptions, thesis_figures, thesis_page
 
     path = given.output or _results() / "thesis.md"
     if path.suffix.lower() != ".md":
-        raise UserError(f"{path}: the page is Markdown; give a name that ends in .md")
+        raise UserError(f"{path}: the page is Markdown; its name must end in .md")
     counted = assumptions.measure(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     levels = assumptions.levels(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     if given.committed:
-        records = thesis_page.committed(given.profile)
+        records = thesis_page.committed_records(given.profile)
     else:
         records = thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept)
     found = thesis_page.plants(records)
@@ -138,21 +138,21 @@ def _mixtures(given: argparse.Namespace) -> int:
 
 
 def _batch(given: argparse.Namespace) -> int:
-    """Run a batch that loses a worker and holds a damaged scan; 1 where a result is missing, or made twice."""
-    from benchmarks import many
+    """Run a batch with a killed worker and a damaged scan; return 1 if a result is missing, or computed twice."""
+    from benchmarks import batch_run
 
     with tempfile.TemporaryDirectory(prefix="rhizotwin-many-") as folder:
-        night = many.measure(Path(folder), say=say)
-    say("\n".join(many.lines(night, given.job_s)))
+        night = batch_run.measure(Path(folder), say=say)
+    say("\n".join(batch_run.lines(night, given.job_s)))
     output = given.output or _results() / "batch.json"
-    atomic.write_json(output, {"about": about(argparse.Namespace(what="batch", quick=False, device="cpu")), **many.plain(night)})
+    atomic.write_json(output, {"about": about(argparse.Namespace(what="batch", quick=False, device="cpu")), **batch_run.plain(night)})
     say(f"every number: {output}")
-    whole = night.results == many.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
+    whole = night.results == batch_run.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
     return 0 if whole else 1
 
 
 def _growth(given: argparse.Namespace) -> int:
-    """Measure growth on reconstructions, and how treatments are told apart."""
+    """Measure growth on reconstructions, and the detection of treatment effects."""
     from benchmarks import growth
 
     found: dict[str, Any] = {}
@@ -164,13 +164,13 @@ def _growth(given: argparse.Namespace) -> int:
         found[name] = {"growth": effect, "sets": len(apart), "told_apart": sum(apart)}
     say(
         "\n".join(
-            f"growth {found[name]['growth']:g}: {found[name]['told_apart']} of {given.sets} told apart" for name in ("treated", "equal")
+            f"growth {found[name]['growth']:g}: {found[name]['told_apart']} of {given.sets} distinguished" for name in ("treated", "equal")
         )
     )
     slope, intervals = growth.responses(given.sets, say=say)
     held = sum(low <= slope <= high for low, high in intervals)
     found["dose_response"] = {"slope": slope, "intervals": intervals, "held": held}
-    say(f"dose response: the slope {slope:.4f} l/mmol lies in {held} of {given.sets} intervals")
+    say(f"dose response: the slope {slope:.4f} l/mmol is inside {held} of {given.sets} intervals")
     output = given.output or _results() / "growth.json"
     atomic.write_json(output, {"about": about(argparse.Namespace(what="growth", quick=False, device=given.device)), **found})
     say(f"every number: {output}")
@@ -178,7 +178,7 @@ def _growth(given: argparse.Namespace) -> int:
 
 
 def _damages(given: argparse.Namespace) -> int:
-    """Try every damage; 1 where a wrong volume is called trusted, or something crashed."""
+    """Run all damages; return 1 if a wrong volume is trusted, or a run crashed."""
     from benchmarks import damages
 
     records = damages.measure(given.names, scene=given.scene, say=say)
@@ -191,21 +191,21 @@ def _damages(given: argparse.Namespace) -> int:
 
 
 def _compare(given: argparse.Namespace) -> int:
-    from benchmarks import paired
+    from benchmarks import run_comparison
 
-    say(paired.compare(paired.read_records(given.before), paired.read_records(given.after), method=given.method))
+    say(run_comparison.compare(run_comparison.read_records(given.before), run_comparison.read_records(given.after), method=given.method))
     return 0
 
 
 def _scatter(given: argparse.Namespace) -> int:
-    """Measure the scatter and record it; what the gate says to each run, too."""
+    """Measure and record the scatter, and report the gate's verdict on each run."""
     selection = {name: getattr(given, name) for name in ("scenes", "profiles", "methods") if getattr(given, name) is not None}
     chosen = cases.quick(**selection)
     baseline = gate.read_baseline(HERE / "baseline_accuracy_quick.json")
     runs = scatter.measure(chosen, runs=given.runs, change=given.change, device=given.device, say=say)
     crashed = {case: why for run in runs for case, why in run.crashed.items()}
     if crashed:
-        raise UserError(f"{next(iter(crashed))} crashed, so that the scatter is left as it was.")
+        raise UserError(f"{next(iter(crashed))} crashed; the recorded scatter is not changed.")
     values = scatter.values(runs)
     say("\n" + scatter.table(values))
     if given.change == scatter.ROUNDED:
@@ -213,8 +213,8 @@ def _scatter(given: argparse.Namespace) -> int:
         say(f"recorded: {_scatter_path()}")
     rounding, everything = scatter.read(_scatter_path()), {key.rpartition("/")[0] for key in baseline.values}
     for case in chosen:
-        one, measured = baseline.without(everything - {case.name}), [scatter.of_cases(run.metrics, [case]) for run in runs]
-        is_open = [gate.passes(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
+        one, measured = baseline.without(everything - {case.name}), [scatter.metrics_of_pictures(run.metrics, [case]) for run in runs]
+        is_open = [gate.all_pass(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
         say(f"{case.name}: the gate is open in {sum(is_open)} of {len(is_open)} runs")
     return 0
 
@@ -231,11 +231,11 @@ def _scaling(given: argparse.Namespace) -> int:
 
 
 def _view(given: argparse.Namespace) -> int:
-    """Measure the viewer; 1 where that failed."""
+    """Measure the viewer; return 1 if that failed."""
     from benchmarks import viewer
 
     if given.repeats < 1:
-        raise UserError(f"--repeats {given.repeats}: give at least one")
+        raise UserError(f"--repeats {given.repeats}: must be at least 1")
     run = viewer.measure(given.results, given.dataset, clean=given.clean, repeats=given.repeats, say=say)
     say("\n" + results_table(run.metrics))
     if given.output is not None:
@@ -256,25 +256,25 @@ def _scatter_path() -> Path:
 
 
 def _against(given: argparse.Namespace) -> int:
-    from benchmarks import against
+    from benchmarks import commit_comparison
 
-    jobs: tuple[against.Job, ...] = against.QUICK if given.quick else against.JOBS
+    jobs: tuple[commit_comparison.Job, ...] = commit_comparison.QUICK if given.quick else commit_comparison.JOBS
     if given.jobs is not None:
         unknown = [name for name in given.jobs if name not in {job.name for job in jobs}]
         if unknown:
             raise UserError(f"--jobs {unknown[0]} is none of {', '.join(job.name for job in jobs)}")
         jobs = tuple(job for job in jobs if job.name in given.jobs)
     if given.repeats < 1:
-        raise UserError(f"--repeats {given.repeats}: give at least one pair")
-    ratios = against.compare(given.against, jobs=jobs, repeats=given.repeats, device=given.device, say=say)
-    say("\n" + against.table(ratios))
+        raise UserError(f"--repeats {given.repeats}: must be at least 1")
+    ratios = commit_comparison.compare(given.against, jobs=jobs, repeats=given.repeats, device=given.device, say=say)
+    say("\n" + commit_comparison.table(ratios))
     if given.output is not None:
-        atomic.write_json(given.output, against.as_json(given.against, ratios))
+        atomic.write_json(given.output, commit_comparison.as_json(given.against, ratios))
     return 0
 
 
 def _adopt(given: argparse.Namespace) -> int:
-    """Adopt each folder; those that do not fit are named and the rest go on."""
+    """Adopt each folder; those that do not match are reported, and the rest continue."""
     from benchmarks.adopt import adopt
 
     refused = 0
@@ -288,10 +288,10 @@ def _adopt(given: argparse.Namespace) -> int:
 
 
 def _chosen(given: argparse.Namespace) -> tuple[list[cases.Case], bool]:
-    """Return the cases to run, and whether they are a part that can neither gate nor become the baseline."""
+    """Return the selected cases, and whether they are a part that can neither be gated nor become the baseline."""
     selection = {name: getattr(given, name) for name in ("scenes", "profiles", "seeds", "methods") if getattr(given, name) is not None}
     if given.quick and "seeds" in selection:
-        raise UserError("the quick set has no seeds; leave out --seeds or --quick.")
+        raise UserError("the quick set has no seeds; omit --seeds or --quick.")
     return (cases.quick(**selection) if given.quick else cases.ladder(**selection)), bool(selection)
 
 
@@ -303,16 +303,16 @@ def _run(given: argparse.Namespace) -> int:
             say("\n".join(case.name for case in chosen))
             return 0
         if given.change != "none" and given.update_baseline:
-            raise UserError("changed pictures cannot become the baseline; leave out --change or --update-baseline.")
+            raise UserError("changed pictures cannot become the baseline; omit --change or --update-baseline.")
         if is_part and (given.update_baseline or (given.gate and not given.quick)):
-            what = "cannot become the baseline" if given.update_baseline else "goes with --gate only with --quick"
-            raise UserError(f"a part of the ladder leaves numbers out, so it {what}.")
+            what = "cannot become the baseline" if given.update_baseline else "can only be gated with --quick"
+            raise UserError(f"a part of the ladder is incomplete, so it {what}.")
     baseline_path = HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
-    # A missing baseline is known before an hour of measuring, not after it.
+    # a missing baseline is reported before an hour of measuring
     baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
     is_scattered = given.what == "accuracy" and given.quick and baseline is not None
     rounding = scatter.read(_scatter_path()) if is_scattered else None
-    run = _measured(given, chosen)
+    run = _measure(given, chosen)
     is_long = given.what == "accuracy" and not given.quick
     shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
     say("\n" + results_table(shown))
@@ -330,7 +330,7 @@ def _run(given: argparse.Namespace) -> int:
 
     if given.update_baseline:
         if run.crashed:
-            raise UserError(f"{baseline_path} is left as it was: {next(iter(run.crashed))} crashed.")
+            raise UserError(f"{baseline_path} is not changed: {next(iter(run.crashed))} crashed.")
         gate.write_baseline(baseline_path, run.metrics, about=described)
         say(f"recorded: {baseline_path}")
         return 0
@@ -339,11 +339,11 @@ def _run(given: argparse.Namespace) -> int:
             baseline = baseline.without({case.name for case in cases.quick()} - {case.name for case in chosen})
         findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding)
         say("\n" + gate.table(findings))
-        runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.of_cases(run.metrics, chosen)]
+        runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.metrics_of_pictures(run.metrics, chosen)]
         unmeasured = sum(count < scatter.RUNS for count in runs or ())
         if unmeasured:
             say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
-        return 0 if gate.passes(findings) else 1
+        return 0 if gate.all_pass(findings) else 1
     return 1 if run.crashed else 0
 
 
@@ -353,7 +353,7 @@ def _results() -> Path:
     return cache.folder() / "results"
 
 
-def _measured(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
+def _measure(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
     if given.what == "accuracy":
         from benchmarks import accuracy, table
 
@@ -371,7 +371,7 @@ def _measured(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
 
 
 def _write_ladder(run: Run, output: Path) -> None:
-    """Write the ladder's table and figure beside the numbers, and show the groups."""
+    """Write the ladder's table and figure beside the numbers, and print the groups."""
     from benchmarks import figure, table
 
     records = list(run.details.values())

@@ -1,7 +1,4 @@
-"""The accuracy ladder: render (or take from the cache), reconstruct, score.
-
-Each in a process of its own, finished cases kept.
-"""
+"""Accuracy ladder: render (or load from the cache), reconstruct and score, each case in its own process."""
 
 import json
 import statistics
@@ -22,50 +19,50 @@ _SOURCES = {
     "coverage": ("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"),
     "thesis": ("rhizotwin.baselines", "rhizotwin.scoring.score"),
 }
-"""Modules that decide what becomes of a dataset, by method."""
+"""Modules that determine the results for a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 
 _CHANGES = "benchmarks.perturb"
 UNCHANGED = "none"
 
 Record = dict[str, Any]
-"""One scored case as JSON values: what it was, what it took, and the score."""
+"""One scored case as a JSON object: its description, its cost, and the score."""
 
 
 def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False, change: str = UNCHANGED, projection: bool = True) -> Run:
-    """Run the cases one after the other; a case that fails is recorded and the rest go on.
+    """Run the cases in order; a failed case is recorded, and the rest continue.
 
     Parameters
     ----------
     cases : sequence of Case
-        What to run.
+        Cases to run.
     device : str
         ``auto``, ``cpu`` or ``cuda``.
     say : Say
-        Hears how far the run is.
+        Receives the progress.
     afresh : bool
-        Measure also what an earlier run with the same sources, settings and versions measured.
+        Whether to repeat measurements of an earlier run with the same sources, settings and versions.
     change : str
-        What is done to the pictures before: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+        Change of the pictures: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
     projection : bool
-        Measure also the projection, which no picture changes.
+        Whether to measure the projection too, which does not depend on pictures.
 
     Returns
     -------
     Run
-        Metrics of what succeeded, and what crashed.
+        Metrics of successful cases, and crashed cases.
     """
-    say(f"{len(cases)} cases, of which those that were measured before with this code are kept in {cache.folder()}")
+    say(f"{len(cases)} cases, with earlier measurements by this code in {cache.folder()}")
     measured = worker.start(["projection"], device=device)["metrics"] if projection else []
     run = Run(metrics=[Metric(**metric) for metric in measured])
     clock = _TimeLeft(cases)
     for number, case in enumerate(cases, start=1):
         head = f"[{number}/{len(cases)}] {case.name}"
         began = time.perf_counter()
-        record = None if afresh else kept(case, device=device, change=change)
+        record = None if afresh else load_record(case, device=device, change=change)
         try:
             fresh = record is None
-            record = record or record_of(case, device=device, change=change)
+            record = record or compute_record(case, device=device, change=change)
         except RuntimeError as error:
             run.crashed[case.name] = str(error)
             clock.finished(case, time.perf_counter() - began)
@@ -78,31 +75,31 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     return run
 
 
-def kept(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
-    """Return what an earlier run measured of a case, with sources, settings and versions as they are now.
+def load_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
+    """Return the record of a case from an earlier run with the same sources, settings and versions.
 
-    None where none did.
+    Return None if there is none.
 
     Parameters
     ----------
     case : Case
         Pictures, method and voxel.
     device : str
-        What computed.
+        Computing device.
     change : str
-        What was done to the pictures before (`measure`).
+        Change of the pictures, see `measure`.
 
     Returns
     -------
     dict or None
-        What the run recorded; None where there is none.
+        Record of the case; None if there is none.
     """
     path = _kept_path(case, device=device, change=change)
     if not path.is_file():
         return None
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:  # a damaged file is as good as none: the case is measured again
+    except ValueError:  # a damaged file is ignored, and the case measured again
         return None
     return record if isinstance(record, dict) and {"case", "score", "wall_s", "peak_memory_mib"} <= record.keys() else None
 
@@ -124,17 +121,17 @@ def _kept_path(case: Case, *, device: str, change: str) -> Path:
     )
 
 
-def record_of(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
-    """Render a case's pictures where they are missing, reconstruct and score them, and keep the result.
+def compute_record(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
+    """Render a case's pictures if they are missing, reconstruct and score them, and cache the result.
 
     Parameters
     ----------
     case : Case
         Pictures, method and voxel.
     device : str
-        What computes.
+        Computing device.
     change : str
-        What is done to the pictures before (`measure`).
+        Change of the pictures, see `measure`.
 
     Returns
     -------
@@ -146,13 +143,13 @@ def record_of(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
         rendering = worker.start(["dataset", worker.pictures_as_text(case.pictures)], device=device)["wall"]
     folder = datasets.place(case.pictures)
     found = worker.start(["score", str(folder), case.method, f"{case.voxel_mm}", change], device=device)
-    record = {"case": described(case), "render_s": rendering, **found}
+    record = {"case": describe_case(case), "render_s": rendering, **found}
     atomic.write_json(_kept_path(case, device=device, change=change), record)
     return record
 
 
-def described(case: Case) -> dict[str, Any]:
-    """Return what a case is, as JSON values."""
+def describe_case(case: Case) -> dict[str, Any]:
+    """Return the description of a case as a JSON object."""
     pictures = case.pictures
     return {
         "name": case.name,
@@ -170,7 +167,7 @@ def described(case: Case) -> dict[str, Any]:
 
 
 def summary(record: Record) -> str:
-    """Return one line that says how a case went."""
+    """Return one line with the result of a case."""
     found, roots = record["score"], record["score"].get("roots")
     text = f"volume {percent(found['volume_error'])}, interval {'holds' if found['interval_holds_truth'] else 'misses'}"
     if roots:
@@ -184,10 +181,9 @@ def percent(fraction: float | None) -> str:
 
 
 def metrics(case: Case, record: Record) -> list[Metric]:
-    """Return the gated numbers of one score; a stage that gave none yields NaN, which fails the gate."""
+    """Return the gated numbers of one score; a missing number becomes NaN, which fails the gate."""
     found = record["score"]
-    # (where, unit, direction, rel_tol, abs_tol): the tolerances are for cases whose scatter is not measured
-    # (`benchmarks.scatter`).
+    # (where, unit, direction, rel_tol, abs_tol): tolerances for cases without a measured scatter (`benchmarks.scatter`)
     volume, voxels = (0.005, 0.01) if case.pictures.is_plant else (0.002, 0.004)
     rows: dict[str, tuple[str, str, Direction, float, float]] = {
         "volume_error": ("volume_error", "1", "zero", 0.0, volume),
@@ -207,7 +203,7 @@ def metrics(case: Case, record: Record) -> list[Metric]:
     }
     if case.method == "coverage":
         rows["interval_holds"] = ("interval_holds_truth", "1", "up", 0.0, 0.0)
-        if case.pictures.is_plant:  # a tip more or less is a few per cent of a small plant's
+        if case.pictures.is_plant:  # one tip is a few per cent of a small plant's
             rows |= {
                 "length_error": ("roots.length_error", "1", "zero", 0.0, 0.005),
                 "line_recall": ("roots.recall", "1", "up", 0.0, 0.005),
@@ -222,7 +218,7 @@ def metrics(case: Case, record: Record) -> list[Metric]:
 
 
 def _at(found: Mapping[str, Any], where: str) -> float:
-    """Return a number of a score by its path; NaN where a part of the path is missing."""
+    """Return a number of a score by its path; NaN if a part of the path is missing."""
     value: Any = found
     for name in where.split("."):
         value = None if value is None else value.get(name)
@@ -230,20 +226,20 @@ def _at(found: Mapping[str, Any], where: str) -> float:
 
 
 class _TimeLeft:
-    """Guesses how long the cases that are left take, by those of the same method that this run measured."""
+    """Estimate of the remaining time, from completed cases of the same method."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
         self._waiting = list(cases)
         self._seconds: dict[str, list[float]] = {}
 
     def finished(self, case: Case, seconds: float | None) -> None:
-        """Count a case; None for one that took no time because it was kept."""
+        """Add a completed case; None for one from the cache."""
         self._waiting.remove(case)
         if seconds is not None:
             self._seconds.setdefault(case.method, []).append(seconds)
 
     def left(self) -> str:
-        """Return the time left as words."""
+        """Return the remaining time as text."""
         everything = [seconds for measured in self._seconds.values() for seconds in measured]
         if not self._waiting:
             return "done"

@@ -1,4 +1,4 @@
-"""Take rendered datasets from elsewhere into the cache, if and only if they are what it would render."""
+"""Adoption of rendered datasets into the cache, if they are identical to its own rendering."""
 
 import os
 import shutil
@@ -12,21 +12,21 @@ from rhizotwin.scenes.errors import UserError
 
 
 def adopt(folder: Path) -> Path:
-    """Put a dataset into the cache under its key and return its place there.
+    """Add a dataset to the cache under its key, and return its path there.
 
-    The files are linked where the disk allows it.
+    The files are linked if the file system supports it.
 
-    It fits when the simulator takes it up as a set of its own (scene, plant, profile, seed, libraries), renders the
-    first view of each ring anew, and ends with the same manifest, which holds the hash of every picture: then plant,
-    disturbances and renderer do the same as when it was made. The truth is written anew.
+    It is accepted if the simulator can resume it (same scene, plant, profile, seed, libraries), renders the first view
+    of each ring again, and ends with the same manifest, which contains the hash of every picture: plant, disturbances
+    and renderer are then unchanged. The truth is written again.
 
     Raises
     ------
     UserError
-        Where it does not fit, with what differs.
+        If it does not match, with the differences.
     """
     dataset = load_dataset(folder)
-    pictures = pictures_of(dataset)
+    pictures = read_pictures(dataset)
     goal = datasets.place(pictures)
     if not goal.is_dir():
         goal.parent.mkdir(parents=True, exist_ok=True)
@@ -39,15 +39,15 @@ def adopt(folder: Path) -> Path:
     return datasets.make(pictures)
 
 
-def pictures_of(dataset: Dataset) -> Pictures:
-    """Return what a dataset should be a rendering of, by its manifest.
+def read_pictures(dataset: Dataset) -> Pictures:
+    """Return the pictures of which a dataset is a rendering, according to its manifest.
 
-    UserError where that is nothing of the ladder's kind.
+    Raise UserError if it is not a rendering of the ladder's kind.
     """
     scene, origin = dataset.scene, dataset.origin
     rings = len(scene.plan.rings)
     if dataset.seed is None or not isinstance(origin.get("profile"), str) or rings not in (1, 2):
-        raise UserError(f"{dataset.folder}: is no rendering of one or two rings by `rhizotwin simulate`")
+        raise UserError(f"{dataset.folder}: is not a rendering of one or two rings by `rhizotwin simulate`")
     return Pictures(
         scene=scene.name,
         profile=origin["profile"],
@@ -59,9 +59,9 @@ def pictures_of(dataset: Dataset) -> Pictures:
 
 
 def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
-    """Let the simulator render the first view of each ring of a copy again and write its truth.
+    """Let the simulator render the first view of each ring of a copy again, and write its truth.
 
-    UserError where something differs.
+    Raise UserError if anything differs.
     """
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
@@ -77,13 +77,13 @@ def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
         raise UserError(f"{dataset.folder}: its rig or plan is not that of {pictures.name}")
     differing = [frame.file for frame, old in zip(after.frames, before.frames, strict=True) if frame.sha256 != old.sha256]
     if differing:
-        raise UserError(f"{dataset.folder}: {differing[0]} comes out otherwise when it is rendered now")
+        raise UserError(f"{dataset.folder}: {differing[0]} differs when it is rendered again")
 
 
 def _link(source: str, target: str) -> None:
-    """Give a file a second name, or copy it where that is not possible.
+    """Create a hard link to a file, or copy it if that is not possible.
 
-    Pictures are replaced and never written into.
+    Pictures are replaced, and never modified in place.
     """
     try:
         os.link(source, target)

@@ -1,7 +1,7 @@
-"""Which of the thesis's assumptions turn the sign and the size of its error: its method with some of them changed.
+"""Effect of the thesis's assumptions on the sign and size of its error: its method with some of them changed.
 
-Poses, strip, silhouettes and blindness are changed in the reconstruction; what becomes of voxels that are partly inside
-is counted three ways from the same hull.
+Poses, strip, silhouettes and blindness are changed in the reconstruction; voxels that are partly inside are counted in
+three ways for the same hull.
 """
 
 import itertools
@@ -26,7 +26,7 @@ from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
-from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Monitor
@@ -35,77 +35,77 @@ from rhizotwin.scenes.truth import load_truth
 Poses = Literal["picture", "one row", "scan"]
 Outlines = Literal["edges", "dark", "coverage"]
 LEVELS = 6
-"""Sizes of the finest voxel: the thesis's 0.27 mm and five doublings, 8.64 mm."""
+"""Number of sizes of the finest voxel: the thesis's 0.27 mm and five doublings, up to 8.64 mm."""
 _WHOLE = 0.999
-"""Occupancy from which a voxel counts as whole."""
+"""Minimum occupancy of a voxel that counts as whole."""
 _KEY = ("benchmarks.assumptions",)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Assumptions:
-    """What the reconstruction takes for granted; the defaults are the thesis's."""
+    """Assumptions of the reconstruction; the defaults are those of the thesis."""
 
     poses: Poses = "picture"
-    """picture: a pose a picture from both rows of the strip; one row: the same below a strip that has one; scan: of all
-    pictures together, the canister's own pose with it."""
+    """picture: one pose per picture, from both rows of the strip; one row: the same for a strip with one row; scan:
+    from all pictures together, including the canister's pose."""
     outlines: Outlines = "edges"
-    """edges: Otsu's threshold joined with Sobel edges, then opened (T3.4.2); dark: Otsu's threshold alone; coverage:
-    how much of each pixel is covered."""
+    """edges: Otsu's threshold combined with Sobel edges, then a morphological opening (T3.4.2); dark: Otsu's threshold
+    alone; coverage: covered fraction of each pixel."""
     blind_carves: bool = True
-    """Whether a view that cannot see a voxel carves it."""
+    """Whether a view in which a voxel is not visible carves it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Counted:
-    """What a hull's volume is, over the true one less 1, by what becomes of voxels that are partly inside."""
+class CountedVolumes:
+    """Relative error of a hull's volume, by the treatment of voxels that are partly inside."""
 
     assumed: Assumptions
     kept: float
-    """Each counts as a whole."""
+    """Each counts as whole."""
     shared: float
-    """By the part of it that is inside."""
+    """Each counts by its fraction inside."""
     dropped: float
     """None counts."""
 
 
 def every() -> list[Assumptions]:
-    """Return all combinations, the thesis's own first."""
+    """Return all combinations, with the thesis's own first."""
     poses: tuple[Poses, ...] = ("picture", "one row", "scan")
     outlines: tuple[Outlines, ...] = ("edges", "dark", "coverage")
     chosen = itertools.product(poses, outlines, (True, False))
     return [Assumptions(poses=pose, outlines=outline, blind_carves=blind) for pose, outline, blind in chosen]
 
 
-def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Counted]:
-    """Measure every combination on a dataset; what an earlier run with this code measured is kept.
+def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[CountedVolumes]:
+    """Measure every combination on a dataset; measurements of an earlier run with this code are reused.
 
     Parameters
     ----------
     pictures : Pictures
-        The dataset.
+        Pictures of the dataset.
     say : Say
-        Hears every combination's errors.
+        Receives the errors of every combination.
     only_kept : bool
-        Take what was measured before and run nothing.
+        Whether to use earlier measurements only.
 
     Returns
     -------
-    list of Counted
-        Errors of the volume, a combination each.
+    list of CountedVolumes
+        Errors of the volume for each combination.
     """
-    found: list[Counted] = []
+    found: list[CountedVolumes] = []
     scan: _Scan | None = None
     wanted, keep = every(), _Keep.of(pictures)
     for number, assumed in enumerate(wanted, start=1):
         path = keep.place(asdict(assumed))
         head = f"[{number}/{len(wanted)}] {pictures.name}: {_words(assumed)}"
         if path.is_file():
-            found.append(Counted(**{**json.loads(path.read_text(encoding="utf-8")), "assumed": assumed}))
+            found.append(CountedVolumes(**{**json.loads(path.read_text(encoding="utf-8")), "assumed": assumed}))
             say(f"{head}: kept")
         elif not only_kept:
             scan = scan or _Scan(pictures)
             mm3, true_mm3 = scan.volumes(assumed), load_truth(scan.dataset().folder).volume_mm3
-            counted = Counted(assumed=assumed, **{name: value / true_mm3 - 1.0 for name, value in mm3.items()})
+            counted = CountedVolumes(assumed=assumed, **{name: value / true_mm3 - 1.0 for name, value in mm3.items()})
             atomic.write_json(path, asdict(counted))
             found.append(counted)
             say(f"{head}: {100.0 * counted.kept:+.1f}, {100.0 * counted.shared:+.1f}, {100.0 * counted.dropped:+.1f} %")
@@ -114,7 +114,7 @@ def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Co
 
 @dataclass(frozen=True)
 class _Keep:
-    """Where what is measured on some pictures with this code is kept."""
+    """Cache of measurements on pictures with this code."""
 
     dataset: str
     code: str
@@ -129,7 +129,7 @@ class _Keep:
 
 
 class _Scan:
-    """Some pictures, with the cameras by each assumption and the coverage by the last."""
+    """Pictures with the cameras of each assumption and the coverage of the last one."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
@@ -138,28 +138,28 @@ class _Scan:
         self._coverage: dict[tuple[Poses, Outlines], Coverage] = {}
 
     def dataset(self, *, one_row: bool = False) -> Dataset:
-        """Return the pictures, or those of the same specimen below a strip that has the upper row alone."""
+        """Return the dataset, or one of the same specimen and a strip with the upper row only."""
         if one_row not in self._datasets:
             self._datasets[one_row] = _below_one_row(self._pictures) if one_row else load_dataset(datasets.make(self._pictures))
         return self._datasets[one_row]
 
     def volumes(self, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM) -> dict[str, float]:
-        """Return the hull's volume (mm3), counted three ways."""
+        """Return the hull's volume (mm3), counted in three ways."""
         key, dataset = (assumed.poses, assumed.outlines), self.dataset(one_row=assumed.poses == "one row")
         if assumed.poses not in self._cameras:
             self._cameras[assumed.poses] = _cameras(dataset, joint=assumed.poses == "scan")
         cameras = self._cameras[assumed.poses]
         if key not in self._coverage:
-            self._coverage = {key: _coverage(dataset, cameras, assumed.outlines)}  # one at a time in memory
+            self._coverage = {key: _coverage(dataset, cameras, assumed.outlines)}  # only one is kept in memory
         return _volumes(dataset, cameras, self._coverage[key], assumed, finest_mm)
 
 
 def _words(assumed: Assumptions) -> str:
-    return f"poses {assumed.poses}, outlines {assumed.outlines}, blind views {'carve' if assumed.blind_carves else 'say nothing'}"
+    return f"poses {assumed.poses}, outlines {assumed.outlines}, blind views {'carve' if assumed.blind_carves else 'are ignored'}"
 
 
 def _below_one_row(pictures: Pictures) -> Dataset:
-    """Render pictures with the upper row of the strip alone, once (resuming where it was cut off)."""
+    """Render pictures with the upper row of the strip only, once (resuming an interrupted run)."""
     from rhizotwin.sim.simulate import simulate
 
     scene = pictures.scene_to_render()
@@ -172,7 +172,7 @@ def _below_one_row(pictures: Pictures) -> Dataset:
 
 
 def _cameras(dataset: Dataset, *, joint: bool) -> Cameras:
-    """Find the cameras of all pictures together, or each by itself as the thesis does."""
+    """Calibrate the cameras of all pictures together, or of each separately as in the thesis."""
     pictures = read_pictures(dataset, monitor=Monitor())
     return find_cameras(pictures, monitor=Monitor(), measure=joint, single_view=not joint)
 
@@ -186,7 +186,7 @@ def _coverage(dataset: Dataset, cameras: Cameras, outlines: Outlines) -> Coverag
 
 
 def _dark(image: Image, seen: Mask) -> Silhouette:
-    """Return Otsu's threshold alone, opened as the thesis does."""
+    """Return the silhouette by Otsu's threshold alone, opened as in the thesis."""
     if not seen.any():
         return Silhouette(np.zeros(image.shape, np.float32), seen)
     dark = ((image < filters.threshold_otsu(image[seen])) & seen).astype(np.uint8)
@@ -197,7 +197,7 @@ def _dark(image: Image, seen: Mask) -> Silhouette:
 def _volumes(
     dataset: Dataset, cameras: Cameras, coverage: Coverage, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM
 ) -> dict[str, float]:
-    """Return the hull's volume (mm3), counted three ways."""
+    """Return the hull's volume (mm3), counted in three ways."""
     carved = shaping.carve_hull(
         dataset, cameras, coverage, finest_mm=finest_mm, slack_px=0.0, ignore_blindness=assumed.blind_carves, monitor=Monitor()
     )
@@ -216,26 +216,26 @@ class Level:
 
     voxel_mm: float
     thesis_ml: float
-    """The thesis's method: voxels partly inside are kept."""
+    """Volume by the thesis's method, which keeps voxels that are partly inside."""
     thesis_s: float
     ours_ml: float
-    """Our hull: by the part that is inside."""
+    """Volume of our hull, with partial voxels counted by their fraction inside."""
     ours_s: float
 
 
 def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Level]:
-    """Carve a dataset with ever finer voxels by both methods, the coarsest first.
+    """Carve a dataset with increasingly fine voxels by both methods, the coarsest first.
 
-    The seconds are of the carving alone, which is compiled before it is timed.
+    Times are those of carving alone, after compilation.
 
     Parameters
     ----------
     pictures : Pictures
-        The dataset.
+        Pictures of the dataset.
     say : Say
-        Hears every level.
+        Receives the result of every level.
     only_kept : bool
-        Take what was measured before and run nothing.
+        Whether to use earlier measurements only.
 
     Returns
     -------
@@ -265,12 +265,12 @@ def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Lev
     return found
 
 
-def table(counted: Sequence[Counted]) -> str:
-    """Return the combinations as a table (Markdown)."""
+def table(counted: Sequence[CountedVolumes]) -> str:
+    """Return the combinations as a Markdown table."""
     rows = ["| poses | outlines | blind views | partial voxels kept | shared | dropped |", "|---|---|---|---|---|---|"]
     for one in counted:
         errors = " | ".join(f"{100.0 * value:+.1f} %" for value in (one.kept, one.shared, one.dropped))
         rows.append(
-            f"| {one.assumed.poses} | {one.assumed.outlines} | {'carve' if one.assumed.blind_carves else 'say nothing'} | {errors} |"
+            f"| {one.assumed.poses} | {one.assumed.outlines} | {'carve' if one.assumed.blind_carves else 'are ignored'} | {errors} |"
         )
     return "\n".join(rows)

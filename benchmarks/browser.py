@@ -1,4 +1,4 @@
-"""A real Chromium without a screen, its pictures drawn by software: the slowest that a person may have."""
+"""Chromium without a screen and with software rendering, the slowest configuration of a user."""
 
 import shutil
 from collections.abc import Iterator
@@ -18,23 +18,23 @@ FLAGS = (
     "--disable-dev-shm-usage",
 )
 _PROGRAMS = "chromium", "chromium-browser", "google-chrome", "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
-"""Names on the path, and where macOS has it."""
+"""Names on the path, and the location on macOS."""
 PATIENCE_MS = 300_000
-"""Software draws slowly while others compute."""
+"""Time-out; software rendering is slow on a busy machine."""
 
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """Return a browser of Playwright's.
+    """Return a Playwright browser.
 
     Raises
     ------
     UserError
-        Where there is none.
+        If there is none.
     """
     path = next(filter(None, map(shutil.which, _PROGRAMS)), None)
     if path is None:
-        raise UserError("there is no Chromium here; install it: `apt-get install chromium`, on macOS `brew install --cask google-chrome`")
+        raise UserError("Chromium was not found; install it: `apt-get install chromium`, on macOS `brew install --cask google-chrome`")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

@@ -1,7 +1,4 @@
-"""The folder that keeps what costs time.
-
-Rendered datasets and scores, by the content of everything that went into them.
-"""
+"""Cache of expensive results: rendered datasets and scores, by the content of all their inputs."""
 
 import hashlib
 import json
@@ -17,6 +14,6 @@ def folder() -> Path:
 
 
 def key(settings: dict[str, Any], *, sources: str) -> str:
-    """Return the key of something from its settings (JSON values) and the digest of the sources that make it."""
+    """Return the cache key of settings (JSON values) and the digest of the sources that use them."""
     text = json.dumps({"settings": settings, "sources": sources}, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -1,4 +1,4 @@
-"""What the accuracy ladder measures: scenes, disturbances, seeds, pictures and methods."""
+"""Cases of the accuracy ladder: scenes, disturbances, seeds, pictures and methods."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,15 +14,14 @@ Method = Literal["coverage", "thesis"]
 
 METHODS: tuple[Method, ...] = ("coverage", "thesis")
 DEFAULT_VOXEL_MM = 0.27
-"""The thesis's voxel, and the pipeline's default."""
+"""Voxel size of the thesis, and default of the reconstruction."""
 
 THIN_FAMILIES = ("bean", "maize", "wheat", "lettuce")
 THICK_FAMILIES = ("bulb", "carrot", "radish_swollen")
-"""Storage organs with roots on them."""
+"""Storage organs that bear roots."""
 FAMILIES = (*THIN_FAMILIES, *THICK_FAMILIES)
 PLANTS = ("radish_*", "fallen_plant", *FAMILIES)
-"""Scenes with roots to find one by one, of which a seed grows another specimen; phantoms stay what they
-are."""
+"""Scenes with individual roots, for which a seed grows another specimen; phantoms do not change."""
 PHANTOMS = ("sphere_20mm", "printed_8ml")
 PROFILES = ("clean", "bench", "harsh")
 LADDER: dict[str, tuple[str, ...]] = {
@@ -32,14 +31,14 @@ LADDER: dict[str, tuple[str, ...]] = {
     "fallen_plant": ("clean", "bench"),
     **dict.fromkeys(FAMILIES, ("clean", "bench")),
 }
-"""Scenes (patterns) of the ladder with the profiles in which each has a goal."""
+"""Scenes (patterns) of the ladder with the profiles in which each has a target."""
 
 SEED_SETS: dict[str, tuple[int, ...]] = {"first": (0,), "second": (101, 102)}
-"""``second`` is looked at when all settings are final, and never while something is developed: its plants are new to
-the method."""
+"""Named sets of seeds. ``second`` is for final tests only, and never used during development: its plants are new to the
+method."""
 CAMERA_SIZES: dict[str, tuple[tuple[int, int], ...]] = {"bean": ((1014, 760), (2028, 1520))}
-"""Sizes that the recommended camera takes (a quarter and a half of 4056x3040), beside 800x600, for some scenes: clean
-only."""
+"""Additional picture sizes of the recommended camera (a quarter and a half of 4056x3040), beside 800x600, for some
+scenes: clean only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,12 +48,12 @@ class Pictures:
     scene: str
     profile: str = "clean"
     rings: Literal[1, 2] = 1
-    """1: the scene's own plan; 2: its first ring, and `benchmarks.HIGH_RING` at the same distance."""
+    """Number of rings. 1: the scene's own plan; 2: its first ring, and `benchmarks.HIGH_RING` at the same distance."""
     views: int = 40
-    """In each ring."""
+    """Number of views in each ring."""
     image_wh: tuple[int, int] = (800, 600)
     seed: int = 0
-    """Of all disturbances, and of the plant where there is one."""
+    """Random seed of all disturbances, and of the plant if there is one."""
 
     @property
     def name(self) -> str:
@@ -65,7 +64,7 @@ class Pictures:
 
     @property
     def is_plant(self) -> bool:
-        """Tell whether the scene has roots to find one by one."""
+        """Return whether the scene has individual roots."""
         return any(fnmatchcase(self.scene, pattern) for pattern in PLANTS)
 
     def scene_to_render(self) -> Scene:
@@ -77,7 +76,7 @@ class Pictures:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One reconstruction to score."""
+    """One reconstruction to be scored."""
 
     pictures: Pictures
     voxel_mm: float = DEFAULT_VOXEL_MM
@@ -90,16 +89,16 @@ class Case:
 
 
 def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES, methods: Sequence[Method] = METHODS) -> list[Case]:
-    """Return the small cases that run with every change, or some.
+    """Return the small cases that are run for every change, or a selection.
 
-    A solid, a printed phantom by both methods, the same on a real bench, thin roots.
+    They are a solid, a printed phantom by both methods, the same on a real bench, and thin roots.
 
     Parameters
     ----------
     scenes, profiles : sequence of str
-        Patterns of names; the cases that fit one are kept.
+        Patterns of names; matching cases are selected.
     methods : sequence of Method
-        Methods that are kept.
+        Selected methods.
 
     Returns
     -------
@@ -109,24 +108,24 @@ def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES,
     Raises
     ------
     UserError
-        Where nothing is left.
+        If no case matches.
     """
     small = (400, 300)
     sphere, printed, bench, plant = (
         Pictures(scene="sphere_20mm", views=24, image_wh=small),
         Pictures(scene="printed_8ml", image_wh=small),
         Pictures(scene="printed_8ml", profile="bench", image_wh=small),
-        Pictures(scene="radish_day05a", rings=2, views=20),  # in small pictures its roots are too thin for tubes
+        Pictures(scene="radish_day05a", rings=2, views=20),  # in smaller pictures its roots are too thin for tubes
     )
     every = [*(Case(pictures=pictures) for pictures in (sphere, printed, bench, plant)), Case(pictures=printed, method="thesis")]
     return _some([case for case in every if case.pictures.profile in profiles and case.method in methods], scenes, profiles)
 
 
 def _some(cases: list[Case], scenes: Sequence[str], profiles: Sequence[str]) -> list[Case]:
-    """Return the cases of scenes whose name fits a pattern; UserError where there are none."""
+    """Return the cases of scenes whose names match a pattern; raise UserError if there are none."""
     chosen = [case for case in cases if any(fnmatchcase(case.pictures.scene, pattern) for pattern in scenes)]
     if not chosen:
-        raise UserError(f"no case of the ladder is of scenes {', '.join(scenes)} in profiles {', '.join(profiles)}; --list names them")
+        raise UserError(f"no case of the ladder has scenes {', '.join(scenes)} in profiles {', '.join(profiles)}; --list names them")
     return chosen
 
 
@@ -137,19 +136,19 @@ def ladder(
     seeds: Sequence[int] = SEED_SETS["first"],
     methods: Sequence[Method] = METHODS,
 ) -> list[Case]:
-    """Return the cases of the full table, or the part of it that patterns of scenes, profiles, seeds and methods leave.
+    """Return the cases of the full table, or a selection by scenes, profiles, seeds and methods.
 
-    Plants are photographed in two rings, phantoms (solids and printed roots) in one. Clean pictures of these have
-    nothing that a seed could change, so that they are there once.
+    Plants are photographed in two rings, phantoms (solids and printed roots) in one. Clean pictures of phantoms do not
+    depend on a seed, so that they occur once.
 
     Parameters
     ----------
     scenes, profiles : sequence of str
-        Patterns of names; the cases that fit one are kept.
+        Patterns of names; matching cases are selected.
     seeds : sequence of int
-        Each draws other plants and disturbances.
+        Random seeds of plants and disturbances.
     methods : sequence of Method
-        Methods that are kept.
+        Selected methods.
 
     Returns
     -------
@@ -159,7 +158,7 @@ def ladder(
     Raises
     ------
     UserError
-        Where nothing is left.
+        If no case matches.
     """
     names = [name for pattern in LADDER for name, _ in library() if fnmatchcase(name, pattern)]
     cases = []

@@ -1,4 +1,4 @@
-"""A rendered scan whose pictures are to be spoilt: its light, its true cameras, and what is drawn over it."""
+"""A rendered scan to be damaged: its light, its true cameras, and functions that draw over its pictures."""
 
 from __future__ import annotations
 
@@ -18,36 +18,37 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import encode_light_png, encode_png
+from rhizotwin.scenes.picture_codec import encode_light_png, encode_png
 from rhizotwin.scenes.transfer import SRGB
 from rhizotwin.scenes.truth import Truth, load_truth
 
 Light = NDArray[np.float64]
-"""(H, W) picture, linear in light, 1 at full scale."""
+"""(H, W) picture, linear in light; 1 is full scale."""
 Mask = NDArray[np.bool_]
 
 EVERY = 2
-"""One view of so many is used: 20 of a printed phantom's 40, which are reconstructed in half the time."""
+"""Interval of the views used: 20 of a printed phantom's 40, which halves the time of reconstruction."""
 _FACES_CAMERA = 0.1
-"""Cosine between wall and line of sight above which the near wall is drawn: it is a line beyond."""
+"""Minimum cosine between the wall's normal and the line of sight at which the near wall is drawn; at smaller values its
+projection degenerates to a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """A rendered scan, read."""
+    """A rendered scan in memory."""
 
     dataset: Dataset
     frames: tuple[Frame, ...]
     light: tuple[Light, ...]
     views: tuple[View, ...]
-    """As they really were."""
+    """True views."""
     truth: Truth
 
     @staticmethod
     def read(folder: Path) -> Scan:
-        """Read one view of `EVERY` of a rendered dataset."""
+        """Read a rendered dataset, with one in `EVERY` views."""
         dataset, truth = load_dataset(folder), load_truth(folder)
         frames = dataset.frames[::EVERY]
         light = tuple(image / np.iinfo(image.dtype).max for image in (read_image(dataset, frame) for frame in frames))
@@ -62,12 +63,12 @@ class Scan:
 
     @cached_property
     def optics(self) -> Optics:
-        """Return the canister."""
+        """Return the optics of the canister."""
         return Optics.from_scene(self.dataset.scene)
 
     @cached_property
     def water(self) -> tuple[Mask, ...]:
-        """Return which pixels (H, W) of each picture look into the water."""
+        """Return the mask (H, W) of pixels that show the water, for each picture."""
         height, width = self.light[0].shape
         px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(np.float64)
         return tuple(cameras.water_lines(view, self.optics, px)[1].reshape(height, width) for view in self.views)
@@ -79,26 +80,26 @@ class Scan:
         return np.asarray(mesh.vertices, np.float64)
 
     def azimuth_rad(self, k: int) -> float:
-        """Return where a picture's camera stood about the canister."""
+        """Return the azimuth of a picture's camera about the canister."""
         x, y, _ = self.views[k].centre_mm
         return float(np.arctan2(y, x))
 
     def wall_patch(self, k: int, azimuth_rad: tuple[float, float], z_mm: tuple[float, float]) -> Light:
-        """Return the share (H, W) of each pixel that a patch of the canister's wall covers, near or far.
+        """Return the fraction (H, W) of each pixel covered by a patch of the canister's wall, near or far.
 
         Parameters
         ----------
         k : int
             Number of the view.
         azimuth_rad : (2,) float
-            From where to where round the canister, canister frame.
+            Range of azimuths, canister frame.
         z_mm : (2,) float
-            From which height to which.
+            Range of heights.
 
         Returns
         -------
         (H, W) float64 array
-            0 to 1.
+            Fraction, 0 to 1.
         """
         azimuth = np.linspace(*azimuth_rad, 16)
         height = np.linspace(*z_mm, 12)
@@ -117,7 +118,7 @@ class Scan:
         return np.maximum(self._quads(shown), self._quads(through))
 
     def disc(self, px: Light, radius_px: float) -> Light:
-        """Return the share (H, W) of each pixel that a disc about a pixel (2,) covers."""
+        """Return the fraction (H, W) of each pixel covered by a disc about a pixel (2,)."""
         mask = np.zeros(self.light[0].shape, np.uint8)
         if np.isfinite(px).all() and np.abs(px).max() < 10 * max(mask.shape):
             centre = (round(16 * float(px[0])), round(16 * float(px[1])))
@@ -135,28 +136,28 @@ class Scan:
 
 
 def over(light: Light, share: Light, grey: float) -> Light:
-    """Return a picture (H, W) with something of one grey over a share (H, W) of its pixels.
+    """Return a picture (H, W) with a uniform grey object that covers a fraction (H, W) of its pixels.
 
     Parameters
     ----------
     light : (H, W) float64 array
-        The picture.
+        Picture to cover.
     share : (H, W) float64 array
-        How much of each pixel is covered, 0 to 1.
+        Covered fraction of each pixel, 0 to 1.
     grey : float
-        Light of what covers, 1 at full scale.
+        Light of the object; 1 is full scale.
 
     Returns
     -------
     (H, W) float64 array
-        The covered picture.
+        Covered picture.
     """
     return np.asarray(light * (1.0 - share) + grey * share)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stored:
-    """How a camera stores its pictures, and what the scene says of them."""
+class StorageFormat:
+    """Storage format of a camera's pictures, and the corresponding settings of the scene."""
 
     suffix: str
     transfer: Literal["linear", "srgb"]
@@ -169,7 +170,7 @@ def _steps(share: Light, full: int, kind: type[np.uint8] | type[np.uint16]) -> N
 
 
 _WARM = (0.8, 0.95, 1.0)
-"""Blue, green and red light of a warm white panel, over red."""
+"""Blue, green and red light of a warm white panel, relative to red."""
 
 
 def _jpeg(quality: int, subsampled: bool) -> Callable[[Light], bytes]:
@@ -182,41 +183,41 @@ def _jpeg(quality: int, subsampled: bool) -> Callable[[Light], bytes]:
     return encode
 
 
-def linear_png(full: int = 65535) -> Stored:
-    """Return PNGs of 16 bits that are linear in light, with ``full`` where light is 1, and say so themselves."""
-    return Stored(suffix=".png", transfer="linear", bits=16, encode=lambda light: encode_light_png(_steps(light, full, np.uint16)))
+def linear_png(full: int = 65535) -> StorageFormat:
+    """Return 16-bit PNGs, linear in light as stated in the file, with ``full`` for a light of 1."""
+    return StorageFormat(suffix=".png", transfer="linear", bits=16, encode=lambda light: encode_light_png(_steps(light, full, np.uint16)))
 
 
-def srgb_jpeg(quality: int, *, subsampled: bool = False) -> Stored:
-    """Return JPEGs of a slightly warm panel, of which the scene says that they are sRGB."""
-    return Stored(suffix=".jpg", transfer="srgb", bits=8, encode=_jpeg(quality, subsampled))
+def srgb_jpeg(quality: int, *, subsampled: bool = False) -> StorageFormat:
+    """Return JPEGs of a slightly warm panel, stated as sRGB in the scene."""
+    return StorageFormat(suffix=".jpg", transfer="srgb", bits=8, encode=_jpeg(quality, subsampled))
 
 
-def gamma_png(exponent: float) -> Stored:
-    """Return PNGs of 8 bits bent by a gamma, of which the scene says that they are linear."""
+def gamma_png(exponent: float) -> StorageFormat:
+    """Return 8-bit PNGs with a gamma, stated as linear in the scene."""
 
     def encode(light: Light) -> bytes:
         return encode_png(_steps(np.clip(light, 0.0, 1.0) ** (1.0 / exponent), 255, np.uint8))
 
-    return Stored(suffix=".png", transfer="linear", bits=8, encode=encode)
+    return StorageFormat(suffix=".png", transfer="linear", bits=8, encode=encode)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Damage:
-    """One way in which a laboratory's pictures go wrong."""
+    """One kind of damage to a laboratory's pictures."""
 
     name: str
     why: str
-    """How it comes about."""
+    """Cause of the damage."""
     light: Callable[[Scan, int], Light] = lambda scan, k: scan.light[k]
-    """The picture (H, W) in place of the scan's k-th."""
-    stored: Stored = field(default_factory=linear_png)
+    """Function that returns the damaged k-th picture (H, W)."""
+    stored: StorageFormat = field(default_factory=linear_png)
     scene: Callable[[Scene], Scene] = lambda scene: scene
-    """What the scene says; the pictures stay as they are."""
+    """Function that returns the stated scene; the pictures do not change."""
     table_deg: Callable[[Scan, int], float | None] = lambda scan, k: scan.frames[k].table_deg
-    """What is said of the table's angle."""
+    """Function that returns the stated table angle."""
     keeps: Callable[[Scan, int], bool] = lambda _scan, _k: True
-    """Which pictures there are at all."""
+    """Function that returns whether a picture is kept."""
 
     def write(self, scan: Scan, folder: Path) -> Dataset:
         """Write the damaged dataset, with a link to the scan's truth."""
@@ -227,7 +228,7 @@ class Damage:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 atomic.write_bytes(path, self.stored.encode(self.light(scan, k)))
                 name = path.relative_to(folder).as_posix()
-                frames.append(replace(before, file=name, sha256=sha256_of(path), table_deg=self.table_deg(scan, k)))
+                frames.append(replace(before, file=name, sha256=file_sha256(path), table_deg=self.table_deg(scan, k)))
         shutil.copytree(scan.dataset.folder / "truth", folder / "truth")
         camera = replace(scan.dataset.scene.camera, transfer=self.stored.transfer, bits=self.stored.bits)
         scene = self.scene(replace(scan.dataset.scene, camera=camera))

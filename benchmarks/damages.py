@@ -1,6 +1,6 @@
-"""Stress tests: one clean scan, spoilt as laboratories spoil theirs, and what is said of each.
+"""Stress tests: one clean scan with typical errors of laboratories, and the reactions of the reconstruction.
 
-A trial fails where the volume is wrong, its interval misses the truth, and it is called trusted all the same.
+A trial fails if the volume is wrong, its interval misses the truth, and it is trusted nevertheless.
 """
 
 from __future__ import annotations
@@ -15,77 +15,77 @@ from typing import Any
 from benchmarks import cases, datasets
 from benchmarks.damaged_scan import Damage, Scan
 from benchmarks.damages_light import LIGHT
-from benchmarks.damages_place import PLACE, exchanged
+from benchmarks.damages_place import PLACE, exchange_picture
 from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.results.result import Result
 from rhizotwin.scenes.errors import UserError
 
 WRONG = 0.04
-"""A volume farther off than this is wrong: the thesis's own print was off by 11 %, and a week's growth is some 30 %."""
+"""Error beyond which a volume is wrong: that of the thesis's print was 11 %, and a week's growth is some 30 %."""
 
 Record = dict[str, Any]
 
 
 def clean_scan(scene: str) -> Path:
-    """Return the folder of a clean scan of the quick ladder, rendered where the cache lacks it."""
+    """Return the folder of a clean scan of the quick ladder, rendered if it is not in the cache."""
     return datasets.make(next(case.pictures for case in cases.quick(scenes=(scene,), profiles=("clean",), methods=("coverage",))))
 
 
 def catalogue(scan: Scan, other: Scan) -> tuple[Damage, ...]:
     """Return all damages."""
-    return (*LIGHT, *PLACE, exchanged(scan, other))
+    return (*LIGHT, *PLACE, exchange_picture(scan, other))
 
 
 def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], None]) -> list[Record]:
-    """Spoil a scan in each way, or in those named, and reconstruct it.
+    """Apply each damage, or those given, to a scan and reconstruct it.
 
     Parameters
     ----------
     names : sequence of str or None
-        Damages to try; None for all.
+        Damages to apply; None for all.
     scene : str
-        Library scene whose clean scan is spoilt.
+        Library scene whose clean scan is used.
     say : callable
-        Hears every verdict.
+        Receives every verdict.
 
     Returns
     -------
     list of dict
-        A record each.
+        One record per damage.
 
     Raises
     ------
     UserError
-        For a name that is none.
+        For an unknown name.
     """
     scan, other = Scan.read(clean_scan(scene)), Scan.read(clean_scan("sphere_20mm"))
     every = {damage.name: damage for damage in catalogue(scan, other)}
     unknown = [name for name in names or () if name not in every]
     if unknown:
-        raise UserError(f"{unknown[0]!r} is none of the damages: {', '.join(every)}")
+        raise UserError(f"{unknown[0]!r} is not one of the damages: {', '.join(every)}")
     chosen = [every[name] for name in names] if names else list(every.values())
     records = []
     for place, damage in enumerate(chosen, start=1):
-        records.append(_tried(damage, scan))
+        records.append(_try(damage, scan))
         say(f"[{place}/{len(chosen)}] {line(records[-1])}")
     return records
 
 
-def _tried(damage: Damage, scan: Scan) -> Record:
+def _try(damage: Damage, scan: Scan) -> Record:
     record: Record = {"name": damage.name, "why": damage.why, "refused": None, "crashed": None}
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="rhizotwin-damage-") as working:
         try:
             found = reconstruct(damage.write(scan, Path(working) / "scan"))
-            record |= _judged(found, scan.truth.volume_mm3)
+            record |= _judge(found, scan.truth.volume_mm3)
         except UserError as error:
             record["refused"] = str(error).replace(working, "...")
-        except Exception:  # noqa: BLE001 - a crash is a finding, and the others are still to be tried
+        except Exception:  # noqa: BLE001 - a crash is a result, and the others must still be run
             record["crashed"] = traceback.format_exc()
     return record | {"wall_s": time.perf_counter() - began}
 
 
-def _judged(found: Result, true_mm3: float) -> Record:
+def _judge(found: Result, true_mm3: float) -> Record:
     low, high = found.interval_mm3
     return {
         "volume_error": found.volume_mm3 / true_mm3 - 1.0,
@@ -98,7 +98,7 @@ def _judged(found: Result, true_mm3: float) -> Record:
 
 
 def fails(record: Record) -> bool:
-    """Tell whether it crashed, or a wrong volume whose interval misses, or none (NaN), is called trusted."""
+    """Return whether a trial crashed, or an invalid volume (wrong and outside its interval, or NaN) is trusted."""
     if record["crashed"] is not None:
         return True
     if record["refused"] is not None or not record["trusted"]:
@@ -108,7 +108,7 @@ def fails(record: Record) -> bool:
 
 
 def line(record: Record) -> str:
-    """Return one line about a trial."""
+    """Return one line with the result of a trial."""
     if record["crashed"] is not None:
         return f"{record['name']}: CRASHED\n{record['crashed']}"
     if record["refused"] is not None:
@@ -126,8 +126,8 @@ def line(record: Record) -> str:
 
 
 def table(records: Sequence[Record]) -> str:
-    """Return all trials as a page."""
-    lines = ["| damage | how it comes about | volume | interval | trusted | what is said |", "|---|---|---|---|---|---|"]
+    """Return all trials as a Markdown table."""
+    lines = ["| damage | cause | volume | interval | trusted | messages |", "|---|---|---|---|---|---|"]
     for record in records:
         head = f"| `{record['name']}` | {record['why']} | "
         if record["crashed"] is not None:

@@ -1,4 +1,4 @@
-"""What goes wrong with where things are: cameras, pictures in the wrong place, plants that move, things in the way."""
+"""Geometric damages: cameras, pictures in the wrong place, plants that move, and objects in front of the canister."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes.model import Scene
 
 _DIM, _BUBBLES, _BUBBLE_MM = 0.4, 40, 1.0
-"""Light of a grey label, over the panel's; bubbles that hang on the roots, and their radius."""
+"""Light of a grey label, relative to the panel's; number of bubbles on the roots, and their radius."""
 
 
-def _shifted(light: Light, dx_px: float, dy_px: float) -> Light:
+def _shift(light: Light, dx_px: float, dy_px: float) -> Light:
     height, width = light.shape
     moved = np.array([[1.0, 0.0, dx_px], [0.0, 1.0, dy_px]])
     return np.asarray(cv2.warpAffine(light, moved, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _below(scan: Scan, k: int, light: Light) -> Light:
-    """Return a picture that is another where all pictures look into the water."""
+    """Return a picture that is changed where all pictures show the water."""
     return np.where(np.logical_and.reduce(scan.water), light, scan.light[k])
 
 
-def _slipped(scan: Scan, k: int) -> Light:
+def _slip(scan: Scan, k: int) -> Light:
     other = (k + 1) % scan.count
     return _below(scan, k, scan.light[other]) if 2 * k >= scan.count else scan.light[k]
 
 
 def _sagging(scan: Scan, k: int) -> Light:
     px_per_mm = scan.dataset.scene.camera.focal_px[1] / scan.views[k].rho_mm
-    return _below(scan, k, _shifted(scan.light[k], 0.0, 1.5 * px_per_mm * k / scan.count))
+    return _below(scan, k, _shift(scan.light[k], 0.0, 1.5 * px_per_mm * k / scan.count))
 
 
 def _vibrating(scan: Scan, k: int) -> Light:
@@ -44,21 +44,21 @@ def _vibrating(scan: Scan, k: int) -> Light:
     return np.asarray(cv2.remap(scan.light[k], moved, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _sheared(scan: Scan, k: int) -> Light:
-    """Shear a picture by 3 px from top to bottom, the other way in every second one."""
+def _shear(scan: Scan, k: int) -> Light:
+    """Shear a picture by 3 px from top to bottom, in opposite directions in successive pictures."""
     height, width = scan.light[k].shape
     shear = 3.0 / height * (1.0 if k % 2 else -1.0)
     moved = np.array([[1.0, shear, -shear * height / 2.0], [0.0, 1.0, 0.0]])
     return np.asarray(cv2.warpAffine(scan.light[k], moved, (width, height), borderMode=cv2.BORDER_REPLICATE))
 
 
-def _interlaced(scan: Scan, k: int) -> Light:
+def _interlace(scan: Scan, k: int) -> Light:
     light = scan.light[k].copy()
-    light[1::2] = _shifted(light, 2.0, 0.0)[1::2]
+    light[1::2] = _shift(light, 2.0, 0.0)[1::2]
     return light
 
 
-def _distorted(scan: Scan, k: int) -> Light:
+def _distort(scan: Scan, k: int) -> Light:
     camera = replace(scan.dataset.scene.camera, distortion=(-0.15, 0.0, 0.0, 0.0, 0.0))
     height, width = scan.light[k].shape
     px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(np.float64)
@@ -68,9 +68,10 @@ def _distorted(scan: Scan, k: int) -> Light:
 
 
 def _small_print(scan: Scan, k: int) -> Light:
-    """Draw the strip at 97 %.
+    """Draw the strip at 97 % of its size.
 
-    Each point of the net pot's near side shows the strip's point 1 / 0.97 as far from its foot and its seam.
+    Each point of the net pot's near side shows the point of the strip that is 1 / 0.97 times as far from its foot and
+    seam.
     """
     view, scene = scan.views[k], scan.dataset.scene
     height, width = scan.light[k].shape
@@ -93,7 +94,7 @@ def _small_print(scan: Scan, k: int) -> Light:
 
 
 def _bubbles(scan: Scan, k: int) -> Light:
-    """Hang bubbles on the roots: dark, with a bright core of half their size."""
+    """Draw bubbles on the roots: dark, with a bright core of half their size."""
     rng = np.random.default_rng(3)
     centres = scan.surface_mm[rng.choice(len(scan.surface_mm), _BUBBLES, replace=False)]
     px = cameras.project_inner(scan.views[k], scan.optics, centres)
@@ -112,27 +113,27 @@ def _half_panel(scan: Scan, k: int) -> Light:
     return light
 
 
-def _fogged(scan: Scan, k: int) -> Light:
-    """Let a band of fog grow on the wall below the net pot: it scatters up to 40 % of the light."""
+def _fog(scan: Scan, k: int) -> Light:
+    """Draw a growing band of fog on the wall below the net pot, which scatters up to 40 % of the light."""
     height = scan.light[k].shape[0]
     y = np.arange(height)[:, None] / height
     band = np.exp(-(((y - 0.42) / 0.08) ** 2)) * 0.4 * k / scan.count
     return _below(scan, k, (1.0 - band) * scan.light[k] + band * cv2.GaussianBlur(scan.light[k], (0, 0), 6.0))
 
 
-def _turned(scene: Scene) -> Scene:
+def _turn(scene: Scene) -> Scene:
     camera = scene.camera
     (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.image_wh
     return replace(scene, camera=replace(camera, image_wh=(height, width), focal_px=(fy, fx), principal_px=(cy, width - 1 - cx)))
 
 
-def _halved(scene: Scene) -> Scene:
-    """Say the new size only."""
+def _halve(scene: Scene) -> Scene:
+    """State the new size only."""
     width, height = scene.camera.image_wh
     return replace(scene, camera=replace(scene.camera, image_wh=(width // 2, height // 2)))
 
 
-def _cropped(scene: Scene) -> Scene:
+def _crop(scene: Scene) -> Scene:
     width, height = scene.camera.image_wh
     return replace(scene, camera=replace(scene.camera, image_wh=(width - 40, height - 10)))
 
@@ -159,7 +160,7 @@ def _order(scan: Scan) -> list[int]:
 
 
 def _swaying(mm: float) -> Damage:
-    """Return roots that swing about the net pot: each picture shows them moved sideways, as far down as they hang."""
+    """Return swinging roots: each picture shows them displaced in proportion to their depth below the net pot."""
 
     def light(scan: Scan, k: int) -> Light:
         height, width = scan.light[k].shape
@@ -185,53 +186,53 @@ def _stale(scan: Scan, k: int) -> Light:
 PLACE = (
     Damage(
         name="reversed",
-        why="the pictures were named in the other direction",
+        why="the pictures were named in reverse order",
         table_deg=lambda scan, k: scan.frames[-k % scan.count].table_deg,
     ),
-    Damage(name="wrong-order", why="the pictures lie in any order", light=lambda scan, k: scan.light[_order(scan)[k]]),
+    Damage(name="wrong-order", why="the pictures are in random order", light=lambda scan, k: scan.light[_order(scan)[k]]),
     Damage(
         name="turned-90",
-        why="the camera stands upright and the scene says so",
+        why="the camera is in portrait orientation, as stated in the scene",
         light=lambda scan, k: np.rot90(scan.light[k]),
-        scene=_turned,
+        scene=_turn,
     ),
-    Damage(name="turned-180", why="the camera hangs upside down", light=lambda scan, k: scan.light[k][::-1, ::-1]),
-    Damage(name="mirrored", why="pictures seen by a mirror", light=lambda scan, k: scan.light[k][:, ::-1]),
+    Damage(name="turned-180", why="the camera is upside down", light=lambda scan, k: scan.light[k][::-1, ::-1]),
+    Damage(name="mirrored", why="pictures of a mirror image", light=lambda scan, k: scan.light[k][:, ::-1]),
     Damage(name="one-mirrored", why="one picture shows the roots mirrored", light=_mirrored_below),
     Damage(
         name="step-other",
-        why="the table turns 18.5 degrees where 18 are said",
+        why="the table turns by 18.5 degrees instead of the stated 18",
         table_deg=lambda scan, k: (scan.frames[k].table_deg or 0.0) * 18.0 / 18.5,
     ),
-    Damage(name="repeated", why="the camera gave the same picture five times", light=_stale),
+    Damage(name="repeated", why="the camera returned the same picture five times", light=_stale),
     Damage(name="stopped", why="the last third of the turn is missing", keeps=lambda scan, k: 3 * k < 2 * scan.count),
     Damage(
         name="cropped",
-        why="40 columns and 10 rows cut off, and only the size said",
-        scene=_cropped,
+        why="40 columns and 10 rows cropped, and only the size changed in the scene",
+        scene=_crop,
         light=lambda scan, k: scan.light[k][10:, 40:],
     ),
     Damage(
         name="halved",
-        why="pictures made smaller by half, and only the size said",
-        scene=_halved,
+        why="pictures reduced by half, and only the size changed in the scene",
+        scene=_halve,
         light=lambda scan, k: cv2.resize(scan.light[k], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
     ),
-    Damage(name="distorted", why="a lens of k1 = -0.15 that nobody calibrated", light=_distorted),
-    Damage(name="focal-said-3-more", why="the lens's length is said 3 % too large", scene=_said_focal),
+    Damage(name="distorted", why="an uncalibrated lens of k1 = -0.15", light=_distort),
+    Damage(name="focal-said-3-more", why="the focal length is stated 3 % too large", scene=_said_focal),
     Damage(name="strip-97", why="a marker strip printed at 97 %", light=_small_print),
-    Damage(name="strip-said-3-more", why="markers and rows are said 3 % too large", scene=_said_strip),
-    Damage(name="n-said-1.37", why="the liquid is said to be syrup", scene=_said_n),
-    Damage(name="radius-said-3-more", why="the canister's radius is said 3 % too large", scene=_said_wide),
+    Damage(name="strip-said-3-more", why="markers and rows are stated 3 % too large", scene=_said_strip),
+    Damage(name="n-said-1.37", why="the liquid is stated to be syrup", scene=_said_n),
+    Damage(name="radius-said-3-more", why="the canister's radius is stated 3 % too large", scene=_said_wide),
     Damage(name="vibrating", why="the arm vibrates under a rolling shutter: 1 px", light=_vibrating),
-    Damage(name="sheared", why="the table swings under a rolling shutter: 3 px from top to bottom", light=_sheared),
-    Damage(name="interlaced", why="every second row is 2 px off", light=_interlaced),
-    Damage(name="slipped", why="the plant slips in its pot half way, by a step of the table", light=_slipped),
+    Damage(name="sheared", why="the table swings under a rolling shutter: 3 px from top to bottom", light=_shear),
+    Damage(name="interlaced", why="every second row is 2 px off", light=_interlace),
+    Damage(name="slipped", why="the plant slips in its pot half-way, by a step of the table", light=_slip),
     Damage(name="sagging", why="the roots sink by 1.5 mm during the scan", light=_sagging),
     *(_swaying(mm) for mm in (0.1, 0.3, 0.6, 1.2)),
     Damage(name="bubbles", why="40 bubbles of 2 mm on the roots", light=_bubbles),
-    Damage(name="half-panel", why="the panel stands behind the left half only", light=_half_panel),
-    Damage(name="fogged", why="the wall fogs up during the scan", light=_fogged),
+    Damage(name="half-panel", why="the panel is behind the left half only", light=_half_panel),
+    Damage(name="fogged", why="the wall fogs up during the scan", light=_fog),
     Damage(
         name="label",
         why="a grey label on the canister",
@@ -239,17 +240,17 @@ PLACE = (
     ),
     Damage(
         name="tape",
-        why="a strip of dark tape round half of the canister, before the roots",
+        why="a strip of dark tape around half of the canister, in front of the roots",
         light=lambda scan, k: over(scan.light[k], scan.wall_patch(k, (0.0, np.pi), (-62.0, -56.0)), 0.05),
     ),
 )
 
 
-def exchanged(scan: Scan, other: Scan) -> Damage:
-    """Return a scan with one picture of another one."""
+def exchange_picture(scan: Scan, other: Scan) -> Damage:
+    """Return a scan with one picture of another scan."""
     size = scan.light[0].shape
     return Damage(
         name="one-of-another-scan",
-        why="a picture of another plant among them",
+        why="one picture of another plant",
         light=lambda _, k: other.light[5] if k == 5 and other.light[5].shape == size else scan.light[k],
     )

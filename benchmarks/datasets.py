@@ -1,8 +1,8 @@
-"""Rendered datasets, kept between runs: a folder a key, and the key is all that decides the pictures.
+"""Cache of rendered datasets: one folder per key, which contains everything that determines the pictures.
 
-A changed source of the renderer or another scene, profile, seed or version of Mitsuba is another folder. Sources that
-only write what is known into the truth (`TRUTH_ONLY`) are not in the key: where they changed, the truth beside kept
-pictures is written anew.
+A change of the renderer's sources, the scene, profile, seed or Mitsuba's version results in another folder. Sources
+that only affect the truth (`TRUTH_ONLY`) are not in the key: after a change, the truth beside cached pictures is
+written again.
 """
 
 import math
@@ -21,11 +21,11 @@ from rhizotwin.scenes.truth import load_truth, save_truth
 
 PICTURES = ("rhizotwin.sim.simulate",)
 TRUTH_ONLY = frozenset({"rhizotwin.scenes.traits", "rhizotwin.scenes.truth", "rhizotwin.sim.truth"})
-"""Modules that only write what is known of the specimen beside the pictures: `make` renews that by itself."""
+"""Modules that only affect the recorded truth, which `make` renews automatically."""
 TRUTH = ("rhizotwin.sim.truth",)
 
 SAME_VOLUME = 1e-9
-"""Relative difference of two volumes of one solid: its sums may be taken in another order."""
+"""Maximum relative difference of two volumes of the same solid, whose sums may be evaluated in another order."""
 
 
 class Pictures(Protocol):
@@ -33,20 +33,20 @@ class Pictures(Protocol):
 
     @property
     def profile(self) -> str:
-        """Where the disturbances come from."""
+        """Name of the disturbances' profile."""
 
     @property
     def seed(self) -> int:
-        """Of all that the renderer draws."""
+        """Random seed of the rendering."""
 
     def scene_to_render(self) -> Scene:
         """Return the scene."""
 
 
 def settings(pictures: Pictures) -> dict[str, Any]:
-    """Return all that decides what a dataset looks like, besides the sources, as JSON values."""
+    """Return everything except the sources that determines a dataset, as a JSON object."""
     return {
-        # changes no picture
+        # does not affect any picture
         "scene": {key: value for key, value in scene_to_dict(pictures.scene_to_render()).items() if key != "subject"},
         "profile": pictures.profile,
         "seed": pictures.seed,
@@ -56,13 +56,13 @@ def settings(pictures: Pictures) -> dict[str, Any]:
 
 
 def place(pictures: Pictures) -> Path:
-    """Return the folder in the cache where a dataset lies or is to lie."""
+    """Return the path of a dataset in the cache, whether it exists or not."""
     code = sources.digest(PICTURES, without=TRUTH_ONLY)
     return cache.folder() / "datasets" / cache.key(settings(pictures), sources=code)
 
 
 def is_ready(pictures: Pictures) -> bool:
-    """Tell whether the cache holds the dataset, with its truth as the sources write it now."""
+    """Return whether the cache contains the dataset, with up-to-date truth."""
     folder = place(pictures)
     return folder.is_dir() and _written_by(folder) == sources.digest(TRUTH)
 
@@ -70,7 +70,7 @@ def is_ready(pictures: Pictures) -> bool:
 def make(pictures: Pictures) -> Path:
     """Return the folder of a dataset.
 
-    Rendered where the cache lacks it (resuming where it was cut off), its truth up to date.
+    It is rendered if it is missing in the cache (resuming an interrupted run), with its truth up to date.
     """
     from rhizotwin.sim.simulate import simulate
 
@@ -86,15 +86,15 @@ def make(pictures: Pictures) -> Path:
 
 
 def renew_truth(folder: Path, pictures: Pictures) -> None:
-    """Write the truth of kept pictures (its masks apart, which are pictures) as the sources write it now.
+    """Write the truth of cached pictures (except its masks, which are pictures) with the present sources.
 
     Raises
     ------
     UserError
-        Where the specimen is not the one that was rendered.
+        If the specimen differs from the one that was rendered.
     """
     from rhizotwin.sim.specimen import build_specimen
-    from rhizotwin.sim.truth import truth_of, write_specimen
+    from rhizotwin.sim.truth import build_truth, write_specimen
     from rhizotwin.sim.world import draw_world
 
     scene = pictures.scene_to_render()
@@ -105,7 +105,7 @@ def renew_truth(folder: Path, pictures: Pictures) -> None:
     cameras = draw_world(scene, seed=pictures.seed)
     taken = zip((frame.file for frame in load_dataset(folder).frames), cameras.cameras, strict=True)
     write_specimen(folder, solid)
-    save_truth(folder, truth_of(cameras, solid, taken))
+    save_truth(folder, build_truth(cameras, solid, taken))
     sign(folder)
 
 
@@ -119,5 +119,5 @@ def _written_by(folder: Path) -> str | None:
 
 
 def sign(folder: Path) -> None:
-    """Note beside a dataset which sources wrote its truth."""
+    """Record beside a dataset the sources that wrote its truth."""
     atomic.write_text(_signature(folder), sources.digest(TRUTH) + "\n")

@@ -1,4 +1,4 @@
-"""The ladder's figure: errors of volume and length against the plants' age, and the thesis's method."""
+"""Figure of the ladder: errors of volume and length by the plants' age, with the thesis's method."""
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -13,12 +13,12 @@ Record = Mapping[str, Any]
 
 COLOURS = {"clean": "#1b7837", "bench": "#2166ac", "harsh": "#b2182b"}
 APART_DAYS = 0.9
-"""Profiles of one age stand side by side."""
+"""Horizontal distance between profiles of one age."""
 MARGIN_DAYS = 2.5
 
 
 def draw(records: Sequence[Record], path: Path) -> bool:
-    """Draw the figure of all runs with radishes; returns whether there was anything to draw."""
+    """Draw the figure of all runs with radishes; return whether there is anything to draw."""
     plants = [record for record in records if record["case"]["scene"].startswith("radish_")]
     ours = [record for record in plants if record["case"]["method"] == "coverage"]
     if not ours:
@@ -63,7 +63,7 @@ def _length(record: Record) -> float | None:
 
 
 def _points(records: Sequence[Record], value: Callable[[Record], float | None]) -> list[tuple[float, float]]:
-    """Return age and value of the runs that have one."""
+    """Return age and value of the runs that have a value."""
     return [(float(record["case"]["age_days"]), found) for record in records if (found := value(record)) is not None]
 
 
@@ -73,7 +73,7 @@ def _sizes(records: Sequence[Record]) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class _Style:
-    """How one profile's runs are drawn."""
+    """Style of one profile's runs."""
 
     profile: str
     shift_days: float

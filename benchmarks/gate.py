@@ -1,4 +1,4 @@
-"""Compare a run with the committed baseline. What is missing, crashed, not a number or unknown fails."""
+"""Comparison of a run with the committed baseline. Missing, crashed, non-finite and unknown numbers fail."""
 
 import json
 import math
@@ -20,7 +20,7 @@ Verdict = Literal["same", "better", "WORSE", "MISSING", "NOT A NUMBER", "UNKNOWN
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """The verdict on one metric (or on one case that crashed)."""
+    """Verdict on one metric, or on one crashed case."""
 
     key: str
     verdict: Verdict
@@ -31,20 +31,20 @@ class Finding:
 
     @property
     def passes(self) -> bool:
-        """Whether the gate lets this through."""
+        """Whether the gate accepts this."""
         return self.verdict in ("same", "better")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """The committed numbers of an earlier run."""
+    """Committed numbers of an earlier run."""
 
     path: Path
     values: Mapping[str, float]
     units: Mapping[str, str]
 
     def without(self, cases: Collection[str]) -> "Baseline":
-        """Leave out the numbers of cases, by name."""
+        """Remove the numbers of cases, by name."""
         kept = {key: value for key, value in self.values.items() if key.rpartition("/")[0] not in cases}
         return replace(self, values=kept)
 
@@ -56,23 +56,23 @@ def compare(
     crashed: Mapping[str, str] | None = None,
     scatter: Scatter | None = None,
 ) -> list[Finding]:
-    """Judge every metric of a run, every metric of the baseline that the run lacks, and every crashed case.
+    """Judge every metric of a run, every metric of the baseline that is missing in the run, and every crashed case.
 
     Parameters
     ----------
     metrics : sequence of Metric
-        The run's.
+        Metrics of the run.
     baseline : Baseline
-        What the run is held against.
+        Baseline of the comparison.
     crashed : mapping of str or None
-        What went wrong, by case; each is a failure whatever the baseline holds.
+        Errors by case; each is a failure, regardless of the baseline.
     scatter : Scatter or None
-        By how much numbers move with the last bits: the tolerance of those it knows.
+        Variation of numbers under rounding, which is the tolerance of the numbers that it contains.
 
     Returns
     -------
     list of Finding
-        A verdict each.
+        One verdict per metric or case.
     """
     findings = [
         Finding(key=case, verdict="CRASHED", baseline=None, value=None, unit="", note=why.strip().splitlines()[-1] if why.strip() else "")
@@ -105,23 +105,23 @@ def _judge(metric: Metric, baseline: Baseline, scatter: Scatter | None, *, repea
     elif not math.isfinite(before) or baseline.units[metric.key] != metric.unit:
         verdict, note = "UNKNOWN", f"{baseline.path.name} holds {before} in {baseline.units[metric.key]}"
     elif metric.key in TARGETS and not TARGETS[metric.key].reached(metric.value):
-        verdict, note = "MISSED", f"must reach {TARGETS[metric.key].text}"
+        verdict, note = "MISSED", f"required: {TARGETS[metric.key].text}"
     else:
         worse, tolerance = metric.worse_by(before), metric.tolerance(before)
         if scatter is not None:
             tolerance = scatter.tolerance(metric.key, before, tolerance)
         verdict = "WORSE" if worse > tolerance else "better" if worse < -tolerance else "same"
-        note = f"by {worse:.4g}, {tolerance:.4g} allowed" if verdict == "WORSE" else ""
+        note = f"by {worse:.4g}, tolerance {tolerance:.4g}" if verdict == "WORSE" else ""
     return Finding(key=metric.key, verdict=verdict, baseline=before, value=metric.value, unit=metric.unit, note=note)
 
 
-def passes(findings: Sequence[Finding]) -> bool:
-    """Return whether a run may pass."""
+def all_pass(findings: Sequence[Finding]) -> bool:
+    """Return whether a run passes."""
     return bool(findings) and all(finding.passes for finding in findings)
 
 
 def table(findings: Sequence[Finding]) -> str:
-    """Return the findings as text: what fails, then what got better, then a count."""
+    """Return the findings as text: failures, then improvements, then a count."""
     shown = sorted((f for f in findings if f.verdict != "same"), key=lambda f: (f.passes, f.key))
     width = max((len(f.key) for f in shown), default=0)
     lines = []
@@ -140,7 +140,7 @@ def _number(value: float | None) -> str:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Return a committed baseline; UserError where it is missing or damaged."""
+    """Read a committed baseline; raise UserError if it is missing or damaged."""
     if not path.is_file():
         raise UserError(f"{path} does not exist; run once with --update-baseline and commit it.")
     try:
@@ -162,20 +162,20 @@ def write_baseline(path: Path, metrics: Sequence[Metric], *, about: Mapping[str,
     Parameters
     ----------
     path : Path
-        File to write.
+        Path of the file.
     metrics : sequence of Metric
-        The run's.
+        Metrics of the run.
     about : dict of Any
-        How the run was made: versions, device, commit.
+        Description of the run: versions, device, commit.
 
     Raises
     ------
     UserError
-        If a metric is not a number: such a run must not become the measure of others.
+        If a metric is not finite, as such a run must not become the baseline.
     """
     failed = [metric.key for metric in metrics if not metric.measured]
     if failed or not metrics:
-        raise UserError(f"{path} is left as it was: {failed[0] if failed else 'every metric'} was not measured.")
+        raise UserError(f"{path} is not changed: {failed[0] if failed else 'every metric'} was not measured.")
     stored = {
         "schema_version": SCHEMA_VERSION,
         "about": dict(about),

@@ -1,9 +1,9 @@
-"""Growth as reconstructions tell it: identities of roots through days, elongation, and treatments told apart.
+"""Growth from reconstructions: identities of roots over days, elongation rates, and detection of treatment effects.
 
-Three measurements: one plant rendered and reconstructed on several days, whose roots are linked by `rhizotwin growth`
-and checked against the simulator's own labels; sets of plants under two treatments, equal or not, whose true total
-lengths, with an error as scans have it, are compared; and sets of plants in solutions of several concentrations, whose
-dose response is fitted. The last two render nothing.
+There are three measurements. One plant is rendered and reconstructed on several days, its roots are linked by
+`rhizotwin growth`, and checked against the labels of the simulator. Sets of plants under two treatments, equal or not,
+are compared by their true total lengths with the error of a scan. Sets of plants in solutions of several concentrations
+are used to fit a dose response. The last two render nothing.
 """
 
 import statistics
@@ -32,99 +32,99 @@ Array = NDArray[np.float64]
 SCENE, DAYS = "radish_day15b", (5.0, 7.0, 9.0, 11.0, 13.0, 15.0)
 IMAGE_WH = (600, 450)
 NEAR_MM = 0.5
-"""A found line this near a true one is of it, as in the score of roots."""
+"""Maximum distance of a reconstructed from a true line, as in the score of roots."""
 STEP_MM = 0.2
 LEAST_RATE = 0.05
-"""mm a day: slower roots have stopped, and a relative error of nothing is none."""
+"""Minimum elongation rate in mm per day; slower roots have stopped, and their relative error is undefined."""
 TREATED, PLANTS, LENGTH_ERROR = 0.85, 3, 0.03
-"""Growth of the treated plants, plants of each treatment, and the standard error of a scan's total length (the worst
-group of the ladder, docs/accuracy.md, has 4 %, clean and bench ones 1 %)."""
+"""Growth factor of the treated plants, number of plants per treatment, and standard error of a scan's total length (the
+worst group of the ladder, docs/accuracy.md, has 4 %, clean and bench ones 1 %)."""
 TREATMENT_DAYS = (5.0, 8.0, 11.0, 14.0, 17.0, 20.0)
 DOSED, POTASSIUM, RESPONSE = 24, (0.25, 0.5, 1.0, 2.0), 0.02
-"""Plants of a dose response, factors of potassium, and change of the growth's logarithm per mmol/l."""
+"""Number of plants of a dose response, factors of potassium, and change of the growth's logarithm per mmol/l."""
 _SEEDS_APART = 7919
-"""Sets of plants have no plant in common."""
+"""Difference of seeds between sets of plants, which have no plant in common."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Links:
-    """How well roots of neighbouring days were linked."""
+    """Correctness of links between the roots of successive days."""
 
     roots: tuple[int, ...]
-    """Found on each day ..."""
+    """Number of reconstructed roots on each day."""
     roots_true: tuple[int, ...]
-    """... and there."""
+    """Number of true roots on each day."""
     linked: int
-    """Links between found roots."""
+    """Number of links between reconstructed roots."""
     right: int
-    """Both of one true root."""
+    """Number of links between roots with the same true root."""
     both_found: int
-    """True roots that were found on both days: so many links are possible."""
+    """Number of true roots reconstructed on both days, which is the number of possible links."""
     both_there: int
-    """True roots that were there on both days."""
+    """Number of true roots present on both days."""
     rate_errors: tuple[float, ...]
-    """Size of the elongation rate's error, over the true rate, of each link."""
+    """Absolute error of the elongation rate relative to the true rate, for each link."""
 
     @property
     def precision(self) -> float:
-        """Share of the links that are right."""
+        """Fraction of the links that are correct."""
         return self.right / max(1, self.linked)
 
     @property
     def recall(self) -> float:
-        """Share of the roots that were found on both days that are linked."""
+        """Fraction of the roots reconstructed on both days that are linked."""
         return self.right / max(1, self.both_found)
 
     @property
     def recall_of_all(self) -> float:
-        """Share of the roots that were there on both days that are linked."""
+        """Fraction of the roots present on both days that are linked."""
         return self.right / max(1, self.both_there)
 
     def plain(self) -> dict[str, Any]:
-        """Return all numbers as JSON values."""
+        """Return all numbers as a JSON object."""
         median = statistics.median(self.rate_errors) if self.rate_errors else None
         shares = {"precision": self.precision, "recall": self.recall, "recall_of_all": self.recall_of_all}
         return asdict(self) | shares | {"rate_error_median": median}
 
 
-def aged(day: float, profile: str) -> Scene:
+def scene_on_day(day: float, profile: str) -> Scene:
     """Return the plant's scene on a day."""
     from rhizotwin.sim.growth import grow
 
     scene = load_scene(SCENE)
     scene = replace(scene, camera=scene.camera.resized(IMAGE_WH), disturbances=load_profile(profile))
     scene = replace(scene, subject=replace(scene.subject, plant="P1", species="Raphanus sativus"))
-    return replace(series.at_day(scene, day, grow=grow, like=series.grown(scene)), name=f"day{day:04.1f}")
+    return replace(series.at_day(scene, day, grow=grow, like=series.require_grown(scene)), name=f"day{day:04.1f}")
 
 
 def measure(profile: str, *, say: Say) -> Links:
-    """Render and reconstruct the plant on its days (what is finished is kept), and check how its roots were linked."""
+    """Render and reconstruct the plant on its days (reusing finished ones), and check the links between its roots."""
     from rhizotwin.batches import collect
     from rhizotwin.batches.run import run
     from rhizotwin.sim.simulate import simulate
 
     folder = cache.folder() / "growth" / f"{SCENE}-{profile}-{IMAGE_WH[0]}x{IMAGE_WH[1]}"
-    for seed, day in enumerate(DAYS):  # a rig is never twice the same: each day has a seed of its own
+    for seed, day in enumerate(DAYS):  # each day has its own seed, as a rig never repeats exactly
         scan = folder / "scans" / f"day{day:04.1f}"
         if not (scan / "dataset.json").is_file():
             say(f"rendering {scan.name}")
-            simulate(aged(day, profile), scan, profile_name=profile, seed=seed)
+            simulate(scene_on_day(day, profile), scan, profile_name=profile, seed=seed)
     jobs = collect.reconstructions([str(folder / "scans")], str(folder / "results"), voxel_mm=None, settings=None, device="auto")
     run(jobs, str(folder / "results"))
     return links(folder / "scans", folder / "results")
 
 
 def links(scans: Path, results: Path) -> Links:
-    """Follow the roots of results by day, and check the links by the truth of the scans of the same names."""
+    """Link the roots of results by day, and check the links by the truth of the scans with the same names."""
     names = [f"day{day:04.1f}" for day in DAYS]
     found = [rsml.read_rsml(results / name / "roots.rsml") for name in names]
     true = [{root.label: root for root in rsml.read_rsml(scans / name / "truth" / "skeleton.rsml")} for name in names]
     followed = track_roots([Day(day=day, roots=roots) for day, roots in zip(DAYS, found, strict=True)])
-    labels = [named(roots, of) for roots, of in zip(found, true, strict=True)]
-    return _checked(followed, labels, true)
+    labels = [match_labels(roots, of) for roots, of in zip(found, true, strict=True)]
+    return _check_links(followed, labels, true)
 
 
-def _checked(followed: TrackedPlant, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
+def _check_links(followed: TrackedPlant, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
     linked = right = both_found = both_there = 0
     errors: list[float] = []
     for k in range(1, len(DAYS)):
@@ -154,11 +154,11 @@ def _checked(followed: TrackedPlant, labels: Sequence[Sequence[str]], true: Sequ
     )
 
 
-def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
-    """Return the label of the true root that each found one is; empty where none.
+def match_labels(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
+    """Return the label of the true root of each reconstructed root; empty if there is none.
 
-    It is the one on which most of the found line lies, if that is at least half. Of several pieces of one true root,
-    the one that holds most of it has its label, and the others none.
+    It is the one with most of the reconstructed line, if that is at least half. Of several pieces of one true root, the
+    one with the largest part of it gets its label, and the others none.
     """
     labels = list(true)
     points = [_dense(root) for root in true.values()]
@@ -176,19 +176,19 @@ def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
 
 
 def _dense(root: Root) -> Array:
-    way = polyline.way_mm(root.points_mm)
-    return polyline.between(root.points_mm, way, polyline.middles(way, STEP_MM))
+    way = polyline.arc_length_mm(root.points_mm)
+    return polyline.interpolate(root.points_mm, way, polyline.middles(way, STEP_MM))
 
 
 def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
-    """Tell for each set of plants (two treatments) whether total lengths were told apart.
+    """Return for each set of plants (two treatments) whether their total lengths differ significantly.
 
     Parameters
     ----------
     sets : int
-        Each has plants of its own.
+        Number of sets, each with its own plants.
     effect : float
-        By what factor the roots of the second treatment grow faster and longer; 1: they do not.
+        Factor of elongation rate and length of the roots of the second treatment; 1 for no effect.
 
     Returns
     -------
@@ -201,26 +201,30 @@ def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
         rng, seen = np.random.default_rng([number, round(1000 * effect)]), []
         for place, (name, growth) in enumerate((("control", 1.0), ("treated", effect))):
             for k in range(PLANTS):
-                plant = series.replicate(series.treated(scene, name, growth), k, seed=1 + _SEEDS_APART * number + PLANTS * place + k)
+                plant = series.replicate(
+                    series.apply_treatment(scene, name, growth), k, seed=1 + _SEEDS_APART * number + PLANTS * place + k
+                )
                 for day in TREATMENT_DAYS:
-                    length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day))) * np.exp(rng.normal(0.0, LENGTH_ERROR))
+                    length = rsml.length_mm(grow(replace(series.require_grown(plant), age_days=day))) * np.exp(
+                        rng.normal(0.0, LENGTH_ERROR)
+                    )
                     seen.append(Observation(plant=f"{name} {k}", treatment=name, day=day, value=float(length)))
         apart.append(differences(seen)[0].is_significant)
-        say(f"[{number + 1}/{sets}] growth {effect:g}: {'told apart' if apart[-1] else 'not told apart'}")
+        say(f"[{number + 1}/{sets}] growth {effect:g}: {'distinguished' if apart[-1] else 'not distinguished'}")
     return apart
 
 
 def responses(sets: int, *, say: Say) -> tuple[float, list[tuple[float, float]]]:
-    """Return the slope of total length against potassium that all plants have, and the 90 % interval of each set.
+    """Return the true slope of total length against potassium, and the 90 % interval of each set.
 
     Every set has `DOSED` plants in solutions of `POTASSIUM` times the thesis's potassium, whose roots grow faster by
-    `RESPONSE` per mmol/l. The slope that counts as true is that of the plants of all sets together, without the error
-    of scans: of 20 sets its own error is less than a quarter of a set's.
+    `RESPONSE` per mmol/l. The true slope is that of the plants of all sets together, without the error of scans: for 20
+    sets its own error is less than a quarter of that of one set.
 
     Parameters
     ----------
     sets : int
-        Each has plants of its own.
+        Number of sets, each with its own plants.
     """
     from rhizotwin.sim.growth import grow
 
@@ -234,11 +238,11 @@ def responses(sets: int, *, say: Say) -> tuple[float, list[tuple[float, float]]]
         for k in range(DOSED):
             factor = POTASSIUM[k % len(POTASSIUM)]
             growth = float(np.exp(RESPONSE * middle * (factor - 1.0)))
-            plant = series.replicate(series.treated(scene, "", growth, {"K": factor}), k, seed=1 + _SEEDS_APART * (number + 1) + k)
+            plant = series.replicate(series.apply_treatment(scene, "", growth, {"K": factor}), k, seed=1 + _SEEDS_APART * (number + 1) + k)
             name = f"{number}-{k}"
             doses[name] = plant.solution.ions_mmol_per_l
             for day in TREATMENT_DAYS:
-                length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day)))
+                length = rsml.length_mm(grow(replace(series.require_grown(plant), age_days=day)))
                 exact.append(Observation(plant=name, treatment="", day=day, value=length))
                 seen.append(replace(exact[-1], value=length * float(np.exp(rng.normal(0.0, LENGTH_ERROR)))))
         intervals.append(fit_responses(seen, doses)[0].slope_interval)

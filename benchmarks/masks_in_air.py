@@ -1,4 +1,4 @@
-"""Binary silhouettes of a plant in air with given cameras: the plainest input of methods that know no refraction."""
+"""Binary silhouettes of a plant in air with known cameras: the simplest input, for methods without refraction."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rhizotwin.scenes.truth import load_truth
 
 SCENE, VIEWS, IMAGE_WH = "bean", 60, (1000, 1000)
 _HALF = 32768
-"""A mask's pixel is root from half of its full scale."""
+"""Fraction of full scale from which a mask's pixel is root."""
 
 
 def scene_in_air() -> Scene:
-    """Return the plant in a canister and a liquid that bend no light."""
+    """Return the plant in a canister and a liquid without refraction."""
     scene = files.load_scene(SCENE)
     return replace(
         scene,
@@ -37,7 +37,7 @@ def write(folder: Path) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Words of ``rhizotwin import``, without its output.
+        Arguments of ``rhizotwin import``, without its output.
     """
     from rhizotwin import engine
     from rhizotwin.sim.simulate import simulate

@@ -1,4 +1,4 @@
-"""One measured number with what it takes to judge it."""
+"""One measured number with the data to judge it."""
 
 import math
 from dataclasses import dataclass
@@ -9,25 +9,25 @@ Direction = Literal["up", "down", "zero"]
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A number that a benchmark measured."""
+    """A number measured by a benchmark."""
 
     key: str
     """Case and quantity, for example ``printed_8ml/clean/40x800x600/0.27/coverage/volume_error``."""
     value: float
-    """Not finite where the measurement failed."""
+    """Measured value; not finite if the measurement failed."""
     unit: str
     """mm, deg, s, MiB, or 1 for fractions and counts."""
     direction: Direction
-    """What is better: larger, smaller, or closer to zero."""
+    """Direction of improvement: larger, smaller, or closer to zero."""
     rel_tol: float = 0.0
-    """Change for the worse that passes, as a fraction of the baseline's magnitude."""
+    """Accepted deterioration, as a fraction of the baseline's magnitude."""
     abs_tol: float = 0.0
-    """Change for the worse that passes, in the unit; added to the relative part."""
+    """Accepted deterioration in the unit, in addition to the relative part."""
 
     def worse_by(self, baseline: float) -> float:
-        """Return how much worse than a baseline this is, in the unit.
+        """Return the deterioration relative to a baseline, in the unit.
 
-        Negative where it is better, NaN where it failed.
+        It is negative for an improvement, and NaN for a failed measurement.
         """
         if self.direction == "up":
             return baseline - self.value
@@ -36,10 +36,10 @@ class Metric:
         return abs(self.value) - abs(baseline)
 
     def tolerance(self, baseline: float) -> float:
-        """Return the change in the unit that passes as no change."""
+        """Return the accepted deterioration in the unit."""
         return self.abs_tol + self.rel_tol * abs(baseline)
 
     @property
     def measured(self) -> bool:
-        """Whether there is a finite value."""
+        """Whether the value is finite."""
         return math.isfinite(self.value)

@@ -1,10 +1,8 @@
-"""How far trust can be trusted.
+"""Validation of trust: small scans of random plants with random disturbances, and the coverage of trusted intervals.
 
-Small scans of drawn plants with drawn troubles, and how often the interval of trusted ones holds.
-
-Every fifth scan has the profile `camera` as it is, every fifth `real`; the others have `camera`'s pictures and of
-`real`'s troubles a drawn half, each in a drawn dose. The plants are drawn, too: no setting was ever chosen on one of
-them.
+Every fifth scan has the unchanged profile `camera`, every fifth `real`; the others have pictures of `camera`, and a
+random half of the disturbances of `real`, each with a random magnitude. The plants are random too, so that no setting
+was ever chosen on one of them.
 """
 
 import json
@@ -27,7 +25,7 @@ COUNT = 50
 IMAGE_WH = (400, 300)
 VIEWS = 20, 24
 DOSE = 0.25, 1.5
-"""Of `real`'s: from hardly there to half as much again."""
+"""Range of magnitudes relative to `real`: from almost none to 1.5 times as much."""
 TROUBLES: dict[str, tuple[str, ...]] = {
     "tube": ("canister_radius_error_mm", "canister_out_of_round_mm", "wall_error", "n_wall_error"),
     "seam": ("seam_opacity",),
@@ -41,11 +39,11 @@ TROUBLES: dict[str, tuple[str, ...]] = {
     "turbidity": ("turbidity_per_mm",),
     "floating": ("felt_fibres", "bubbles"),
 }
-"""Fields of `Disturbances` that come and go together; their doses are drawn one by one."""
+"""Fields of `Disturbances` that are selected together; their magnitudes are drawn separately."""
 SIGNED = ("canister_radius_error_mm", "wall_error", "n_wall_error", "focal_error")
-"""These may be off either way."""
+"""Fields with random signs."""
 WITH: dict[str, tuple[str, ...]] = {"glass": ("root_n",), "hairs": ("root_hair_mm",)}
-"""Taken over as they are."""
+"""Fields used with their values in the profile."""
 _DRAW = 19
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 
@@ -54,18 +52,18 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Mixture:
-    """The pictures of one drawn scan."""
+    """Pictures of one random scan."""
 
     number: int
 
     @property
     def seed(self) -> int:
-        """Of what the renderer draws."""
+        """Random seed of the rendering."""
         return self.number
 
     @property
     def profile(self) -> str:
-        """What the rig gets wrong."""
+        """Profile of the rig's errors."""
         return ("camera", "real", "mixture", "mixture", "mixture")[self.number % 5]
 
     @property
@@ -74,17 +72,17 @@ class Mixture:
         return f"{self.profile}/{self.number}"
 
     def troubles(self) -> tuple[str, ...]:
-        """Return the names of the troubles that are there."""
+        """Return the names of the selected disturbances."""
         rng = np.random.default_rng([_DRAW, self.number])
         chosen = tuple(name for name in TROUBLES if rng.random() < 0.5)
         return {"camera": (), "real": tuple(TROUBLES)}.get(self.profile, chosen)
 
     def scene_to_render(self) -> Scene:
-        """Return the scene with plant, plan and troubles."""
+        """Return the scene with plant, plan and disturbances."""
         rng = np.random.default_rng([_DRAW, self.number, 1])
         scene = load_scene("printed_8ml")
         plan = replace(scene.plan, rings=tuple(replace(ring, views=int(rng.integers(VIEWS[0], VIEWS[1] + 1))) for ring in scene.plan.rings))
-        plant = drawn_plant(rng)
+        plant = draw_plant(rng)
         wrong = self._disturbances(rng)
         camera = scene.camera.resized(IMAGE_WH)
         return replace(scene, name=f"mixture_{self.number}", description="", camera=camera, plan=plan, specimen=plant, disturbances=wrong)
@@ -103,10 +101,10 @@ class Mixture:
         return wrong
 
 
-def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
+def draw_plant(rng: np.random.Generator) -> GrownSpecimen:
     """Draw a taproot with laterals of 1.5 to 5 pixels, and some of the second order.
 
-    Thinner ones are no volume in such pictures.
+    Thinner roots have no measurable volume in such pictures.
     """
     tap_mm, lateral_mm = rng.uniform(2.0, 6.0), rng.uniform(0.8, 2.2)
     length_mm = rng.uniform(50.0, 95.0)
@@ -132,8 +130,8 @@ def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
         wobble_deg=rng.uniform(2.0, 5.0),
     )
     fine = replace(lateral, diameter_mm=0.7 * lateral_mm, max_length_mm=15.0)
-    # A cylinder for the taproot and some ten laterals of 20 mm: all radii are scaled to this volume, so that it need
-    # only be near.
+    # A cylinder for the taproot and about ten laterals of 20 mm; all radii are scaled to this volume, so that it is
+    # only approximate.
     volume_mm3 = np.pi / 4.0 * (length_mm * (0.7 * tap_mm) ** 2 + 10.0 * 20.0 * (0.8 * lateral_mm) ** 2)
     return GrownSpecimen(
         seed=int(rng.integers(2**31)),
@@ -148,30 +146,30 @@ def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
 def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) -> list[Record]:
     """Render, reconstruct and score mixtures, each in processes of its own.
 
-    What was measured before with this code is kept.
+    Earlier measurements with this code are reused.
 
     Parameters
     ----------
     numbers : sequence of int
-        Which mixtures, each drawn from its number.
+        Numbers of the mixtures, from which each is drawn.
     device : str
-        What computes.
+        Computing device.
     say : callable
-        Hears every mixture's outcome.
+        Receives the result of every mixture.
 
     Returns
     -------
     list of dict
-        A record each; one that crashed has ``crashed`` in place of its score.
+        One record per mixture; a crashed one has ``crashed`` instead of its score.
     """
     records = []
     for place, number in enumerate(numbers, start=1):
         mixture = Mixture(number=number)
-        path = _kept(mixture, device)
+        path = _load_kept(mixture, device)
         record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
         if record is None:
             try:
-                record = _measured(mixture, device)
+                record = _measure_one(mixture, device)
             except RuntimeError as error:
                 record = {"number": number, "profile": mixture.profile, "troubles": mixture.troubles(), "crashed": str(error)}
             else:
@@ -181,14 +179,14 @@ def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) 
     return records
 
 
-def _kept(mixture: Mixture, device: str) -> Any:
+def _load_kept(mixture: Mixture, device: str) -> Any:
     settings = {"dataset": datasets.place(mixture).name, "device": device, "versions": versions(_VERSIONED)}
     code = sources.digest(("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"))
     return cache.folder() / "mixtures" / f"{cache.key(settings, sources=code)}.json"
 
 
-def _measured(mixture: Mixture, device: str) -> Record:
-    from benchmarks import worker  # which knows mixtures
+def _measure_one(mixture: Mixture, device: str) -> Record:
+    from benchmarks import worker  # imported here, as that module imports this one
 
     if not datasets.is_ready(mixture):
         worker.start(["dataset", json.dumps({"mixture": mixture.number})], device=device)
@@ -222,7 +220,7 @@ def line(record: Record) -> str:
 
 
 def summary(records: Sequence[Record]) -> dict[str, Any]:
-    """Return what the mixtures tell: shares and errors, of all and by profile."""
+    """Return the summary of the mixtures: fractions and errors, in total and by profile."""
     found: dict[str, Any] = {}
     for profile in ("all", "camera", "real", "mixture"):
         some = [record for record in records if profile in ("all", record["profile"]) and "crashed" not in record]
@@ -240,7 +238,7 @@ def summary(records: Sequence[Record]) -> dict[str, Any]:
 
 
 def table(records: Sequence[Record]) -> str:
-    """Return the summary, and every scan, as a page."""
+    """Return the summary and every scan as a Markdown page."""
     lines = [
         "| scans | number | trusted | interval holds, of trusted | median error, of trusted | worst error, of trusted |",
         "|---|---|---|---|---|---|",

@@ -1,8 +1,8 @@
-"""Another machine's rounding, played on this one; and a real loss, for the gate to tell from it.
+"""Simulated rounding of another machine, and a real loss of accuracy that the gate must distinguish from it.
 
-Two processors render the same picture to about one part in 10^6 of full scale: where that crosses a step of the
-camera's converter, the stored number is another. So a few pixels in a thousand are moved by one step, and given camera
-poses by 10^-6 mm. Their kernels round otherwise too: Dr.Jit's are made with vectors of another width.
+Two processors render the same picture to about one part in 10^6 of full scale; where this crosses a step of the
+camera's converter, the stored value differs. Therefore a few pixels in a thousand are changed by one step, and given
+camera poses by 10^-6 mm. Kernels also round differently: those of Dr.Jit are compiled with vectors of another width.
 """
 
 import ctypes
@@ -14,97 +14,97 @@ from pathlib import Path
 import numpy as np
 
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
-from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
+from rhizotwin.scenes.picture_codec import Grey, decode_grey
 from rhizotwin.scenes.transfer import LINEAR
 
 LIGHT = 1e-6
-"""Largest difference of two renders, as a share of full scale."""
+"""Maximum difference of two renderings, as a fraction of full scale."""
 POSE_MM = 1e-6
 MIRRORED = 20
-"""Of so many pictures `lossy` mirrors one."""
+"""One in this number of pictures is mirrored by `write_lossy`."""
 
 
-def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
-    """Write a dataset as another machine may have rounded it.
+def write_rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+    """Write a dataset with the rounding of another machine.
 
     Parameters
     ----------
     dataset_folder : Path
-        The dataset, left as it is.
+        Folder of the original dataset, which is not changed.
     folder : path
-        Where to; the truth in it is a link to the dataset's own.
+        New folder; its truth is a link to that of the original.
     seed : int
-        1, 2, ...: each rounds otherwise. Picture k does not depend on those before it.
+        Random seed (1, 2, ...) of the rounding. Picture k does not depend on the others.
 
     Returns
     -------
     Dataset
-        The written dataset.
+        Written dataset.
     """
 
     def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
         rng = np.random.default_rng([seed, number])
-        image = round_otherwise(image, rng)
+        image = perturb_rounding(image, rng)
         if frame.cam_from_canister is not None:
             pose = np.array(frame.cam_from_canister)
             pose[:3, 3] += rng.uniform(-POSE_MM, POSE_MM, 3)
             frame = replace(frame, cam_from_canister=tuple(tuple(map(float, row)) for row in pose))
         return frame, image
 
-    return _written(dataset_folder, folder, one)
+    return _write_dataset(dataset_folder, folder, one)
 
 
-def other_vectors() -> str:
-    """Let Dr.Jit make its LLVM kernels with vectors half as wide (of 4: twice).
+def halve_vectors() -> str:
+    """Let Dr.Jit compile its LLVM kernels with vectors of half the width (for 4: twice).
 
-    They fuse and approximate in other places.
-
-    It needs fused multiply and add, so that a processor without it cannot be played. ``jit_llvm_set_target`` stands in
-    its public header (``drjit-core/jit.h``), but only the C++ library has it.
+    They fuse and approximate operations differently. Fused multiply-add is required, so that processors without it
+    cannot be simulated. ``jit_llvm_set_target`` is in the public header (``drjit-core/jit.h``), but only available in
+    the C++ library.
 
     Returns
     -------
-    What became of it, in a few words.
+    str
+        Description of the vectors in use.
     """
     import drjit as dr
     import mitsuba as mi
 
     libraries = sorted(Path(dr.__file__).parent.glob("libdrjit-core.*"))
     if not libraries or not mi.variant().startswith("llvm"):
-        return "vectors as they are: not LLVM on this machine"
+        return "default vectors: not LLVM on this machine"
     library = ctypes.CDLL(str(libraries[0]))
     try:
         width, processor = library._Z21jit_llvm_vector_widthv, library._Z19jit_llvm_target_cpuv
         set_target = library._Z19jit_llvm_set_targetPKcS0_j
     except AttributeError:
-        return "vectors as they are: this version of Dr.Jit has no jit_llvm_set_target"
+        return "default vectors: this version of Dr.Jit has no jit_llvm_set_target"
     processor.restype = ctypes.c_char_p
     set_target.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32]
     set_target(processor(), None, 8 if width() == 4 else width() // 2)
     return f"vectors of {width()}"
 
 
-def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
-    """Write a rendered dataset of which one picture in twenty is mirrored.
+def write_lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+    """Write a rendered dataset with one picture in twenty mirrored.
 
-    Left to right, from the root's top row downwards.
+    Pictures are mirrored left to right, from the roots' top row downwards.
 
-    The markers above stay as they are, so that the picture keeps its camera and carves what it should not.
+    The markers above are not changed, so that the camera is correct, but the picture carves wrongly.
 
     Parameters
     ----------
     dataset_folder : Path
-        The dataset, left as it is.
+        Folder of the original dataset, which is not changed.
     folder : Path
         New folder.
     seed : int
-        1, 2, ...: which of the pictures.
+        Random seed (1, 2, ...) of the mirrored pictures.
 
     Returns
     -------
     Dataset
-        The written dataset.
+        Written dataset.
     """
     count = len(load_dataset(dataset_folder).frames)
     chosen = set(np.random.default_rng(seed).choice(count, max(1, count // MIRRORED), replace=False).tolist())
@@ -116,14 +116,14 @@ def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
         top = int(np.flatnonzero(decode_grey(mask_path.read_bytes(), where=str(mask_path)).any(axis=1))[0])
         return frame, np.concatenate([image[:top], image[top:, ::-1]])
 
-    return _written(dataset_folder, folder, one)
+    return _write_dataset(dataset_folder, folder, one)
 
 
-def round_otherwise(image: Grey, rng: np.random.Generator) -> Grey:
-    """Return a picture (H, W) whose light differed by up to `LIGHT` of full scale before it was rounded.
+def perturb_rounding(image: Grey, rng: np.random.Generator) -> Grey:
+    """Return a picture (H, W) whose light differed by up to `LIGHT` of full scale before rounding.
 
-    The converter's step is the lowest bit that the picture uses. A number changes by one step with the chance that a
-    border between two steps lies within the difference: on average half of `LIGHT` over the step.
+    The converter's step is the lowest bit that the picture uses. A value changes by one step with the probability that
+    the border between two steps is within the difference: on average half of `LIGHT` over the step.
     """
     full = np.iinfo(image.dtype).max
     used = int(np.bitwise_or.reduce(image, axis=None)) or 1
@@ -133,14 +133,14 @@ def round_otherwise(image: Grey, rng: np.random.Generator) -> Grey:
     return np.clip(moved, 0, full - full % step).astype(image.dtype)
 
 
-def _written(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey], tuple[Frame, Grey]]) -> Dataset:
+def _write_dataset(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey], tuple[Frame, Grey]]) -> Dataset:
     dataset, frames = load_dataset(dataset_folder), []
     for number, before in enumerate(dataset.frames):
         frame, image = one(number, before, read_image(dataset, before, curve=LINEAR))
         path = folder / frame.file
         path.parent.mkdir(parents=True, exist_ok=True)
         atomic.write_image(path, image)
-        frames.append(replace(frame, sha256=sha256_of(path)))
+        frames.append(replace(frame, sha256=file_sha256(path)))
     truth = dataset_folder / "truth"
     if truth.is_dir():
         shutil.copytree(truth, folder / "truth")

@@ -1,6 +1,6 @@
-"""The closed-form projection against brute-force ray tracing.
+"""Comparison of the closed-form projection with brute-force ray tracing.
 
-Vector Snell at each wall, which shares nothing with `recon`.
+Rays are refracted by the vector form of Snell's law at each wall, independently of `recon`.
 """
 
 import numpy as np
@@ -27,12 +27,12 @@ def snell(direction: Array, normal: Array, ratio: float) -> Array:
     normal : (N, 3) array
         Unit normals, against the rays.
     ratio : float
-        n_from / n_to.
+        Ratio of refractive indices n_from / n_to.
 
     Returns
     -------
     (N, 3) array
-        Unit vectors beyond; NaN where all is reflected.
+        Refracted unit vectors; NaN for total reflection.
     """
     cosine = -np.sum(direction * normal, axis=1, keepdims=True)
     refracted: Array = ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal
@@ -45,11 +45,11 @@ def meet(origin: Array, direction: Array, radius_mm: float) -> Array:
     Parameters
     ----------
     origin : (3,) or (N, 3) array
-        Where the rays begin, mm.
+        Origins of the rays, mm.
     direction : (N, 3) array
         Unit vectors.
     radius_mm : float
-        Of the cylinder.
+        Radius of the cylinder.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def into_water(origin: Array, direction: Array, optics: refraction.Optics) -> tu
     Parameters
     ----------
     origin : (3,) array
-        The camera's centre, canister frame, mm.
+        Centre of the camera, canister frame, mm.
     direction : (N, 3) array
         Unit vectors, canister frame.
     optics : refraction.Optics
@@ -88,7 +88,7 @@ def into_water(origin: Array, direction: Array, optics: refraction.Optics) -> tu
 
 
 def random_view(rng: np.random.Generator, camera: Camera = _LENS) -> cameras.View:
-    """Return a camera at a random height, tilt and azimuth that looks at the canister."""
+    """Return a camera at a random height, tilt and azimuth that faces the canister."""
     tilt = rng.uniform(-12.0, 25.0)
     level = frames.level_camera(distance_mm=rng.uniform(350, 450), height_mm=-50.0 + 6.5 * tilt, tilt_deg=tilt)
     off = frames.from_rotvec(rng.normal(0.0, 0.01, 3), rng.normal(0.0, 2.0, 3))
@@ -96,7 +96,7 @@ def random_view(rng: np.random.Generator, camera: Camera = _LENS) -> cameras.Vie
 
 
 def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Return random pixels (N, 2) that see water, and on each one's brute-force ray a random water point (N, 3).
+    """Return random pixels (N, 2) that show water, and on the traced ray of each a random point (N, 3) in the water.
 
     Parameters
     ----------
@@ -105,14 +105,14 @@ def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random
     optics : refraction.Optics
         Canister and water.
     rng : np.random.Generator
-        Draws pixels and depths.
+        Random generator of pixels and depths.
     count : int
-        How many.
+        Number of pixels.
 
     Returns
     -------
     (N, 2), (N, 3) arrays
-        Pixels, and points (mm, canister frame) whose image they are.
+        Pixels, and the corresponding points (mm, canister frame).
     """
     width, height = view.camera.image_wh
     px = rng.uniform([0, 0], [width, height], (count, 2))
@@ -126,7 +126,7 @@ def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random
 def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, rays: int = 40001) -> NDArray[np.int64]:
     """Count the images (N,) of points at the camera's own height.
 
-    A dense sweep of horizontal rays over the canister's width finds them.
+    They are found by a dense sweep of horizontal rays over the canister's width.
 
     Parameters
     ----------
@@ -137,12 +137,12 @@ def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, r
     points : (N, 3) array
         Points at the camera's height, canister frame, mm.
     rays : int
-        How many rays are swept over the canister.
+        Number of rays over the canister's width.
 
     Returns
     -------
     (N,) int array
-        Images of each point.
+        Number of images of each point.
     """
     centre = view.centre_mm
     inward = -centre[:2] / np.linalg.norm(centre[:2])
@@ -158,7 +158,7 @@ def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, r
 
 
 def measure() -> list[Metric]:
-    """Return the worst disagreement in pixels wherever a point is seen, and how often "seen or not" disagrees."""
+    """Return the maximum error in pixels of visible points, and the fraction of points whose visibility is wrong."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,4 +1,4 @@
-"""The rig: faults and kills survived, kinematics, the scan's own time, the lens, and a scan reconstructed."""
+"""Benchmarks of the rig: recovery from faults and kills, kinematics, overhead of scans, lens, and a whole scan."""
 
 import tempfile
 import time
@@ -20,7 +20,7 @@ from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.lens import calibration
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.camera import READOUT_S
 from rhizotwin.rig.twin.server import TwinServer
@@ -33,13 +33,13 @@ from rhizotwin.scoring.score import score
 from rhizotwin.sim.board import simulate_board
 
 TARGETS_START_DEG = (0.0, 30.0, 30.0, 30.0, 0.0)
-"""The one pose that Newton's method begins from, whatever it is to reach."""
+"""Initial pose of Newton's method for all targets."""
 MOST_STEPS = 20
 BOARD_PICTURES = 20
 
 
 def measure(*, quick: bool, say: Say) -> Run:
-    """Measure the rig's parts one after the other; one that fails is recorded and the rest go on."""
+    """Measure the parts of the rig in order; a failed one is recorded, and the rest continue."""
     run = Run()
     parts: dict[str, Callable[[], list[Metric]]] = {
         "inverse": lambda: _inverse(1000 if quick else 10_000),
@@ -49,12 +49,12 @@ def measure(*, quick: bool, say: Say) -> Run:
         "calibrate": lambda: _calibrate(("bench",) if quick else ("clean", "bench")),
     }
     if not quick:
-        parts["scan"] = _scanned
+        parts["scan"] = _scan_and_reconstruct
     for name, part in parts.items():
         began = time.perf_counter()
         try:
             found = part()
-        except Exception:  # noqa: BLE001 - whatever it is, the gate must hear of it
+        except Exception:  # noqa: BLE001 - any error must be reported to the gate
             run.crashed[name] = traceback.format_exc()
             say(f"{name}: CRASHED\n{run.crashed[name]}")
             continue
@@ -70,7 +70,7 @@ def _count(key: str, value: float) -> Metric:
 
 
 def _inverse(count: int) -> list[Metric]:
-    """Reach random places of the arm in closed form and by Newton's method, and look where that leads."""
+    """Compute random poses of the arm in closed form and by Newton's method, and evaluate the results."""
     part = ArmPart()
     rng = np.random.default_rng(0)
     low, high = ([getattr(joint, name) for joint in part.joints] for name in ("min_deg", "max_deg"))
@@ -111,7 +111,7 @@ def _kills(count: int, run: Run, say: Say) -> list[Metric]:
 
 
 def _overhead() -> list[Metric]:
-    """Scan a twin in real time, and take motion, rest and exposure from the time between two pictures."""
+    """Scan a twin in real time, and subtract motion, pause and exposure from the time between two pictures."""
     views = 9
     scene = files.load_scene("printed_8ml")
     scene = replace(scene, plan=CapturePlan(rings=(Ring(views=views),)), disturbances=files.load_profile("bench"))
@@ -125,7 +125,7 @@ def _overhead() -> list[Metric]:
             rig = replace(server.rig, name="twin")
             devices = open_devices(rig, twin.calibrated_scene(), clock=clock)
             try:
-                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", audience=Audience(say=lambda _: None))
+                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", observers=Observers(say=lambda _: None))
             finally:
                 devices.close()
         finally:
@@ -133,7 +133,7 @@ def _overhead() -> list[Metric]:
     times = [frame.time_s for frame in dataset.frames if frame.time_s is not None]
     part, step_deg = rig.turntable, 360.0 / views
     motion_s = step_deg / part.speed_deg_per_s + part.speed_deg_per_s / ACCELERATION_DEG_PER_S2
-    exposed_s = rig.camera.exposure_s + READOUT_S  # a sensor's rows are read out one after the other
+    exposed_s = rig.camera.exposure_s + READOUT_S  # the rows of a sensor are read out one after the other
     rest_s = np.diff(times) - motion_s - part.settle_s - exposed_s
     return [Metric(key="rig/overhead/per_view", value=float(np.median(rest_s)), unit="s", direction="down", abs_tol=0.02)]
 
@@ -155,13 +155,13 @@ def _calibrate(profiles: tuple[str, ...]) -> list[Metric]:
     return metrics
 
 
-def _scanned() -> list[Metric]:
-    """Scan the printed root on the twin as a lab would, and reconstruct it."""
+def _scan_and_reconstruct() -> list[Metric]:
+    """Scan the printed root on the twin as in a laboratory, and reconstruct it."""
     scene = replace(files.load_scene("printed_8ml"), disturbances=files.load_profile("bench"))
     twin = Twin(scene, seed=0, profile_name="bench", pictures="render")
     with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
         folder, result = Path(working) / "dataset", Path(working) / "result"
-        dataset = rig_faults.scan_of(twin, folder)
+        dataset = rig_faults.run_scan(twin, folder)
         result.mkdir()
         reconstruct(folder).save(result)
         twin.write_truth(folder, dataset.frames)

@@ -1,10 +1,7 @@
-"""Scans of an emulated rig on which things go wrong.
+"""Scans of an emulated rig with faults, which must complete, or stop with the cause stated and be resumable.
 
-Each must end complete, or stopped with its cause named and fit to be finished.
-
-A run scans a small plan with one or two faults of the menu at random moments. Where it stops, the faults are taken
-away, as a person would, and the scan is taken up. What the twin's camera really saw is then held against what the
-dataset says.
+A run scans a small plan with one or two random faults at random times. If it stops, the faults are removed, as a user
+would do, and the scan is resumed. The true views of the twin's camera are then compared with the dataset.
 """
 
 import itertools
@@ -22,12 +19,12 @@ import numpy as np
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import open_devices
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
-from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, kind_of
+from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, fault_kind
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import plan
-from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image, sha256_of
+from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset, read_image
 from rhizotwin.scenes.files import load_profile, load_scene
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
@@ -36,32 +33,31 @@ RINGS = (Ring(views=4), Ring(views=2, height_mm=-60.0, first_deg=30.0))
 MOST_WALL_S = 120.0
 MOST_VIRTUAL_S = 3600.0
 SAME_STAND_DEG = 0.35
-"""Most that angles of one placement may differ from the true ones, one against the other: micro-steps, play, the zero
-found by markers."""
+"""Maximum deviation of the differences of angles in one placement: micro-steps, backlash, and the zero from markers."""
 ZERO_DEG = 3.0
-"""Most that the zero may be off: where the arm really holds the camera."""
+"""Maximum error of the zero: the true position of the arm."""
 DEVICES = ("turntable", "lights", "arm", "camera", "markers", "board")
-"""A stop must name one of these."""
+"""Names of devices; the message of a stop must contain one of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaultRun:
-    """What became of one scan with faults."""
+    """Result of one scan with faults."""
 
     seed: int
     kinds: tuple[str, ...]
     ended: str
-    """complete, or stopped."""
+    """Outcome: complete, or stopped."""
     stop: str = ""
-    """The sentence it stopped with."""
+    """Message with which it stopped."""
     problems: tuple[str, ...] = ()
-    """What must not be; empty when all is well."""
+    """Violated requirements; empty for a correct run."""
     virtual_s: float = 0.0
     wall_s: float = 0.0
 
 
 class _HangError(Exception):
-    """A run took longer than any scan may."""
+    """A run exceeded the maximum time of a scan."""
 
 
 def small_scene() -> Scene:
@@ -71,7 +67,7 @@ def small_scene() -> Scene:
 
 
 def draws(count: int) -> list[tuple[int, tuple[str, ...]]]:
-    """Return seeds with the faults of each run: every kind alone, every pair, and again from the start."""
+    """Return seeds with the faults of each run: every single kind, every pair, and again from the start."""
     singles = [(kind,) for kind in KIND_NAMES]
     pairs = list(itertools.combinations_with_replacement(KIND_NAMES, 2))
     every = itertools.cycle([*singles, *pairs])
@@ -79,21 +75,21 @@ def draws(count: int) -> list[tuple[int, tuple[str, ...]]]:
 
 
 def run_all(count: int, *, say: Callable[[str], None], workers: int = 2) -> list[FaultRun]:
-    """Make so many runs, shared between processes; says what goes wrong, and how it goes every hundred runs.
+    """Execute runs in several processes; report problems, and the progress every hundred runs.
 
     Parameters
     ----------
     count : int
-        How many.
+        Number of runs.
     say : callable
-        Hears what goes wrong.
+        Receives problems and progress.
     workers : int
-        Processes.
+        Number of processes.
 
     Returns
     -------
     list of FaultRun
-        How each ended.
+        Result of each run.
     """
     found: list[FaultRun] = []
     with ProcessPoolExecutor(max_workers=workers) as pool:
@@ -107,13 +103,13 @@ def run_all(count: int, *, say: Callable[[str], None], workers: int = 2) -> list
 
 
 def run_one(seed: int, kinds: Sequence[str]) -> FaultRun:
-    """Scan with faults, finish what was stopped, and hold the dataset against what was really seen."""
+    """Scan with faults, resume a stopped scan, and compare the dataset with the true views."""
     rng = np.random.default_rng([seed, 77])
     faults = draw_faults(rng, tuple(kinds), messages=120, duration_s=60.0, shots=12)
-    protocol = kind_of(kinds[0]).protocol or kind_of(kinds[-1]).protocol or ("lx", "lsc")[seed % 2]
+    protocol = fault_kind(kinds[0]).protocol or fault_kind(kinds[-1]).protocol or ("lx", "lsc")[seed % 2]
     twin = Twin(small_scene(), seed=seed, profile_name="bench", faults=faults, pictures="sketch", rig=default_rig(protocol))
     began = time.monotonic()
-    before = signal.signal(signal.SIGALRM, _hangs)
+    before = signal.signal(signal.SIGALRM, _raise_hang)
     signal.alarm(int(MOST_WALL_S))
     try:
         with tempfile.TemporaryDirectory(prefix="rhizotwin-faults-") as working:
@@ -136,7 +132,7 @@ def run_one(seed: int, kinds: Sequence[str]) -> FaultRun:
     )
 
 
-def _hangs(_: int, __: FrameType | None) -> None:
+def _raise_hang(_: int, __: FrameType | None) -> None:
     raise _HangError
 
 
@@ -145,31 +141,31 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
     ended, stop = "complete", ""
     kept: dict[str, str] = {}
     try:
-        dataset = scan_of(twin, folder)
+        dataset = run_scan(twin, folder)
     except RigError as error:
         ended, stop = "stopped", str(error)
         if not any(name in stop for name in DEVICES):
-            problems.append(f"the cause is not named: {stop}")
+            problems.append(f"the cause is not stated: {stop}")
         if (folder / "dataset.json").is_file():
             kept = {frame.file: frame.sha256 for frame in load_dataset(folder).frames}
         shots = len(twin.record.shots)
         twin.repair()
         try:
-            dataset = scan_of(twin, folder, resume=True)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
-            return ended, stop, [*problems, f"cannot be finished: {type(error).__name__}: {error}"]
+            dataset = run_scan(twin, folder, resume=True)
+        except Exception as error:  # noqa: BLE001 - any error is a result
+            return ended, stop, [*problems, f"cannot be resumed: {type(error).__name__}: {error}"]
         if len(dataset.frames) - len(kept) > len(twin.record.shots) - shots:
             problems.append("more new frames than new pictures")
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
+    except Exception as error:  # noqa: BLE001 - any error is a result
         return "crashed", str(error), [f"crashed: {type(error).__name__}: {error}"]
-    problems += _wrong(twin, dataset, kept)
+    problems += _find_errors(twin, dataset, kept)
     twin.clock.sleep(1.0)  # lamps fade
     if twin.world.panel.level > 0.0 or twin.world.front.level > 0.0:
         problems.append("the lights are still on")
     return ended, stop, problems
 
 
-def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
+def run_scan(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
     """Scan an emulated rig.
 
     Parameters
@@ -177,25 +173,25 @@ def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
     twin : Twin
         The emulated rig, with its scene.
     folder : Path
-        Dataset to write.
+        Folder of the dataset to write.
     resume : bool
-        Finish what was stopped there.
+        Whether to resume a stopped scan.
 
     Returns
     -------
     Dataset
-        The dataset.
+        Dataset of the scan.
     """
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, scene, folder, resume=resume, seed=twin.seed, audience=Audience(say=lambda _: None))
+        return scan(devices, scene, folder, resume=resume, seed=twin.seed, observers=Observers(say=lambda _: None))
     finally:
         devices.close()
 
 
-def _wrong(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
-    """Return what is wrong with a finished dataset."""
+def _find_errors(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
+    """Return the errors of a finished dataset."""
     problems = []
     planned = plan.views(dataset.scene)
     if [frame.table_deg for frame in dataset.frames] != [view.table_deg for view in planned]:
@@ -207,12 +203,12 @@ def _wrong(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
     off: dict[tuple[int, int], list[float]] = {}
     seen = set()
     for frame in dataset.frames:
-        if sha256_of(dataset.folder / frame.file) != frame.sha256:
+        if file_sha256(dataset.folder / frame.file) != frame.sha256:
             problems.append(f"{frame.file} is not the recorded picture")
             continue
         shot = twin.record.shot_of(read_image(dataset, frame))
         if shot is None:
-            problems.append(f"{frame.file} is no picture of this twin")
+            problems.append(f"{frame.file} is not a picture of this twin")
             continue
         if id(shot) in seen:
             problems.append(f"{frame.file} is the picture of another view")

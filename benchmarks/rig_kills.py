@@ -1,10 +1,8 @@
-"""Scans that are killed (SIGKILL) at random moments and taken up.
+"""Scans that are killed (SIGKILL) at random times and resumed, compared with an undisturbed scan.
 
-The finished dataset against one that nobody disturbed.
-
-The emulated rig runs in this process on pseudo-terminals; the scans are processes of their own, as on a bench. On a
-tripod the camera stands still whatever happens, so that the two datasets must agree in every pixel; an arm is placed
-anew after each kill, which shows in ``Frame.placement`` and in the pictures.
+The emulated rig runs in this process with pseudo-terminals; the scans are separate processes, as on a bench. On a
+tripod the camera is static, so that the two datasets must agree in every pixel; an arm is placed again after each kill,
+which is recorded in ``Frame.placement`` and changes the pictures.
 """
 
 import random
@@ -21,20 +19,20 @@ from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.twin.server import TwinServer, rig_text
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import atomic, files
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 VIEWS = 12
 SPEED = 40.0
-"""How much faster than real the twin's time passes."""
+"""Speed of the twin's time relative to real time."""
 MOST_S = 120.0
 KILLS_EACH = 5
-"""Kills of one dataset before it may end."""
+"""Number of kills of one dataset before it is completed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KillRuns:
-    """What became of the killed scans."""
+    """Result of the killed scans."""
 
     kills: int
     datasets: int
@@ -42,18 +40,18 @@ class KillRuns:
 
 
 def run_all(kills: int, *, say: Callable[[str], None]) -> KillRuns:
-    """Kill scans so often, half of them on a tripod and half with an arm."""
+    """Kill scans the given number of times, half of them on a tripod and half with an arm."""
     problems: list[str] = []
     made = done = 0
     for arm in (False, True):
         with tempfile.TemporaryDirectory(prefix="rhizotwin-kills-") as name:
             folder = Path(name)
-            whole, _ = _finished(folder / "whole", arm=arm, kills=0, seed=0)
+            whole, _ = _scan_with_kills(folder / "whole", arm=arm, kills=0, seed=0)
             share = kills // 2 + (kills % 2 if arm else 0)
             left, number = share, 0
-            while left > 0:  # a scan may end before it was killed as often as wanted
+            while left > 0:  # a scan may end before it was killed as often as intended
                 number += 1
-                found, killed = _finished(folder / f"killed_{number}", arm=arm, kills=min(KILLS_EACH, left), seed=number)
+                found, killed = _scan_with_kills(folder / f"killed_{number}", arm=arm, kills=min(KILLS_EACH, left), seed=number)
                 left -= killed
                 new = _differences(whole, found, same_pixels=not arm)
                 problems += [f"{'arm' if arm else 'tripod'}, dataset {number}, after {killed} kills: {problem}" for problem in new]
@@ -69,21 +67,21 @@ def _scene() -> Scene:
     )
 
 
-def _quick(rig: RigFile) -> RigFile:
-    """Take the rests away, which are real time."""
+def _remove_pauses(rig: RigFile) -> RigFile:
+    """Remove the pauses, which take real time."""
     arm = None if rig.arm is None else replace(rig.arm, settle_s=0.05)
     return replace(rig, turntable=replace(rig.turntable, settle_s=0.02), lights=replace(rig.lights, settle_s=0.05), arm=arm)
 
 
-def _finished(folder: Path, *, arm: bool, kills: int, seed: int) -> tuple[Dataset, int]:
-    """Scan a fresh twin to the end, with kills on the way; return the dataset and how often it was killed."""
+def _scan_with_kills(folder: Path, *, arm: bool, kills: int, seed: int) -> tuple[Dataset, int]:
+    """Scan a new twin to the end with kills; return the dataset and the number of kills."""
     (folder / "ports").mkdir(parents=True)
     rig = default_rig("lx") if arm else replace(default_rig("lx"), arm=None)
     twin = Twin(_scene(), seed=0, profile_name="bench", pictures="sketch", rig=rig)
     server = TwinServer(twin, folder / "ports", speed=SPEED)
     server.start()
     try:
-        atomic.write_text(folder / "rig.toml", rig_text(_quick(server.rig)))
+        atomic.write_text(folder / "rig.toml", rig_text(_remove_pauses(server.rig)))
         files.save_scene(twin.calibrated_scene(), folder / "scene.toml")
         words = [sys.executable, "-m", "rhizotwin", "scan", "--rig", str(folder / "rig.toml"), "--scene", str(folder / "scene.toml")]
         words += ["-o", str(folder / "dataset")]
@@ -112,26 +110,26 @@ def _finished(folder: Path, *, arm: bool, kills: int, seed: int) -> tuple[Datase
 
 
 def _differences(whole: Dataset, found: Dataset, *, same_pixels: bool) -> list[str]:
-    """Return how a dataset that was taken up differs from one that was never stopped."""
+    """Return the differences between a resumed dataset and an uninterrupted one."""
     problems = []
     if [_stable(frame) for frame in whole.frames] != [_stable(frame) for frame in found.frames]:
-        problems.append("its frames are others")
+        problems.append("its frames differ")
     if not found.origin.get("complete"):
         problems.append("it is not marked as complete")
     if whole.scene != found.scene:
-        problems.append("its scene is another")
+        problems.append("its scene differs")
     for one, other in zip(whole.frames, found.frames, strict=False):
         path = found.folder / other.file
-        if not path.is_file() or sha256_of(path) != other.sha256:
+        if not path.is_file() or file_sha256(path) != other.sha256:
             problems.append(f"{other.file} is not the recorded picture")
         elif same_pixels and (read_image(whole, one) != read_image(found, other)).any():
-            problems.append(f"{other.file} shows something else")
+            problems.append(f"{other.file} has other contents")
     files_there = sorted(path.name for path in (found.folder / "images").iterdir())
     if files_there != [Path(frame.file).name for frame in found.frames]:
-        problems.append(f"its folder holds {files_there}")
+        problems.append(f"its folder contains {files_there}")
     return problems
 
 
 def _stable(frame: Frame) -> tuple[object, ...]:
-    """Return what must not depend on interruptions."""
+    """Return the part of a frame that must not depend on interruptions."""
     return frame.file, frame.kind, frame.ring, frame.table_deg, frame.table_read_deg, frame.exposure_s, frame.gain

@@ -1,4 +1,4 @@
-"""What a benchmark run measured."""
+"""Result of a benchmark run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,10 +11,10 @@ Say = Callable[[str], None]
 
 @dataclass
 class Run:
-    """Numbers, failures and everything else of one run."""
+    """Metrics, failures and details of one run."""
 
     metrics: list[Metric] = field(default_factory=list)
     crashed: dict[str, str] = field(default_factory=dict)
     """Traceback by case."""
     details: dict[str, Any] = field(default_factory=dict)
-    """Everything else worth keeping, by case."""
+    """Further data, by case."""

@@ -1,8 +1,8 @@
-"""How processor time and memory of a reconstruction grow with views, pixels, roots and finer voxels, one at a time.
+"""Growth of processor time and memory of a reconstruction with views, pixels, roots and finer voxels, one at a time.
 
-Each point is `rhizotwin reconstruct` in a process of its own, on pictures that are rendered once and kept in the cache.
-The exponent is the slope of a straight line through the logarithms: the start and what does not grow are in it, so that
-it tells what a person waits for.
+Each point is a run of `rhizotwin reconstruct` in its own process, on pictures that are rendered once and cached. The
+exponent is the slope of a straight line through the logarithms; it includes start-up and constant parts, as they are
+part of a user's waiting time.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import against, cache
+from benchmarks import cache, commit_comparison
 from benchmarks.run import Say
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.truth import load_truth
 
 LENGTH = "root length"
-"""The axis whose values are what the truth of the rendered plants says."""
+"""Axis whose values are the true root lengths of the rendered plants."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Step:
     """One point of an axis."""
 
     pictures: tuple[str, ...]
-    """Words of ``simulate``."""
+    """Arguments of ``simulate``."""
     words: tuple[str, ...] = ()
-    """Words of ``reconstruct`` beside."""
+    """Additional arguments of ``reconstruct``."""
     value: float | None = None
-    """Where the point lies; None asks the truth for the length of the roots, m."""
+    """Position of the point; None for the true length of the roots, m."""
 
 
 def _step(scene: str, value: float | None, *, views: int = 40, wide: int = 800, voxel_mm: float = 0.27) -> Step:
@@ -49,18 +49,18 @@ AXES: dict[str, tuple[Step, ...]] = {
     LENGTH: tuple(_step(f"radish_day{name}", None) for name in ("05a", "10a", "15b", "30c")),
     "1/voxel_mm": tuple(_step("printed_8ml", 1.0 / mm, voxel_mm=mm) for mm in (0.4, 0.2, 0.1, 0.05)),
 }
-"""Views 20 to 160, 0.25 to 6 million pixels, the roots of 5 to 30 days, voxels of 0.4 to 0.05 mm."""
+"""Axes: 20 to 160 views, 0.25 to 6 million pixels, roots of 5 to 30 days, voxels of 0.4 to 0.05 mm."""
 QUICK: dict[str, tuple[Step, ...]] = {
     "views": tuple(_step("sphere_20mm", n, views=n, wide=200) for n in (12, 48)),
     "megapixels": tuple(_step("sphere_20mm", 0.75e-6 * n**2, views=12, wide=n) for n in (200, 800)),
     "1/voxel_mm": tuple(_step("sphere_20mm", 1.0 / mm, views=12, wide=200, voxel_mm=mm) for mm in (0.4, 0.1)),
 }
-"""The same in little."""
+"""Reduced axes for a quick run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """What one reconstruction used."""
+    """Cost of one reconstruction."""
 
     value: float
     cpu_s: float
@@ -69,7 +69,7 @@ class Point:
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """How an axis makes reconstructions grow."""
+    """Growth of the cost along an axis."""
 
     axis: str
     points: tuple[Point, ...]
@@ -80,33 +80,33 @@ class Growth:
 
 
 def measure(axes: Sequence[str] | None, *, quick: bool, device: str, say: Say) -> list[Growth]:
-    """Run every point of some axes, or of all.
+    """Run every point of the given axes, or of all.
 
     Parameters
     ----------
     axes : sequence of str or None
         Names of axes; None for all.
     quick : bool
-        Take the small points.
+        Whether to use the reduced axes.
     device : str
-        What computes.
+        Computing device.
     say : Say
-        Hears every point's cost.
+        Receives the cost of every point.
 
     Returns
     -------
     list of Growth
-        Points and exponents, an axis each.
+        Points and exponents of each axis.
 
     Raises
     ------
     UserError
-        Where an axis is unknown, or a run fails.
+        If an axis is unknown, or a run fails.
     """
     offered = QUICK if quick else AXES
     for axis in axes or ():
         if axis not in offered:
-            raise UserError(f"--axes {axis} is none of {', '.join(offered)}")
+            raise UserError(f"--axes {axis} is not one of {', '.join(offered)}")
     found = []
     for axis in axes or offered:
         points = []
@@ -126,7 +126,7 @@ def growth(axis: str, points: Sequence[Point]) -> Growth:
 
 
 def table(found: Sequence[Growth]) -> str:
-    """Return the exponents as a table in Markdown."""
+    """Return the exponents as a Markdown table."""
     lines = ["| against | from | to | processor s | exponent | memory MiB | exponent |", "|---|---|---|---|---|---|---|"]
     for one in found:
         first, last = one.points[0], one.points[-1]
@@ -151,7 +151,7 @@ def draw(found: Sequence[Growth]) -> bytes:
 
 
 def as_json(found: Sequence[Growth]) -> dict[str, Any]:
-    """Return the growths as JSON values."""
+    """Return the results as a JSON object."""
     return {"growths": [asdict(one) for one in found]}
 
 
@@ -160,16 +160,17 @@ def _pictures(step: Step, *, device: str) -> Path:
     folder = cache.folder() / "scaling" / "-".join(step.pictures).replace("--", "")
     if not (folder / "dataset.json").is_file():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        against.run_once(against.ROOT, ["simulate", *step.pictures, "-o", str(folder), "--device", device])
+        commit_comparison.run_once(commit_comparison.ROOT, ["simulate", *step.pictures, "-o", str(folder), "--device", device])
     return folder
 
 
 def _point(step: Step, folder: Path, *, device: str) -> Point:
-    """Reconstruct once for the kernels, and once more for the numbers."""
+    """Reconstruct once to compile the kernels, and once more for the measurement."""
     with tempfile.TemporaryDirectory(prefix="rhizotwin-scaling-") as working:
         used = [
-            against.run_once(
-                against.ROOT, ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / str(number)), "--device", device]
+            commit_comparison.run_once(
+                commit_comparison.ROOT,
+                ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / str(number)), "--device", device],
             )
             for number in range(2)
         ]

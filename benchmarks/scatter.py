@@ -1,8 +1,6 @@
-"""How far every number moves when only the last bits do.
+"""Scatter of every number under rounding, from runs of the ladder with simulated rounding of other machines.
 
-Many runs of the ladder on pictures as other machines may have rounded them.
-
-A number counts as changed when it leaves `FACTOR` times the range of these runs, and the least change that matters.
+A number counts as changed if it exceeds `FACTOR` times the range of these runs, and the smallest relevant change.
 """
 
 import json
@@ -25,42 +23,42 @@ from rhizotwin.scenes.errors import UserError
 SCHEMA_VERSION = 1
 RUNS = 20
 ROUNDED = "rounded"
-"""The change of the pictures that plays another machine."""
+"""Change of the pictures that simulates another machine."""
 LEAST_RUNS = 5
-"""Fewer runs tell no range: that of two is next to nothing once in twenty times."""
+"""Minimum number of runs for a range: that of two is almost zero once in twenty times."""
 FACTOR = 2.0
-"""Of normal numbers 20 have a range of 3.7 standard deviations; two of them differ by twice this once in seven million
-times. The range of fewer is made larger by as much as that of normal numbers grows."""
+"""Factor of the range. Twenty normal numbers have a range of 3.7 standard deviations; two of them differ by twice this
+once in seven million times. Ranges of fewer runs are enlarged in the proportion of normal numbers."""
 DIGITS = 6
 """Significant digits of the numbers in a baseline."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Ranges of numbers over runs that differ by rounding alone."""
+    """Ranges of numbers over runs that differ by rounding only."""
 
     path: Path
     ranges: Mapping[str, float]
-    """Largest less smallest, by key of the metric."""
+    """Maximum minus minimum, by key of the metric."""
     runs: Mapping[str, int]
-    """Of how many runs, by key of the metric."""
+    """Number of runs, by key of the metric."""
 
     def tolerance(self, key: str, baseline: float, estimate: float) -> float:
-        """Return by how much a number may differ from its baseline.
+        """Return the tolerance of a number relative to its baseline.
 
         Parameters
         ----------
         key : str
-            Of the metric.
+            Key of the metric.
         baseline : float
-            Its value in the baseline, in the metric's unit.
+            Value in the baseline, in the metric's unit.
         estimate : float
-            Tolerance where nothing was measured.
+            Tolerance if no scatter was measured.
 
         Returns
         -------
         float
-            In the metric's unit.
+            Tolerance in the metric's unit.
         """
         if key not in self.ranges:
             return estimate
@@ -70,51 +68,51 @@ class Scatter:
 
 
 def normal_range(count: int) -> float:
-    """Return the mean range of some normal numbers, in standard deviations (Tippett 1925, Biometrika 17:364)."""
+    """Return the mean range of a number of normal values, in standard deviations (Tippett 1925, Biometrika 17:364)."""
     x = np.linspace(-8.0, 8.0, 1601)
     below = norm.cdf(x)
     return float(np.trapezoid(1.0 - (1.0 - below) ** count - below**count, x))
 
 
 def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: str, say: Say) -> list[Run]:
-    """Run cases on pictures that are changed otherwise each time.
+    """Run cases on pictures with different random changes.
 
     Parameters
     ----------
     cases : sequence of Case
-        What to run.
+        Cases to run.
     runs : int
-        How often; the seeds are 1 to this.
+        Number of runs; the seeds are 1 to this.
     change : str
         `ROUNDED`, or ``lossy`` (`benchmarks.perturb`); the run's number is its seed.
     device : str
-        What computes.
+        Computing device.
     say : Say
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     list of Run
-        A run for each seed, with the metrics that came from pictures.
+        One run per seed, with the metrics that depend on pictures.
     """
     found = []
     for seed in range(1, runs + 1):
         say(f"run {seed} of {runs}")
         run = accuracy.measure(cases, device=device, say=say, change=f"{change}:{seed}", projection=False)
-        found.append(replace(run, metrics=of_cases(run.metrics, cases)))
+        found.append(replace(run, metrics=metrics_of_pictures(run.metrics, cases)))
     return found
 
 
 def values(runs: Sequence[Run]) -> dict[str, list[float]]:
-    """Return the values of some runs by key of the metric."""
+    """Return the values of several runs by key of the metric."""
     found: dict[str, list[float]] = {}
     for metric in (metric for run in runs for metric in run.metrics):
         found.setdefault(metric.key, []).append(metric.value)
     return found
 
 
-def of_cases(metrics: Sequence[Metric], cases: Sequence[Case]) -> list[Metric]:
-    """Return the metrics that came from pictures, by which alone rounding is played."""
+def metrics_of_pictures(metrics: Sequence[Metric], cases: Sequence[Case]) -> list[Metric]:
+    """Return the metrics that depend on pictures, the only ones affected by simulated rounding."""
     names = {case.name for case in cases}
     return [metric for metric in metrics if metric.key.rpartition("/")[0] in names]
 
@@ -131,16 +129,16 @@ def table(values: Mapping[str, Sequence[float]]) -> str:
 
 
 def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[str, Any]) -> None:
-    """Record the scatter of some numbers; others that the file holds stay.
+    """Record the scatter of numbers; others in the file are kept.
 
     Parameters
     ----------
     path : Path
-        JSON file.
+        Path of the JSON file.
     values : dict of sequence of float
-        The metric's values in all runs, by key.
+        Values of each metric in all runs, by key.
     about : dict of Any
-        How the runs were made.
+        Description of the runs.
 
     Raises
     ------
@@ -151,7 +149,7 @@ def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[s
     lacking = [key for key, some in values.items() if len(some) < runs or not all(map(math.isfinite, some))]
     if lacking or runs < LEAST_RUNS:
         what = lacking[0] if lacking else "every metric"
-        raise UserError(f"{path} is left as it was: {what} was not measured in every one of {LEAST_RUNS} runs or more.")
+        raise UserError(f"{path} is not changed: {what} was not measured in every run, or in fewer than {LEAST_RUNS} runs.")
     before = read(path)
     found = {key: {"range": before.ranges[key], "runs": before.runs[key]} for key in before.ranges}
     found |= {key: {"range": float(f"{max(some) - min(some):.3g}"), "runs": runs} for key, some in values.items()}
@@ -159,7 +157,7 @@ def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[s
 
 
 def read(path: Path) -> Scatter:
-    """Return a committed scatter, which knows nothing where none was committed; UserError where it is damaged."""
+    """Read a committed scatter, empty if there is none; raise UserError if it is damaged."""
     if not path.is_file():
         return Scatter(path=path, ranges={}, runs={})
     try:
@@ -172,5 +170,5 @@ def read(path: Path) -> Scatter:
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise UserError(f"{path} is damaged ({error!r}); make it with `python -m benchmarks scatter --quick`.") from None
     if not all(math.isfinite(value) and value >= 0.0 for value in ranges.values()):
-        raise UserError(f"{path} is damaged (a range is negative or no number); make it with `python -m benchmarks scatter --quick`.")
+        raise UserError(f"{path} is damaged (a range is negative or not a number); make it with `python -m benchmarks scatter --quick`.")
     return Scatter(path=path, ranges=ranges, runs=runs)

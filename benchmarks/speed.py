@@ -1,4 +1,4 @@
-"""How long the jobs take and how much memory they need, each in a process of its own."""
+"""Time and memory of the jobs, each in its own process."""
 
 import statistics
 from typing import Any, get_args
@@ -10,27 +10,27 @@ from benchmarks.run import Run, Say
 from rhizotwin.recon.passes import Pass
 
 TIME_TOLERANCE = 0.5
-"""A shared machine's wall times move by tens of per cent from run to run."""
+"""Relative tolerance: wall times on a shared machine vary by tens of per cent from run to run."""
 
 RECONSTRUCTED = Pictures(scene="printed_8ml")
 
 
 def measure(*, quick: bool, device: str, say: Say) -> Run:
-    """Time one rendered view and whole reconstructions; a job that fails is recorded and the rest go on.
+    """Time one rendered view and complete reconstructions; a failed job is recorded, and the rest continue.
 
     Parameters
     ----------
     quick : bool
-        Once, with coarse voxels alone.
+        Whether to run once, with coarse voxels only.
     device : str
-        What computes.
+        Computing device.
     say : Say
-        Hears every job's time.
+        Receives the time of every job.
 
     Returns
     -------
     Run
-        Seconds and memory, and what crashed.
+        Times, memory, and crashed jobs.
     """
     run = Run()
     repeats = 1 if quick else 3
@@ -56,7 +56,7 @@ def measure(*, quick: bool, device: str, say: Say) -> Run:
 
 
 def metrics(name: str, repeated: list[dict[str, Any]]) -> list[Metric]:
-    """Return the medians over the repeats: times in s, stage by stage, memory in MiB, and numbers of passes."""
+    """Return the medians over the repeats: times in s by stage, memory in MiB, and numbers of passes."""
     found = []
     for quantity in repeated[0]:
         if quantity == "stages":

@@ -1,4 +1,4 @@
-"""The ladder's table: groups of scenes by profile, against what must be reached."""
+"""Table of the ladder: groups of scenes by profile, with their targets."""
 
 import csv
 import io
@@ -38,34 +38,34 @@ class Line:
     profile: str
     quantity: str
     value: float
-    """NaN where a run gave none."""
+    """Value; NaN if it is missing in a run."""
     unit: str
     direction: Direction
     tolerance: float
     runs: int
     thesis: float | None
-    """The same number of the thesis's method on the same pictures; None where it was not run or has no such number."""
+    """The same number for the thesis's method on the same pictures; None if it was not run or has no such number."""
 
     @property
     def verdict(self) -> str:
-        """Whether the goal is reached; empty where there is none."""
+        """Whether the target is reached; empty if there is none."""
         target = TARGETS.get(self.key)
         return "" if target is None else "yes" if target.reached(self.value) else "NO"
 
     @property
     def goal(self) -> str:
-        """What must be reached, as text."""
+        """Target as text."""
         return TARGETS[self.key].text if self.key in TARGETS else ""
 
     def metric(self) -> Metric:
-        """Return the number as the gate takes it."""
+        """Return the number as a metric for the gate."""
         return Metric(key=self.key, value=self.value, unit=self.unit, direction=self.direction, abs_tol=self.tolerance)
 
 
 def lines(records: Iterable[Record]) -> list[Line]:
-    """Return every number of the table that the runs allow, group by group.
+    """Return all numbers of the table for the given runs, group by group.
 
-    Runs of the thesis's method stand beside ours.
+    Runs of the thesis's method are compared with ours.
     """
     everything = list(records)
     ours = [record for record in everything if record["case"]["method"] == "coverage"]
@@ -112,7 +112,7 @@ def _named(name: str) -> Callable[[Record], bool]:
     return lambda record: bool(record["case"]["scene"] == name)
 
 
-def _of(record: Record, *path: str) -> float:
+def _score_value(record: Record, *path: str) -> float:
     value: Any = record
     for name in path:
         value = None if value is None else value.get(name)
@@ -120,13 +120,13 @@ def _of(record: Record, *path: str) -> float:
 
 
 def _sizes(*path: str) -> Callable[[Sequence[Record]], list[float]]:
-    return lambda records: [abs(_of(record, *path)) for record in records]
+    return lambda records: [abs(_score_value(record, *path)) for record in records]
 
 
 def _over(
     combine: Callable[[list[float]], float], values: Callable[[Sequence[Record]], list[float]]
 ) -> Callable[[Sequence[Record]], float]:
-    """Return a quantity of many runs; one that is missing makes it NaN, as `max` and `median` would not."""
+    """Return a quantity of many runs; a missing value makes it NaN, in contrast to `max` and `median`."""
 
     def quantity(records: Sequence[Record]) -> float:
         found = values(records)
@@ -149,7 +149,7 @@ _WALL = _Quantity("wall_worst", _over(max, _sizes("wall_s")), "s", "down", 90.0)
 _MEMORY = _Quantity("memory_worst", _over(max, _sizes("peak_memory_mib")), "MiB", "down", 600.0)
 
 _ROOTS = (_LENGTH, _LENGTH_WORST, _PRECISION, _PRECISION_WORST, _RECALL, _RECALL_WORST)
-"""Beside every mean stands the worst."""
+"""Every mean is accompanied by the worst value."""
 _OF_PLANTS = (_MEDIAN, _WORST, *_ROOTS, _HOLDS)
 
 _GROUPS: dict[str, tuple[Callable[[Record], bool], tuple[_Quantity, ...]]] = {
@@ -174,7 +174,7 @@ _TITLES = {
     "tip_precision_worst": "tips, precision, worst",
     "tip_recall": "tips, recall",
     "tip_recall_worst": "tips, recall, worst",
-    "interval_holds": "runs whose interval holds the truth",
+    "interval_holds": "runs whose interval contains the truth",
     "wall_worst": "reconstruction, longest",
     "memory_worst": "reconstruction, most memory",
 }

@@ -1,6 +1,6 @@
-"""How much of the water views see: through the canister's round wall alone, and through a tank's flat one (T5.3).
+"""Visible fraction of the water, through the canister's round wall alone, and through a tank's flat one (T5.3).
 
-``python -m benchmarks.tank -o FIGURE.png`` draws the share by radius and prints the shares of the whole water.
+``python -m benchmarks.tank -o FIGURE.png`` draws the fraction by radius and prints that of the whole water.
 """
 
 import argparse
@@ -26,10 +26,10 @@ AZIMUTHS, RADII = 180, 72
 
 
 def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]]:
-    """Return radii (R,) in mm, and by name the share (R,) of directions that see a point there exactly once.
+    """Return radii (R,) in mm, and by name the fraction (R,) of directions with exactly one image of a point.
 
-    Points lie in the horizontal plane of a level camera, where a sweep of rays counts the images of each; a turn of the
-    canister brings every azimuth before the camera, so that the share of azimuths is the share of views.
+    Points are in the horizontal plane of a level camera, where a sweep of rays counts the images of each; a turn of the
+    canister moves every azimuth in front of the camera, so that the fraction of azimuths is that of views.
     """
     optics = Optics.from_scene(scene)
     radius = (np.arange(RADII) + 0.5) / RADII * optics.inner_radius_mm
@@ -47,23 +47,23 @@ def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]
 def images_at_height(at: tank.TankView, points_mm: Array, *, rays: int = 4001) -> NDArray[np.int64]:
     """Count the images (N,) of points in a level camera's own plane, the canister upright, by a sweep of rays.
 
-    A point has an image between two neighbouring rays when it lies to the left of one and to the right of the other.
+    A point has an image between two neighbouring rays if it is to the left of one and to the right of the other.
 
     Parameters
     ----------
     at : tank.TankView
-        The level camera before the tank.
+        View of a level camera in front of the tank.
     points_mm : (N, 3) array
         Points in the camera's plane, mm.
     rays : int
-        How many rays are swept over the canister.
+        Number of rays over the canister's width.
 
     Returns
     -------
     (N,) int array
-        Images of each point.
+        Number of images of each point.
     """
-    q = np.linspace(-0.7, 0.7, rays)  # 44 degrees to either side, more than any tank fills
+    q = np.linspace(-0.7, 0.7, rays)  # 44 degrees to either side, more than any tank covers
     line, enters = tank.trace(at, q, np.zeros_like(q))
     side = points_mm[:, :1] * line.nu[:, 0] + points_mm[:, 1:2] * line.nu[:, 1] - line.b_mm
     with np.errstate(invalid="ignore"):
@@ -72,13 +72,13 @@ def images_at_height(at: tank.TankView, points_mm: Array, *, rays: int = 4001) -
 
 
 def main() -> None:
-    """Draw the figure and print the shares."""
+    """Draw the figure and print the fractions."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
     output: Path = parser.parse_args().output
     radius, by_name = shares(Scene(), distance_mm=Ring().distance_mm)
     drawn = figure(7.0, 4.0)
-    axes = drawn.add_subplot(xlabel="distance from the axis (mm)", ylabel="share of views that see it once", ylim=(0.0, 1.02))
+    axes = drawn.add_subplot(xlabel="distance from the axis (mm)", ylabel="fraction of views with exactly one image", ylim=(0.0, 1.02))
     outer = radius > 0.95 * radius[-1]
     for name, share in by_name.items():
         whole = float(np.average(share, weights=radius))

@@ -1,20 +1,20 @@
-"""What must be reached, by metric."""
+"""Targets by metric."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Target:
-    """The limit of one number."""
+    """Limit of one number."""
 
     limit: float
     text: str
-    """As people read it."""
+    """Limit as text."""
     at_least: bool = False
-    """The number must be this large; otherwise its magnitude must be no larger."""
+    """Whether the number must be at least the limit; otherwise its magnitude must be at most the limit."""
 
     def reached(self, value: float) -> bool:
-        """Tell whether a number does; what is not a number does not."""
+        """Return whether a number reaches the target; False for NaN."""
         return value >= self.limit if self.at_least else abs(value) <= self.limit
 
 
@@ -32,7 +32,7 @@ def _volume(group: str, profile: str, median: float, worst: float) -> dict[str, 
 
 
 def _ladder() -> dict[str, Target]:
-    """Return the table of the goals, by `benchmarks.table`'s keys."""
+    """Return the targets by the keys of `benchmarks.table`."""
     targets: dict[str, Target] = {}
     for profile, limit in (("clean", 0.01), ("bench", 0.02), ("harsh", 0.05)):
         targets[f"ladder/printed_8ml/{profile}/volume_worst"] = _percent(limit)

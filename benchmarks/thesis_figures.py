@@ -1,4 +1,4 @@
-"""The thesis's figures of its method, made again on the printed phantom: cameras (3.6), rays (3.8), carving (3.9)."""
+"""Reproduction of figures of the thesis on the printed phantom: cameras (3.6), rays (3.8), carving (3.9)."""
 
 import numpy as np
 from matplotlib.collections import PatchCollection
@@ -13,7 +13,7 @@ from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.figures import figure, png
@@ -23,19 +23,19 @@ from rhizotwin.scenes.monitor import Monitor
 Array = NDArray[np.float64]
 
 RAYS = 25
-"""From one side of the canister to the other."""
+"""Number of rays from one side of the canister to the other."""
 CARVED_MM = (8.64, 4.32, 2.16, 1.08)
 """Edges of the finest voxels in the figure of carving."""
 _RED, _BLUE, _YELLOW = "#b2182b", "#2166ac", "#d8a200"
 
 
 def draw(pictures: Pictures) -> dict[str, bytes]:
-    """Return the figures as PNG, by name; the dataset is rendered where it is not kept.
+    """Return the figures as PNG, by name; the dataset is rendered if it is not in the cache.
 
     Parameters
     ----------
     pictures : Pictures
-        The phantom.
+        Pictures of the phantom.
     """
     dataset = load_dataset(datasets.make(pictures))
     monitor = Monitor.of(None)
@@ -44,7 +44,7 @@ def draw(pictures: Pictures) -> dict[str, bytes]:
     together = find_cameras(read, monitor=monitor)
     cameras, coverage = measure_coverage(read, together, monitor=monitor)
     found = {
-        "a pose a picture": np.array([view.centre_mm for view in alone.views]),
+        "one pose per picture": np.array([view.centre_mm for view in alone.views]),
         "all pictures together": np.array([view.centre_mm for view in together.views]),
     }
     hulls = [shaping.carve_hull(dataset, cameras, coverage, finest_mm=mm, slack_px=0.3, monitor=monitor) for mm in CARVED_MM]
@@ -53,12 +53,12 @@ def draw(pictures: Pictures) -> dict[str, bytes]:
 
 
 def fit_circle(points_mm: Array) -> tuple[Array, float, Array]:
-    """Return centre (2,), radius and residuals (N,) of the circle nearest to points (N, 2), by least squares.
+    """Return centre (2,), radius and residuals (N,) of the least-squares circle through points (N, 2).
 
     Parameters
     ----------
     points_mm : (N, 2) array
-        Three or more.
+        Three or more points.
     """
     start = [*points_mm.mean(axis=0), float(np.linalg.norm(points_mm - points_mm.mean(axis=0), axis=1).mean())]
 
@@ -70,21 +70,21 @@ def fit_circle(points_mm: Array) -> tuple[Array, float, Array]:
 
 
 def ray_path(optics: Optics, rho_mm: float, w: float) -> Array:
-    """Return the corners (4, 2) of a level ray: camera, outer wall, inner wall, and where it leaves the water.
+    """Return the vertices (4, 2) of a level ray: camera, outer wall, inner wall, and its exit from the water.
 
     Parameters
     ----------
     optics : Optics
-        The canister.
+        Optics of the canister.
     rho_mm : float
-        Distance of the camera, which stands on the x axis.
+        Distance of the camera, which is on the x axis.
     w : float
-        Impact parameter over the outer radius.
+        Impact parameter relative to the outer radius.
 
     Returns
     -------
     (4, 2) array
-        x and y, mm.
+        Coordinates x and y, mm.
     """
     line = refraction.trace(optics, rho_mm, 0.0, np.array([w]), np.array([0.0]))
     along, half = line.t[0], float(np.sqrt(optics.inner_radius_mm**2 - line.b_mm[0] ** 2))
@@ -134,7 +134,7 @@ def _rays(optics: Optics, scene: Scene) -> bytes:
     axes.set_aspect("equal")
     axes.set_xlabel("x (mm)")
     axes.set_ylabel("y (mm)")
-    axes.set_title("in air and acrylic (yellow), in water (red): what lies at the sides no ray reaches", fontsize=9)
+    axes.set_title("in air and acrylic (yellow), in water (red): no ray reaches the sides", fontsize=9)
     return png(drawn, dpi=110)
 
 

@@ -1,6 +1,6 @@
-"""The thesis's tables and figures beside its method as re-implemented and ours, on radishes and a printed phantom.
+"""Comparison of the thesis's results with its re-implemented method and ours, on radishes and a printed phantom.
 
-Its table 4.1, and figures 3.10 (volume by level of the octree), 4.1 (growth) and 5.3 (time by level).
+These are table 4.1, and figures 3.10 (volume by level of the octree), 4.1 (growth) and 5.3 (time by level).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import accuracy, assumptions, gate
-from benchmarks.assumptions import Counted, Level
+from benchmarks.assumptions import CountedVolumes, Level
 from benchmarks.cases import Case, Pictures, ladder
 from benchmarks.run import Say
 from rhizotwin.experiment import tables
@@ -18,13 +18,13 @@ from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 PHANTOM = Pictures(scene="printed_8ml", image_wh=(400, 300))
-"""On which levels and assumptions are measured."""
+"""Pictures on which levels and assumptions are measured."""
 PRINT_ML, THESIS_PRINT_ML = 8.0, 7.13
-"""True volume of the printed phantom, and what the thesis found after nine levels (figure 3.10)."""
+"""True volume of the printed phantom, and that found in the thesis after nine levels (figure 3.10)."""
 THESIS_DAY_S, THESIS_VOXEL_MM, THESIS_FACTOR = 86400.0, 0.27, 4.0
-"""Roughly a day at the finest level, and four times as long with every level (T5.3, figure 5.3)."""
+"""Time at the finest level (about a day), its voxel, and the factor of time per level (T5.3, figure 5.3)."""
 BASELINE = Path(__file__).with_name("baseline_accuracy.json")
-"""The whole ladder as it was committed."""
+"""Committed baseline of the whole ladder."""
 _DAYS = (5, 10, 15, 20, 25, 30)
 _COLOURS = {"thesis": "#b2182b", "re-implemented": "#ef8a62", "ours": "#2166ac", "true": "0.3"}
 
@@ -33,16 +33,16 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """A radish of the thesis, and the twin's of the same mass."""
+    """A radish of the thesis, and the twin's plant of the same mass."""
 
     name: str
     day: float
     grams: float
-    """Fresh mass of its roots, table A.1; the twin's plant has it at 1 g/ml."""
+    """Fresh mass of its roots (table A.1), which the twin's plant has at 1 g/ml."""
     thesis_ml: float | None
-    """Table 4.1; None for the two that were lost."""
+    """Volume in table 4.1; None for two lost plants."""
     redone: Record | None
-    """Score of the thesis's method as re-implemented; None where it was not run."""
+    """Score of the thesis's re-implemented method; None if it was not run."""
     ours: Record | None
 
 
@@ -52,32 +52,32 @@ def plant_cases(profile: str) -> list[Case]:
 
 
 def measure(profile: str, *, device: str, say: Say, only_kept: bool) -> list[Record]:
-    """Score the radishes by both methods; what was measured before is kept.
+    """Score the radishes by both methods; earlier measurements are reused.
 
     Parameters
     ----------
     profile : str
         Disturbances of the pictures.
     device : str
-        What computes.
+        Computing device.
     say : Say
-        Hears how far it is.
+        Receives the progress.
     only_kept : bool
-        Take what was measured before and run nothing.
+        Whether to use earlier measurements only.
 
     Returns
     -------
     list of dict
-        A record for each plant and method.
+        One record per plant and method.
     """
     if only_kept:
-        found = [accuracy.kept(case, device=device) for case in plant_cases(profile)]
+        found = [accuracy.load_record(case, device=device) for case in plant_cases(profile)]
         return [record for record in found if record is not None]
     return list(accuracy.measure(plant_cases(profile), device=device, say=say, projection=False).details.values())
 
 
-def committed(profile: str) -> list[Record]:
-    """Return the radishes' volumes by both methods as the ladder's committed baseline has them, without intervals."""
+def committed_records(profile: str) -> list[Record]:
+    """Return the radishes' volumes by both methods from the ladder's committed baseline, without intervals."""
     metrics = gate.read_baseline(BASELINE).values
     found: list[Record] = []
     for case in plant_cases(profile):
@@ -90,7 +90,7 @@ def committed(profile: str) -> list[Record]:
 
 
 def plants(records: Sequence[Record]) -> list[Plant]:
-    """Return the thesis's 18 plants in its order, with the records of their twins."""
+    """Return the thesis's 18 plants in its order, with the records of the twin's plants."""
     by = {(record["case"]["scene"], record["case"]["method"]): record["score"] for record in records}
     found = []
     masses = tables.read_table(tables.shipped("kliman_2022_masses.csv"))
@@ -112,27 +112,31 @@ def plants(records: Sequence[Record]) -> list[Plant]:
 
 
 def write(
-    path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], method: Mapping[str, bytes] | None = None
+    path: Path,
+    found: Sequence[Plant],
+    levels: Sequence[Level],
+    counted: Sequence[CountedVolumes],
+    method: Mapping[str, bytes] | None = None,
 ) -> list[Path]:
     """Write the page (Markdown) and its figures beside it, and return their paths.
 
     Parameters
     ----------
     path : Path
-        The page; figures get its name with what they show.
+        Path of the page; figures get its name with a suffix.
     found : sequence of Plant
         Plants by both methods.
     levels : sequence of Level
         Volume and time by voxel.
-    counted : sequence of Counted
-        The thesis's assumptions, one by one.
+    counted : sequence of CountedVolumes
+        Errors by the thesis's assumptions.
     method : mapping of bytes, optional
         Figures of `thesis_figures.draw`.
 
     Returns
     -------
     list of Path
-        The page and its figures.
+        Paths of the page and its figures.
     """
     figures: dict[str, Callable[[Any], None]] = {
         "volume_by_level": lambda axis: _volume_by_level(axis, levels),
@@ -155,7 +159,7 @@ def write(
     return [path, *made]
 
 
-def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], *, figures: Mapping[str, str]) -> str:
+def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[CountedVolumes], *, figures: Mapping[str, str]) -> str:
     """Return the page.
 
     Parameters
@@ -164,11 +168,11 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         Plants by both methods.
     levels : sequence of Level
         Volume and time by voxel.
-    counted : sequence of Counted
-        The thesis's assumptions, one by one.
+    counted : sequence of CountedVolumes
+        Errors by the thesis's assumptions.
     figures : mapping of str
         Files of the figures: volume_by_level (3.10), time_by_level (5.3), growth (4.1); circle (3.6), rays (3.8) and
-        carving (3.9) where they were drawn.
+        carving (3.9) if they were drawn.
 
     Returns
     -------
@@ -176,10 +180,10 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         Markdown.
     """
     parts = [
-        "# The thesis, made again",
+        "# Reproduction of the thesis",
         "R. Kliman, *Design of a robotic platform for plant root imaging and biomass estimation*, Georgia Institute of Technology, 2022, "
-        "beside its method as re-implemented (`rhizotwin/baselines.py`) and ours. The plants are the twin's: grown roots of the masses of "
-        "table A.1 at 1 g/ml, so that a density of 1 g/ml is right.",
+        "compared with its re-implemented method (`rhizotwin/baselines.py`) and ours. The plants are simulated: roots with masses of "
+        "table A.1 at 1 g/ml, so that the true density is 1 g/ml.",
         "## Table 4.1: volumes and densities",
         _table(found),
         "## Figure 4.1: growth",
@@ -189,8 +193,8 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         f"![Volume of the printed phantom by voxel]({figures['volume_by_level']})" if levels else "Not measured.",
         "## Figure 5.3: time by level",
         f"![Time by voxel]({figures['time_by_level']})\n\n{_levels(levels)}" if levels else "Not measured.",
-        "## Which assumptions turn the error",
-        "Volume of the printed phantom (40 pictures of 400x300) over the true one, less 1, by the thesis's method with one or more "
+        "## Effect of the assumptions",
+        "Volume of the printed phantom (40 pictures of 400x300) relative to the true one, minus 1, by the thesis's method with one or more "
         "assumptions changed; the first row is the thesis's own.",
         assumptions.table(counted) if counted else "Not measured.",
     ]
@@ -198,7 +202,7 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
 
 
 def _method(figures: Mapping[str, str]) -> list[str]:
-    """Return the figures of the method, those that there are."""
+    """Return the available figures of the method."""
     titles = {"circle": "3.6: cameras and their circle", "rays": "3.8: rays through the canister", "carving": "3.9: progressive carving"}
     return [
         part for name, title in titles.items() if name in figures for part in (f"## Figure {title}", f"![Figure {title}]({figures[name]})")
@@ -235,7 +239,7 @@ def _levels(levels: Sequence[Level]) -> str:
 def _volume_by_level(axis: Any, levels: Sequence[Level]) -> None:
     voxels = [one.voxel_mm for one in levels]
     axis.plot(voxels, [one.thesis_ml for one in levels], "o-", color=_COLOURS["re-implemented"], label="its method, re-implemented")
-    axis.plot(voxels, [one.ours_ml for one in levels], "o-", color=_COLOURS["ours"], label="our hull, before it is trimmed")
+    axis.plot(voxels, [one.ours_ml for one in levels], "o-", color=_COLOURS["ours"], label="our hull, before trimming")
     axis.axhline(PRINT_ML, color=_COLOURS["true"], linewidth=0.8, label="true")
     axis.plot([THESIS_VOXEL_MM], [THESIS_PRINT_ML], "s", color=_COLOURS["thesis"], label="thesis, its real phantom")
     _by_voxel(axis, "volume (ml)")
@@ -244,7 +248,9 @@ def _volume_by_level(axis: Any, levels: Sequence[Level]) -> None:
 def _time_by_level(axis: Any, levels: Sequence[Level]) -> None:
     voxels = [one.voxel_mm for one in levels]
     depth = [round(voxel / THESIS_VOXEL_MM).bit_length() - 1 for voxel in voxels]
-    axis.plot(voxels, [THESIS_DAY_S / THESIS_FACTOR**one for one in depth], "s--", color=_COLOURS["thesis"], label="thesis (GPU), as told")
+    axis.plot(
+        voxels, [THESIS_DAY_S / THESIS_FACTOR**one for one in depth], "s--", color=_COLOURS["thesis"], label="thesis (GPU), as stated"
+    )
     axis.plot(voxels, [one.thesis_s for one in levels], "o-", color=_COLOURS["re-implemented"], label="its method, our carving")
     axis.plot(voxels, [one.ours_s for one in levels], "o-", color=_COLOURS["ours"], label="ours")
     _by_voxel(axis, "time of the carving (s)")

@@ -1,6 +1,6 @@
-"""Draw the valley in which wider, fainter roots and more blur look alike, and what the fit says of it.
+"""Figure of the loss valley in which larger radii, lower attenuation and more blur are nearly equivalent.
 
-``python -m benchmarks.valley DATASET PICTURE.png``: the tubes are refitted at every attenuation and blur of a grid; the
+``python -m benchmarks.valley DATASET PICTURE.png`` refits the tubes at every attenuation and blur of a grid; the
 ellipses are one and two standard deviations of the joint fit.
 """
 
@@ -40,7 +40,7 @@ def measure(path: Path) -> tuple[Array, Array, Array]:
     from rhizotwin.recon.calibration.curve import verify_curve
     from rhizotwin.recon.calibration.find_cameras import find_cameras
     from rhizotwin.recon.coverage.measure import measure_coverage
-    from rhizotwin.recon.pictures import read_pictures
+    from rhizotwin.recon.read_pictures import read_pictures
     from rhizotwin.recon.roots import rooting
     from rhizotwin.recon.settings import Settings
     from rhizotwin.recon.tubes import root_light, tube_fit, tube_profiles
@@ -69,21 +69,21 @@ def measure(path: Path) -> tuple[Array, Array, Array]:
 
 
 def draw(loss: Array, light: Array, covariance: Array, path: Path) -> None:
-    """Draw the loss above its least value as contours, with the ellipses of the fit.
+    """Draw the loss above its minimum as contours, with the ellipses of the fit.
 
     Parameters
     ----------
     loss : (B, M) array
-        At the blurs and attenuations of the grid.
+        Loss at the blurs and attenuations of the grid.
     light, covariance : (L,), (L, L) array
-        As fitted.
+        Fitted parameters and their covariance.
     path : Path
-        Of the picture.
+        Path of the picture.
     """
     drawn = figure(6.4, 4.4)
     axis = drawn.subplots()
     shown = axis.contourf(MU_PER_MM, BLUR_PX**2, 100.0 * (loss / loss.min() - 1.0), levels=[0, 1, 2, 4, 8, 16, 32, 64], extend="max")
-    drawn.colorbar(shown, label="loss above its least value (%)")
+    drawn.colorbar(shown, label="loss above its minimum (%)")
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
     way = np.linalg.cholesky(covariance[:2, :2] + 1e-12 * np.eye(2)) @ np.stack([np.cos(turn), np.sin(turn)])
     for many in (1.0, 2.0):

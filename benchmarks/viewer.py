@@ -1,10 +1,10 @@
-"""How soon `rhizotwin view` shows a result and answers a person, in a real browser whose pictures software draws.
+"""Response times of `rhizotwin view` in a real browser with software rendering.
 
-The command runs as a person starts it, and everything is told by what its page says: the time from the command to the
-first whole picture, from a click or a drag to the answer on the page, the memory it took in the end, the volume after
-corrections against that of the corrected result measured afresh, and the size and the complaints of the report.
+The command is run as by a user, and all measurements use the contents of its page: the time from the command to the
+first complete picture, from a click or a drag to the response on the page, the peak memory, the volume after
+corrections compared with that of the corrected result measured again, and size and errors of the report.
 
-What the server alone needs is told in processor time besides (`benchmarks.viewer_server`).
+The processor time of the server alone is measured separately (`benchmarks.viewer_server`).
 """
 
 from __future__ import annotations
@@ -37,15 +37,16 @@ from rhizotwin.scenes.errors import UserError
 
 WINDOW = {"width": 1000, "height": 700}
 QUIET_S = 3.0
-"""A picture is whole when so long nothing more came to it."""
+"""Time without changes after which a picture is complete."""
 PHONE_PX = 400
-"""Width of a telephone's page."""
+"""Width of the page on a telephone."""
 ANSWER_MS = 60_000
-"""What takes longer is none."""
+"""Time-out of a response."""
 PICKS = 5
-"""Clicks whose median is told."""
+"""Number of clicks, whose median is reported."""
 _VIVID = 90
-"""Between the strongest and the weakest of a pixel's three colours: roots are vivid, canister and panels are not."""
+"""Minimum difference between the strongest and the weakest colour channel of pixels of roots, in contrast to canister
+and panels."""
 _WATCH = """(() => {
   const frames = []; let parts = new Set(), last = null, most = 0;
   const count = (name, at) => {
@@ -74,13 +75,13 @@ _WATCH = """(() => {
     if (b.pattern && !b.answered && said() !== b.before) b.answered = performance.now();
   }).observe(document.body, { subtree: true, childList: true, characterData: true }));
 })()"""
-"""Notes in the page when frames had more in them than any before, and when what it says changed after a click."""
+"""Script in the page that records when a frame contains more than any before, and when a text changes after a click."""
 _CHOSEN = r"Nothing is selected|Selected: \d+ (root|voxel)s?, [\d.]+ m[ml]"
 _CORRECTED = r"as corrected: .*?\d+ mm in \d+ roots|\d+ mm in \d+ roots"
 
 
 class Page:
-    """`rhizotwin view` in a process of its own, and its page in a browser."""
+    """`rhizotwin view` in its own process, and its page in a browser."""
 
     def __init__(self, result: Path, dataset: Path | None) -> None:
         self.begun_s = time.time()
@@ -96,21 +97,21 @@ class Page:
     @classmethod
     @contextmanager
     def shown(cls, browser: Any, result: Path, dataset: Path | None) -> Iterator[Page]:
-        """Start the command and show its page; whatever happens, leave no process behind.
+        """Start the command and open its page; the process is ended in any case.
 
         Parameters
         ----------
         browser : Browser
-            Playwright's.
+            Playwright browser.
         result : Path
             Folder of the result.
         dataset : Path or None
-            Folder of its pictures; None without.
+            Folder of its pictures; None if there are none.
 
         Returns
         -------
         iterator of Page
-            The page, once.
+            The page.
         """
         page = cls(result, dataset)
         try:
@@ -122,7 +123,7 @@ class Page:
                 page._process.wait()
 
     def show(self, browser: Any) -> None:
-        """Open the page as soon as the command says where it is."""
+        """Open the page as soon as the command prints its address."""
         assert self._process.stdout is not None
         address = self._process.stdout.readline().strip()
         self.served_s = time.time() - self.begun_s
@@ -136,7 +137,7 @@ class Page:
         self.page.goto(address)
 
     def first_picture_s(self) -> float:
-        """Return the time from the command until the picture was whole, and wait that long."""
+        """Wait until the picture is complete, and return the time since the command."""
         until = time.monotonic() + PATIENCE_MS / 1000.0
         while time.monotonic() < until:
             frames = self.page.evaluate("bench.frames")
@@ -146,25 +147,25 @@ class Page:
         raise UserError("the page drew no picture")
 
     def asked(self, pattern: str, act: Any) -> float:
-        """Return the seconds from the end of a click until the page says something else where a pattern fits."""
+        """Return the seconds from the end of a click until the text that matches a pattern changes."""
         self.page.evaluate("pattern => bench.ask(pattern)", pattern)
         act()
         self.page.wait_for_function("bench.answered > 0", timeout=ANSWER_MS)
         return float(self.page.evaluate("bench.answered - bench.begun")) / 1000.0
 
     def press(self, name: str) -> None:
-        """Press a button."""
+        """Click a button."""
         self.page.get_by_role("button", name=name, exact=True).click()
 
     def layer(self, name: str, *, on: bool) -> None:
-        """Let something be drawn, or not."""
+        """Switch a layer on or off."""
         self.page.get_by_role("tab", name="View").click()
         box = self.page.get_by_label(name)
         if box.is_checked() != on:
             box.click()
 
     def says(self, pattern: str) -> str:
-        """Return what the page says where a pattern fits; empty where nothing does."""
+        """Return the text of the page that matches a pattern; empty if there is none."""
         found = re.search(pattern, self.page.evaluate("document.body.textContent"))
         return "" if found is None else found[0]
 
@@ -178,31 +179,31 @@ class Page:
 
 
 def measure(results: Sequence[Path], dataset: Path | None, *, clean: Path | None, repeats: int, say: Say) -> Run:
-    """Measure the viewer and the report of results; what fails is recorded and the rest go on.
+    """Measure the viewer and the report of results; a failure is recorded, and the rest continue.
 
     Parameters
     ----------
     results : sequence of Path
-        Folders.
+        Folders of the results.
     dataset : Path or None
-        Folder of their pictures; None without.
+        Folder of their pictures; None if there are none.
     clean : Path or None
-        Result of a scan without debris: what the others have more is taken away by clicks.
+        Result of a scan without debris; additional roots of the others are removed by clicks.
     repeats : int
-        How often a number is measured; the median counts.
+        Number of measurements, whose median is used.
     say : Say
-        Hears every number.
+        Receives every number.
 
     Returns
     -------
     Run
-        Seconds and memory, and what failed.
+        Times, memory, and failures.
     """
     run = Run()
     with browsers.chromium() as browser:
         from playwright.sync_api import Error as BrowserError
 
-        browser.new_page().close()  # a person's browser runs already
+        browser.new_page().close()  # a user's browser is already running
         for result in results:
             try:
                 found = _of_result(browser, result, dataset, repeats=repeats, say=say)
@@ -218,7 +219,7 @@ def measure(results: Sequence[Path], dataset: Path | None, *, clean: Path | None
 
 
 def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int, say: Say) -> dict[str, tuple[float, str]]:
-    """Return the numbers of one result, with their units."""
+    """Return the numbers of one result with their units."""
     found: dict[str, tuple[float, str]] = {}
     with tempfile.TemporaryDirectory(prefix="rhizotwin-benchmark-") as working:
         copy = Path(working) / result.name
@@ -233,25 +234,25 @@ def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int
                 say(f"{result.name}: first picture after {times[-1]:.2f} s, address after {served[-1]:.2f} s; load {load:.1f}")
                 if number + 1 == repeats:
                     found |= viewer_server.measure(copy, dataset)
-                    found |= _touched(page)
+                    found |= _measure_edits(page)
                     if page.says(_CORRECTED).startswith("as corrected"):
                         page.press("Save corrections (Ctrl+S)")
                         page.page.get_by_text("edits.json").first.wait_for()
-                        found["volume_against_afresh"] = _afresh(copy, Path(working) / "corrected"), "1"
+                        found["volume_against_afresh"] = _volume_difference(copy, Path(working) / "corrected"), "1"
                 memory, cpu = page.end()
         found |= {"first_picture": (statistics.median(times), "s"), "address": (statistics.median(served), "s")}
         found |= {"peak_memory": (memory, "MiB"), "processor_time": (cpu, "s"), "console_errors": (float(len(page.complaints)), "1")}
         found |= _report(browser, copy, dataset)
-    say(f"{result.name}: " + _said(found))
+    say(f"{result.name}: " + _format_numbers(found))
     return found
 
 
-def _said(found: dict[str, tuple[float, str]]) -> str:
+def _format_numbers(found: dict[str, tuple[float, str]]) -> str:
     return ", ".join(f"{name} {value:.3g} {unit}".removesuffix(" 1") for name, (value, unit) in found.items())
 
 
-def _touched(page: Page) -> dict[str, tuple[float, str]]:
-    """Pick and delete as a person does; return how long the page took to answer."""
+def _measure_edits(page: Page) -> dict[str, tuple[float, str]]:
+    """Select and delete as a user does; return the response times of the page."""
     found: dict[str, tuple[float, str]] = {}
     if page.says(r"\d+ mm in [1-9]\d* roots"):
         page.page.get_by_role("tab", name="Edit").click()
@@ -267,7 +268,7 @@ def _touched(page: Page) -> dict[str, tuple[float, str]]:
         found["delete_root"] = page.asked(_CORRECTED, lambda: page.press("Delete (Del)")), "s"
         found["undo"] = page.asked(_CORRECTED, lambda: page.press("Undo (Ctrl+Z)")), "s"
         page.asked(_CORRECTED, lambda: page.press("Redo (Ctrl+Y)"))
-    page.layer("Surface", on=False)  # it hides the voxels, and follows after the number
+    page.layer("Surface", on=False)  # it hides the voxels, and is updated after the number
     page.layer("Voxels", on=True)
     page.page.get_by_role("tab", name="Edit").click()
     found["voxels"], found["choose_voxels"] = _drag(page)
@@ -277,18 +278,18 @@ def _touched(page: Page) -> dict[str, tuple[float, str]]:
 
 
 def _shot(page: Page) -> NDArray[np.int64]:
-    """Return what the page shows (H, W, 3)."""
+    """Return a screenshot of the page (H, W, 3)."""
     shot = page.page.screenshot(timeout=PATIENCE_MS)
     return np.asarray(cv2.imdecode(np.frombuffer(shot, np.uint8), cv2.IMREAD_COLOR), np.int64)
 
 
 def _vivid(page: Page) -> list[tuple[int, int]]:
-    """Return places (x, y) of the scene where roots show, far from each other."""
+    """Return distant positions (x, y) of the scene at which roots are visible."""
     page.page.wait_for_timeout(1000)
     image = _shot(page)
     vivid = np.asarray(np.ptp(image, axis=2) > _VIVID, np.uint8)
     vivid[:, int(0.6 * image.shape[1]) :] = 0  # the panel
-    vivid[: int(0.3 * image.shape[0])] = 0  # what the browser has to say of software
+    vivid[: int(0.3 * image.shape[0])] = 0  # the browser's message about software rendering
     inside = cv2.erode(vivid, np.ones((3, 3), np.uint8))
     y, x = np.nonzero(inside if inside.any() else vivid)
     if not len(x):
@@ -298,12 +299,12 @@ def _vivid(page: Page) -> list[tuple[int, int]]:
 
 
 def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
-    """Draw rectangles, each larger, until one holds 1,000 voxels or all.
+    """Draw increasingly large rectangles until one selects 1,000 voxels, or all.
 
     Returns
     -------
     count, answer : tuple of float and str
-        How many voxels, and how long the answer took, with their units.
+        Number of voxels and response time, with their units.
     """
     from playwright.sync_api import TimeoutError as LateError
 
@@ -326,7 +327,7 @@ def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
         try:
             page.page.wait_for_function("bench.answered > 0", timeout=10_000)
         except LateError:
-            continue  # nothing shows there
+            continue  # nothing is visible there
         taken = float(page.page.evaluate("bench.answered - bench.begun")) / 1000.0
         held = page.says(r"\d+ voxels?")
         count = int(held.split()[0]) if held else 0
@@ -335,8 +336,8 @@ def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
     return (float(count), "1"), (taken, "s")
 
 
-def _afresh(result: Path, corrected: Path) -> float:
-    """Return how far the volume after the saved corrections is from that of the corrected result, measured afresh."""
+def _volume_difference(result: Path, corrected: Path) -> float:
+    """Return the difference between the corrected volume and that of the corrected result measured again."""
     from rhizotwin.corrections import corrected as folders
     from rhizotwin.corrections import log
     from rhizotwin.corrections.session import Session
@@ -352,7 +353,7 @@ def _afresh(result: Path, corrected: Path) -> float:
 
 
 def _report(browser: Any, result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
-    """Return size, width and complaints of the page that is sent on, read from disk without a network."""
+    """Return size, width and errors of the self-contained page, read from disk without a network."""
     from rhizotwin.report import page
 
     path = page.write(result, dataset=dataset)
@@ -362,7 +363,7 @@ def _report(browser: Any, result: Path, dataset: Path | None) -> dict[str, tuple
     shown.on("console", lambda message: complaints.append(message.text) if message.type in ("error", "warning") else None)
     shown.on("pageerror", lambda error: complaints.append(str(error)))
     shown.goto(path.as_uri())
-    # by its attribute: a function that must be asked twice is refused by the page's own policy, which forbids eval
+    # by its attribute: a polled function is rejected by the page's content security policy, which forbids eval
     shown.locator("canvas[data-drawn]:not([data-drawn='0'])").wait_for(state="attached", timeout=PATIENCE_MS)
     wide = float(shown.evaluate("document.documentElement.scrollWidth"))
     context.close()
@@ -374,7 +375,7 @@ def _report(browser: Any, result: Path, dataset: Path | None) -> dict[str, tuple
 
 
 def _dataset(result: Path) -> Path | None:
-    """Return where a result says that its pictures are, if they are there."""
+    """Return the folder of a result's pictures, if it exists."""
     from rhizotwin.stored import result_files
 
     folder = Path(str(result_files.read_summary(result)["dataset"]))

@@ -1,4 +1,4 @@
-"""Debris taken out of a scan by clicks in a browser: what is left against a scan of the same plant without it."""
+"""Removal of debris from a scan by clicks in a browser, compared with a scan of the same plant without debris."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from rhizotwin.viewer.app import Viewer, screen_of
 Array = NDArray[np.float64]
 
 _BESIDE_MM = 1.0
-"""A root that was found lies nearer than this to the true one (a pixel of 400x300 pictures is 0.7 mm)."""
+"""Maximum distance of a reconstructed root from the true one (a pixel of 400x300 pictures is 0.7 mm)."""
 _MOSTLY = 0.5
-"""Share of its points that lie beside true debris: such a root is debris."""
+"""Minimum fraction of a root's points near true debris for it to be debris."""
 _PATIENCE_S = 60.0
 _CANVAS = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
     .map(b => ({x: b.x, y: b.y, width: b.width, height: b.height})).sort((a, b) => b.width * b.height - a.width * a.height)[0]"""
-"""The canvas that the scene is drawn on: the largest."""
+"""The canvas of the scene, which is the largest."""
 
 
 def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, window: dict[str, int]) -> dict[str, tuple[float, str]]:
-    """Take away what a scan has more than the same scan without debris, and compare the volumes.
+    """Remove the roots that a scan has in addition to the same scan without debris, and compare the volumes.
 
     Parameters
     ----------
     browser : Browser
-        Playwright's.
+        Playwright browser.
     result, clean : Path
         Results with debris and without.
     dataset : Path or None
@@ -49,19 +49,20 @@ def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, wi
     Returns
     -------
     dict of str to tuple of float and str
-        Roots that are debris, clicks, and the volume before and after them over that of the clean scan, less 1.
+        Numbers of debris roots and clicks, and relative differences of the volume from that of the clean scan before
+        and after.
 
     Raises
     ------
     UserError
-        Where a click does not choose what it should.
+        If a click does not select the intended root.
     """
     wanted = float(result_files.read_summary(clean)["volume_mm3"])
     viewer = app.start([result], dataset)
     try:
         strange = debris(viewer.shown.session, added_mm(_truth(result), _truth(clean)))
         before = viewer.shown.session.measure().volume_mm3
-        clicks = _removed(browser, viewer, strange, window) if strange else 0
+        clicks = _remove_roots(browser, viewer, strange, window) if strange else 0
         after = viewer.shown.session.measure().volume_mm3
     finally:
         viewer.served.stop()
@@ -74,13 +75,13 @@ def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, wi
 
 
 def added_mm(roots: Sequence[Root], clean: Sequence[Root]) -> Array:
-    """Return the points (N, 3) of true roots that the clean scan's truth has not."""
+    """Return the points (N, 3) of true roots that the truth of the clean scan does not contain."""
     known = {root.points_mm.tobytes() for root in clean}
     return np.concatenate([np.zeros((0, 3)), *(root.points_mm for root in roots if root.points_mm.tobytes() not in known)])
 
 
 def debris(session: Session, added: Array) -> list[int]:
-    """Return the roots that lie mostly beside points (N, 3) of true debris."""
+    """Return the roots that are mostly near points (N, 3) of true debris."""
     there = cKDTree(added)
     away = {number: there.query(line.points_mm)[0] for number, line in session.state.lines.items()}
     return [number for number, mm in away.items() if float((mm < _BESIDE_MM).mean()) > _MOSTLY]
@@ -91,8 +92,8 @@ def _truth(result: Path) -> tuple[Root, ...]:
     return rsml.read_rsml(Path(str(result_files.read_summary(result)["dataset"])) / "truth" / "skeleton.rsml")
 
 
-def _removed(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:
-    """Choose roots by clicks and delete them; return how many clicks it took."""
+def _remove_roots(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:
+    """Select roots by clicks and delete them; return the number of clicks."""
     page = browser.new_page(viewport=window)
     page.goto(viewer.served.address)
     clients = viewer.served.server.get_clients
@@ -118,7 +119,7 @@ def _is_chosen(viewer: Viewer, number: int) -> bool:
 
 
 def _where(page: Any, viewer: Viewer, number: int) -> tuple[float, float]:
-    """Return where on the page a root can be clicked: its point that is farthest beside all others."""
+    """Return the position on the page at which a root can be clicked: its point farthest from all others."""
     screen = screen_of(max(viewer.served.server.get_clients().items())[1])
     lines = viewer.shown.session.state.lines
     seen = {k: line.points_mm @ screen.camera_from_world[:3, :3].T + screen.camera_from_world[:3, 3] for k, line in lines.items()}

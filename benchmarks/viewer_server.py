@@ -1,6 +1,6 @@
-"""What the viewer's server alone needs, in a process of its own without a browser.
+"""Cost of the viewer's server alone, in its own process without a browser.
 
-It is told in processor time, which holds on a busy machine, where a browser's times do not.
+It is measured in processor time, which is reproducible on a busy machine, in contrast to the times of a browser.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 from rhizotwin.scenes.errors import UserError
 
 VOXELS = 1000
-"""Deleted at once."""
+"""Number of voxels deleted at once."""
 
 
 def measure(result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
-    """Let a process without a browser answer; return its processor times and its peak memory."""
+    """Run the server in a process without a browser; return its processor times and its peak memory."""
     words = [sys.executable, "-P", "-m", "benchmarks.viewer_server", str(result), *([str(dataset)] if dataset else [])]
     root = str(Path(__file__).resolve().parents[1])  # benchmarks are not installed
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": root})
@@ -38,7 +38,7 @@ def measure(result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
 
 
 def answers(result: Path, dataset: Path | None) -> dict[str, float]:
-    """Serve a result to nobody, and return the processor time (s) of the start and until each answer."""
+    """Serve a result without a client, and return the processor time (s) of the start and until each response."""
     from rhizotwin.viewer import app
     from rhizotwin.viewer.picking import Ray
 
@@ -53,7 +53,7 @@ def answers(result: Path, dataset: Path | None) -> dict[str, float]:
 
     viewer = app.start([result], dataset)
     viewer.on_change.append(lambda: answered.append(time.process_time()))
-    found["start"] = time.process_time()  # of the whole process so far
+    found["start"] = time.process_time()  # of the whole process up to here
     timed("divide", viewer.prepare)
     session = viewer.shown.session
     lines = session.state.lines
@@ -68,7 +68,7 @@ def answers(result: Path, dataset: Path | None) -> dict[str, float]:
     rows = np.flatnonzero(measured.volumes_mm3 > 0.0)
     middle = np.linalg.norm(measured.solid.centre_mm[rows] - measured.solid.centre_mm[rows].mean(axis=0), axis=1)
     viewer.deselect()
-    viewer.look.layers -= {"surface"}  # it follows the number
+    viewer.look.layers -= {"surface"}  # it is updated after the number
     viewer.voxels = {int(row) for row in rows[np.argsort(middle)[:VOXELS]]}
     timed("delete_1000_voxels", viewer.delete)
     viewer.look.layers |= {"voxels"}

@@ -1,4 +1,4 @@
-"""One job of the benchmarks in a process of its own, so that its memory is its own.
+"""One job of the benchmarks in its own process, so that its memory can be measured.
 
 The last line of output is its numbers as JSON.
 """
@@ -21,18 +21,18 @@ from benchmarks.mixtures import Mixture
 
 ROOT = Path(__file__).resolve().parent.parent
 LAST_WORDS = 4000
-"""Characters of a failed job's errors that are handed on."""
+"""Length of a failed job's error text that is reported."""
 
 
 def start(arguments: Sequence[str], *, device: str) -> dict[str, Any]:
     """Run one job in a new process.
 
-    Return its numbers and the process's wall time ``wall`` (start and imports included).
+    Return its numbers and the wall time ``wall`` of the process (including start and imports).
 
     Raises
     ------
     RuntimeError
-        Where the job failed, with the end of what it said.
+        If the job failed, with the end of its output.
     """
     with tempfile.TemporaryDirectory(prefix="rhizotwin-benchmark-") as working:
         began = time.perf_counter()
@@ -55,8 +55,8 @@ def pictures_as_text(pictures: Pictures) -> str:
     return json.dumps(asdict(pictures))
 
 
-def pictures_of(text: str) -> Pictures | Mixture:
-    """Return the pictures that an argument describes."""
+def parse_pictures(text: str) -> Pictures | Mixture:
+    """Return the pictures described by an argument."""
     plain = json.loads(text)
     if "mixture" in plain:
         return Mixture(number=plain["mixture"])
@@ -64,9 +64,9 @@ def pictures_of(text: str) -> Pictures | Mixture:
 
 
 def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any]:
-    """Return the seconds of the first view and of each one more, of `printed_8ml` at 800x600.
+    """Return the seconds of the first view and of each further one, for `printed_8ml` at 800x600.
 
-    The first makes scene and kernels.
+    The first one includes building scene and kernels.
     """
     from rhizotwin.scenes.model import CapturePlan
     from rhizotwin.sim.simulate import simulate
@@ -87,7 +87,7 @@ def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, An
     Parameters
     ----------
     dataset_folder : Path
-        Pictures and scene.
+        Folder of the dataset.
     voxel_mm : float
         Edge of the voxels.
     working : Path
@@ -109,25 +109,25 @@ def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, An
 
 
 def dataset(pictures: Pictures | Mixture) -> dict[str, Any]:
-    """Put a dataset into the cache."""
+    """Add a dataset to the cache."""
     from benchmarks import datasets
 
     return {"folder": str(datasets.make(pictures))}
 
 
 def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, working: Path) -> dict[str, Any]:
-    """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's.
+    """Reconstruct by a method and score; times and memory are those of the reconstruction, without scoring.
 
     Parameters
     ----------
     dataset_folder : Path
-        Pictures and scene.
+        Folder of the dataset.
     method : str
         ``coverage`` or ``thesis``.
     voxel_mm : float
         Edge of the voxels.
     change : str
-        What is done to the dataset before, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+        Change of the dataset, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
     working : Path
         Empty folder for the result.
 
@@ -145,9 +145,9 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from rhizotwin.stored.result_files import read_summary
 
     kind, _, seed = change.partition(":")
-    vectors = perturb.other_vectors() if kind == "rounded" and int(seed) % 2 else "vectors as they are"
+    vectors = perturb.halve_vectors() if kind == "rounded" and int(seed) % 2 else "default vectors"
     if kind != "none":
-        write = perturb.rounded if kind == "rounded" else perturb.lossy
+        write = perturb.write_rounded if kind == "rounded" else perturb.write_lossy
         dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
     find = partial(reconstruct_baseline, method="thesis") if method == "thesis" else reconstruct
@@ -173,7 +173,7 @@ def projection() -> dict[str, Any]:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the jobs' command line."""
+    """Return the parser of the jobs' command line."""
     made = argparse.ArgumentParser(description=__doc__)
     made.add_argument("--device", default="auto")
     made.add_argument("--working", type=Path, required=True)
@@ -184,7 +184,7 @@ def parser() -> argparse.ArgumentParser:
     reconstructing.add_argument("dataset", type=Path)
     reconstructing.add_argument("voxel_mm", type=float)
     making = jobs.add_parser("dataset")
-    making.add_argument("pictures", type=pictures_of)
+    making.add_argument("pictures", type=parse_pictures)
     scoring = jobs.add_parser("score")
     scoring.add_argument("dataset", type=Path)
     scoring.add_argument("method", choices=METHODS)
@@ -195,7 +195,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> int:
-    """Run the job that the arguments name."""
+    """Run the job given by the arguments."""
     given = parser().parse_args()
 
     from rhizotwin import engine

@@ -17,9 +17,9 @@ from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, remeasure_coverage
 from rhizotwin.recon.device import release
-from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
-from rhizotwin.recon.results import calibrated, dividing
-from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.read_pictures import Pictures, picture_hash, read_pictures
+from rhizotwin.recon.results import calibration_summary, divide_by_plant
+from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.roots import crown, plants, rooting
@@ -123,22 +123,22 @@ def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
     return made
 
 
-def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
+def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult, ...], tuple[str, ...]]:
     """Return a solid with roots assigned to plants, the results of each plant, and warnings."""
     if not scene.plants:
         return solid, (), ()
     if not solid.roots:
         return solid, (), ("no roots were found, so that nothing can be assigned to the plants",)
     planted = plants.assign(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
-    shape = dividing.Shape(
+    shape = divide_by_plant.Shape(
         leaves=solid.voxels,
         surface=solid.surface,
         finest_mm=solid.finest_mm,
         volume_mm3=solid.volume.mm3,
         interval_mm3=solid.volume.interval_mm3,
     )
-    found = dividing.measure(shape, planted, scene.plants, scene.subject)
-    return replace(solid, roots=planted.roots), found, dividing.warnings(planted, found)
+    found = divide_by_plant.measure(shape, planted, scene.plants, scene.subject)
+    return replace(solid, roots=planted.roots), found, divide_by_plant.warnings(planted, found)
 
 
 def _apply_checks(solid: Solid, checked: tuple[Check, ...]) -> Solid:
@@ -262,7 +262,7 @@ def gather(
     """
     dataset, files = pictures.dataset, [camera.file for camera in cameras.all]
     used = {camera.file for camera in cameras.all if camera.used}  # other cameras may have no readable file
-    contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.sha256 or frame.file in used}
+    contents = {frame.file: picture_hash(dataset, frame) for frame in dataset.frames if frame.sha256 or frame.file in used}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(
         dataset=str(dataset.folder),
@@ -275,7 +275,7 @@ def gather(
         cameras=tuple(replace(camera, sha256=contents.get(camera.file, "")) for camera in cameras.all),
         fill=fill,
         bands=pictures.bands,
-        rig=calibrated.of_cameras(cameras),
+        rig=calibration_summary.summarize_cameras(cameras),
         warnings=warnings,
         checks=checked,
         timings_s=dict(monitor.timings_s),

@@ -17,7 +17,7 @@ if sys.platform == "win32":  # whose pipes and files have a few letters only
         stream.reconfigure(errors="replace")
 
 from rhizotwin.cli import main  # noqa: E402 - first the signal
-from rhizotwin.scenes.said import DEBUG_VARIABLE  # noqa: E402
+from rhizotwin.scenes.formatting import DEBUG_VARIABLE  # noqa: E402
 
 # what libraries have to say to programmers; what a person must know is said in a sentence
 if not os.environ.get(DEBUG_VARIABLE):

@@ -20,7 +20,7 @@ from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.measure import Coverage, Outline, measure_coverage
 from rhizotwin.recon.hull import regularised
 from rhizotwin.recon.hull.leaves import Hull, Leaves
-from rhizotwin.recon.pictures import Pictures, read_pictures
+from rhizotwin.recon.read_pictures import Pictures, read_pictures
 from rhizotwin.recon.reconstruct import gather
 from rhizotwin.recon.results.result import Result
 from rhizotwin.recon.settings import Settings

@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any, TextIO, cast
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import DEBUG_VARIABLE, FULL, failure, printable
+from rhizotwin.scenes.formatting import DEBUG_VARIABLE, FULL, error_sentence, printable
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 AFTER_STOP = {
@@ -119,4 +119,4 @@ def _explain(error: BaseException, command: str) -> tuple[str, int]:
         after = AFTER_STOP.get(command, "nothing was written")
         return f"interrupted; {after}" if after else "interrupted", EXIT_STOPPED
     full = isinstance(error, OSError) and error.errno in FULL
-    return failure(error), EXIT_MISTAKE if full or isinstance(error, UserError) else EXIT_FAILED
+    return error_sentence(error), EXIT_MISTAKE if full or isinstance(error, UserError) else EXIT_FAILED

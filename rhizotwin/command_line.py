@@ -20,7 +20,7 @@ from cyclopts.exceptions import (
 
 from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 
 ABOUT = (
     "Measure the roots of plants in round water canisters: reconstruct shape, volume and traits in 3D from pictures "
@@ -161,5 +161,5 @@ def _name(argument: Any) -> str:
 
 
 def _suggestion(word: str, known: Sequence[str]) -> str:
-    near = nearest(word, known)
+    near = most_similar(word, known)
     return f"; did you mean {near}?" if near else ""

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rhizotwin.arguments import Progress
+from rhizotwin.command_steps import reconstruct_whole, settings_of
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
-from rhizotwin.scenes.atomic import beside, write_json
+from rhizotwin.scenes.atomic import temporary_path, write_json
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import contents, held
-from rhizotwin.steps import reconstruct_whole, settings_of
+from rhizotwin.scenes.folders import contents, lock_folder
 
 SCENE = "printed_8ml"
 VIEWS = 41
@@ -38,7 +38,7 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Pr
     UserError
         If the folder contains anything but an earlier demonstration.
     """
-    with held(folder):
+    with lock_folder(folder):
         _demo(folder, profile=profile, say=say, progress=progress)
 
 
@@ -99,6 +99,6 @@ def _remove(folder: Path) -> None:
     An interruption leaves no incomplete folder under the name.
     """
     if folder.exists():
-        folder.rename(beside(folder))
+        folder.rename(temporary_path(folder))
     for path in folder.parent.glob(".*.tmp"):
         shutil.rmtree(path, ignore_errors=True)

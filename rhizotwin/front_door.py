@@ -341,7 +341,7 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     solid, notes = meshes.load_solid(file)
     for note in notes:
         log.info(note)
-    vertices, faces = solids.surface_of(solid)
+    vertices, faces = solids.to_surface(solid)
     shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
     return score_solid(result, shape, volume_mm3=float(solid.volume()))
 

@@ -12,13 +12,13 @@ from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import SUFFIXES, list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_bytes
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.picture_codec import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.picture_damage import is_sealed
-from rhizotwin.scenes.pictures import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.unlike_rows import LEAST, Turn
@@ -204,7 +204,7 @@ class _Copying:
         pose = None if self._given is None else _pose_of(path, self._given)
         return Frame(
             file=name,
-            sha256=sha256_of(self._folder / name),
+            sha256=file_sha256(self._folder / name),
             kind=self._scene.plan.rings[ring].kind,
             band=band,
             view=view if band else None,
@@ -291,8 +291,8 @@ def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
             "raw pictures: each block of pixels was averaged to one grey pixel with "
             "the white balance of the first picture; values are linear"
         )
-    stated = transfer.of_camera(scene.camera)
-    words = {word.name for path in paths if (word := transfer.stated_in(path)) is not None}
+    stated = transfer.camera_curve(scene.camera)
+    words = {word.name for path in paths if (word := transfer.read_stated_curve(path)) is not None}
     if not words:
         return f"response curve: {stated.name}, as given by the camera of the scene, because the pictures contain no information"
     return f"response curve: {', '.join(sorted(words))}, as stated in the pictures"

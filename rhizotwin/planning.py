@@ -21,7 +21,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import contents, held
+from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
@@ -75,7 +75,7 @@ def run_plans(
         "versions": versions(_VERSIONED),
         "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),
     }
-    with held(folder):
+    with lock_folder(folder):
         return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, monitor or Monitor())
 
 

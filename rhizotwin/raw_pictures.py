@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.rig.cameras.bayer import COLOURS, grey_from_bayer
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 SUFFIXES = (".dng",)
 BITS = 16

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import Device, Profile, Seed, with_metavar
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
@@ -121,7 +121,7 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     pictures: Fidelity = "sketch"
     if isinstance(errors, TwinPictures) and errors.fidelity == "render":
         pictures = "render"
-        steps.start_engine(errors.device)
+        command_steps.start_engine(errors.device)
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     rig_file = default_rig(scene=known)

@@ -1,1 +1,1 @@
-"""Drivers of the rig's devices, the scan, and the emulated rig."""
+"""The rig: drivers of its devices, the scan that uses them, and an emulated twin of the whole rig."""

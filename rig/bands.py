@@ -1,4 +1,4 @@
-"""Bands of the camera on the rig: which lamps and which filter each of them needs."""
+"""Lamp and filter settings for the bands of the camera."""
 
 from rhizotwin.rig.devices import Lights
 from rhizotwin.rig.rig_file import BandPart, RigFile
@@ -6,12 +6,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 
-def part_of(rig: RigFile, band: str) -> BandPart | None:
-    """Return how a band is set; None for an empty name, which is white light."""
+def band_part(rig: RigFile, band: str) -> BandPart | None:
+    """Return the settings of a band; None for an empty name, which is white light."""
     return next((part for part in rig.camera.bands if part.name == band), None)
 
 
-def levels_of(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
+def band_levels(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
     """Return the levels of panel and front light in a band."""
     lights, part = rig.lights, part or BandPart()
     panel = lights.panel_level if part.panel_level is None else part.panel_level
@@ -19,33 +19,33 @@ def levels_of(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
 
 
 def light(lights: Lights, rig: RigFile, band: str) -> None:
-    """Switch the lamps on as a band needs them.
+    """Switch the lamps on with the settings of a band.
 
     Parameters
     ----------
     lights : Lights
-        The lamps.
+        Lamps of the rig.
     rig : RigFile
-        Has the band's colours and levels.
+        Rig file with colours and levels of the band.
     band : str
-        Its name; empty: white light.
+        Name of the band; empty for white light.
     """
-    part = part_of(rig, band)
-    panel, front = levels_of(rig, part)
+    part = band_part(rig, band)
+    panel, front = band_levels(rig, part)
     lights.set(panel=panel, front=front, band=part)
 
 
-def refuse_unknown(rig: RigFile, scene: Scene) -> None:
-    """Refuse a scene with bands that the rig file does not know.
+def check_bands(rig: RigFile, scene: Scene) -> None:
+    """Raise an error if the scene has bands that the rig file does not describe.
 
     Raises
     ------
     UserError
-        With the section that is missing.
+        With the missing section.
     """
     for band in scene.camera.bands:
-        if part_of(rig, band.name) is None:
+        if band_part(rig, band.name) is None:
             raise UserError(
-                f"the scene's camera has the band {band.name!r}, but the rig file does not say how it is set: "
+                f"the scene's camera has the band {band.name!r}, but the rig file has no settings for it: "
                 f'add [[camera.bands]] with name = "{band.name}"'
             )

@@ -1,4 +1,7 @@
-"""Check of every device of a rig, with advice for each error."""
+"""Check of every device of a rig, for use at the bench.
+
+It reports the state of each device, or the problem and a remedy.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +17,12 @@ from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.rig.serial_line.recording import Recorder
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 AT_REST_DEG = 5.0
-"""Maximum distance from the parking position at which the servos may be switched off."""
+"""Maximum angle from the parking position at which the arm's torque may be switched off."""
 LIT, LEAST_LIGHT = 1.3, 0.02
-"""Minimum brightening of the picture by the lamps: factor, and fraction of full scale."""
+"""Minimum brightening of the picture by the lamps, as a factor and as a fraction of full scale."""
 
 T = TypeVar("T")
 
@@ -34,30 +37,30 @@ def check(
     folder: Path,
     recorder: Recorder | None = None,
 ) -> int:
-    """Check every device of a rig and report one line per device; nothing moves. Lamps are off at the end.
+    """Check every device of a rig and report one line for each; nothing moves. The lamps are off at the end.
 
-    The motor of the turntable stays on only if the board knows its angle; the arm is unpowered only in its parking
+    The table's motor remains on only if the board knows its angle; the arm's torque is switched off only in its parking
     position.
 
     Parameters
     ----------
     rig, scene : RigFile, Scene
-        Devices; marker strip and camera, for the checks of the pictures.
+        Devices of the rig; strip and camera of the scene.
     clock : Clock
-        Clock for waiting.
+        Clock for waiting times.
     open_camera : callable
-        Opens the camera of the rig or of the emulated rig.
+        Function that opens the camera of the rig, or of the twin.
     say : Say
-        Receives each line.
+        Receives the lines.
     folder : path
-        Folder of future scans.
+        Folder in which scans would be written.
     recorder : Recorder or None
-        Records the serial communication.
+        Records every transmitted byte.
 
     Returns
     -------
     int
-        Number of failed checks.
+        Number of problems.
     """
     report = _Report(say)
     board = report.look("turntable", lambda: _board(rig, clock, recorder))
@@ -86,7 +89,7 @@ def check(
 
 
 class _Report:
-    """Lines of a check, with the number of failures."""
+    """Lines of a check, and the number of problems."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
@@ -97,7 +100,7 @@ class _Report:
         self._say(f"{name:<10} {verdict:<5} {text.removeprefix(f'{name}: ')}")
 
     def look(self, name: str, action: Callable[[], tuple[T, str]]) -> T | None:
-        """Call a function that returns a value and a text, and report the text or the error."""
+        """Run a check that returns a result and a text; report the text, or the problem."""
         try:
             found, text = action()
         except UserError as error:
@@ -108,7 +111,7 @@ class _Report:
         return found
 
     def quietly(self, name: str, action: Callable[[], object]) -> None:
-        """Call a function, and report errors only."""
+        """Run an action; report only a problem."""
         try:
             action()
         except UserError as error:
@@ -146,46 +149,46 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 
 
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
-    """Take pictures without and with the lamps.
+    """Take a picture without and with the lamps.
 
-    A parked arm may point anywhere; then only the lamps are checked.
+    Only the lamps are checked if the arm is parked, as its camera may point anywhere.
     """
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
         return
-    lit = report.look("lights", lambda: _lit(camera, lights, rig, scene))
+    lit = report.look("lights", lambda: _take_lit_picture(camera, lights, rig, scene))
     if lit is None:
         return
     if rig.arm is None:
         report.look("picture", lambda: (None, preflight.check_picture(lit, scene.camera)))
         report.look("markers", lambda: (None, preflight.check_markers(lit, scene)))
     else:
-        found = preflight.exposure_of(lit)
-        text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, at the current position of the arm"
+        found = preflight.measure_exposure(lit)
+        text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, in the present position of the arm"
         report.line("picture", "ok", text)
-        report.line("markers", "ok", f"not required at the current position of the arm ({_seen(lit, scene)})")
+        report.line("markers", "ok", f"not required in the present position of the arm ({_describe_markers(lit, scene)})")
 
 
-def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
-    """Return a picture with the lamps on; raise an error if they make no difference."""
+def _take_lit_picture(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
+    """Return a picture with the lamps on; raise an error if they have no effect."""
     lights.off()
     dark = camera.capture().image
     preflight.check_lights(lights, rig.lights)
     lit = camera.capture().image
     preflight.check_size(lit, scene.camera)
-    before, after = (preflight.exposure_of(image).bright for image in (dark, lit))
+    before, after = (preflight.measure_exposure(image).bright for image in (dark, lit))
     brighter = after >= LIT * before + LEAST_LIGHT
     if not brighter and rig.arm is not None:
-        return lit, "reply, but the camera does not see the panel from the current position of the arm"
+        return lit, "answer, but the panel is not visible in the present position of the arm"
     if not brighter:
         raise RigError(
-            f"lights: the picture is equally bright without ({100.0 * before:.0f} %) and with the lamps ({100.0 * after:.0f} %); "
-            "check the supply and data line of the lamps, darken the room, and check that the camera faces the panel"
+            f"lights: the picture is as bright without them ({100.0 * before:.0f} %) as with them ({100.0 * after:.0f} %); check the "
+            "lamps' supply and data line, darken the room, and point the camera at the panel"
         )
-    return lit, f"the brightness of the picture increases from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
+    return lit, f"the picture goes from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
 
 
-def _seen(image: Grey, scene: Scene) -> str:
+def _describe_markers(image: Grey, scene: Scene) -> str:
     try:
         return preflight.check_markers(image, scene)
     except RigError as error:
@@ -193,7 +196,7 @@ def _seen(image: Grey, scene: Scene) -> str:
 
 
 def _leave_table(table: Turntable) -> None:
-    """Switch the motor off, unless the angle would be lost."""
+    """Switch the motor off, unless its angle would be lost."""
     try:
         if not table.knows_zero():
             table.release()
@@ -202,12 +205,12 @@ def _leave_table(table: Turntable) -> None:
 
 
 def _leave_arm(arm: Arm, part: ArmPart, say: Say) -> None:
-    """Unpower the arm if nothing can fall."""
+    """Switch the torque off if the arm cannot drop."""
     try:
         joints = arm.read_joints()
         if max(abs(angle - rest) for angle, rest in zip(joints, part.park_deg, strict=True)) <= AT_REST_DEG:
             arm.relax()
         else:
-            say("arm: the servos stay powered, because the arm is not in its parking position; 'rhizotwin rig jog' parks it")
+            say("arm: its torque remains on, as it is not parked; park it with 'rhizotwin rig jog'")
     finally:
         arm.close()

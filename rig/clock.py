@@ -1,27 +1,27 @@
-"""Clocks, passed to drivers: the real one, and a virtual one (`rig.twin.clock`) for the emulated rig and for tests."""
+"""Clock interface: the real clock on the bench, a virtual one (`rig.twin.clock`) in the emulated twin and in tests."""
 
 import time
 from typing import Protocol
 
 
 class Clock(Protocol):
-    """Time source of drivers and scan."""
+    """Source of time for drivers and scans."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary moment; never decreases."""
+        """Return monotonic seconds since an arbitrary moment."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait; return at once for zero or less."""
+        """Wait; no effect for zero or less."""
 
 
 class SystemClock:
     """The computer's monotonic clock."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary moment; never decreases."""
+        """Return monotonic seconds since an arbitrary moment."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Sleep in real time."""
+        """Wait in real time."""
         if seconds > 0.0:
             time.sleep(seconds)

@@ -1,55 +1,55 @@
-"""Interfaces of the devices that the scan uses; their implementation is known to the drivers only.
+"""Device interfaces used by the scan; the drivers implement them.
 
-Every method raises a `rig.errors.RigError` if the device fails after all retries. Devices must be closed with ``close``
-in any case.
+All methods raise a `rig.errors.RigError` if the device fails after its retries. Callers that open a device must close
+it in any case.
 """
 
 from dataclasses import dataclass
 from typing import Protocol
 
 from rhizotwin.rig.rig_file import BandPart
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
-"""Range of the turntable in degrees, limited by its cables."""
+"""Range of table angles: the cables permit no more turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """Picture with the data that the camera reports."""
+    """One picture with the exposure data reported by the camera."""
 
     image: Grey
-    """(H, W) uint8, or uint16 with the bits of the converter left-aligned, linear in light."""
+    """(H, W) uint8, or uint16 with the converter's bits left-aligned, linear in light."""
     exposure_s: float | None
-    """Exposure time reported by the camera for this picture."""
+    """Exposure time reported for this picture."""
     gain: float | None
 
 
 class Turntable(Protocol):
-    """Turntable. Angles are in degrees and not wrapped."""
+    """A turntable. Angles are degrees of the table, not wrapped."""
 
     def describe(self) -> str:
-        """Describe the device briefly: firmware, position."""
+        """Return a short description: firmware, position."""
 
     def prepare(self) -> None:
-        """Connect: synchronise line numbers, energise the motor permanently, use absolute angles."""
+        """Connect: synchronise line numbers, switch the motor on permanently, use absolute angles."""
 
     def position_deg(self) -> float:
         """Read the angle from the device."""
 
     def declare(self, angle_deg: float) -> None:
-        """Set the current angle of the device without moving it."""
+        """Define the present position as this angle (no motion)."""
 
     def knows_zero(self) -> bool:
-        """Whether the device still knows its angle: False after power-up or a reset."""
+        """Whether the device still has a declared angle: False after power-up or a reset."""
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of the following moves; initially as in the rig file."""
+        """Set the acceleration of subsequent moves; initially that of the rig file."""
 
     def move_to(self, angle_deg: float) -> float:
-        """Rotate, always approaching from the same side; wait until done; return the angle read back.
+        """Rotate to an angle, always arriving from the same side; wait until done, and return the measured angle.
 
-        Raises `LostError` if the device was reset meanwhile.
+        Raises `LostError` if the device was reset during the move.
         """
 
     def release(self) -> None:
@@ -60,33 +60,33 @@ class Turntable(Protocol):
 
 
 class Lights(Protocol):
-    """Light panel, front lamp and the lamps of bands.
+    """Backlight panel, front light and lamps of bands.
 
-    Levels are fractions 0 to 1 of what the rig file calls full.
+    Levels are fractions 0 to 1 of the maximum in the rig file.
     """
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set all lamps and wait until they burn steadily.
+        """Set all lamps and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
             Levels of the panel and the front light.
         band : BandPart or None
-            Colours and switched output of a band; None: those of ``[lights]``, and no output.
+            Colours and switched output of a band; None for those of ``[lights]``, without output.
         """
 
     def off(self) -> None:
-        """Switch all lamps off."""
+        """Switch all off."""
 
 
 def check_levels(*, panel: float, front: float) -> None:
-    """Reject lamp levels outside 0 to 1.
+    """Raise an error for lamp levels that are not fractions.
 
     Raises
     ------
     ValueError
-        If a level is below 0 or above 1.
+        If one is below 0 or above 1.
     """
     for name, level in (("panel", panel), ("front", front)):
         if not 0.0 <= level <= 1.0:
@@ -96,48 +96,48 @@ def check_levels(*, panel: float, front: float) -> None:
 class Arm(Protocol):
     """The arm that holds the camera.
 
-    Joint angles in degrees, base to wrist roll, zero with all links in line along the base's axis.
+    Joint angles are in degrees, from base to wrist roll; they are zero with all links aligned along the base's axis.
     """
 
     def describe(self) -> str:
-        """Describe the device briefly: voltage, warmest servo."""
+        """Return a short description: voltage, warmest servo."""
 
     def prepare(self) -> None:
-        """Connect, and power the servos at their current positions, without a jump.
+        """Connect, and switch the torque on in the present position without a jump.
 
-        The servos are detected, and voltage and temperature checked first.
+        Servos, voltage and temperature are checked first.
         """
 
     def read_joints(self) -> tuple[float, ...]:
-        """Read the five joint angles."""
+        """Return the five measured joint angles."""
 
     def holds(self) -> bool:
-        """Whether all joints are powered."""
+        """Whether every joint still has its torque on."""
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        """Move all joints simultaneously at limited speed, wait, verify; return the angles read back."""
+        """Move all joints at once at a limited speed, wait, verify, and return the measured angles."""
 
     def turn_filter(self, angle_deg: float) -> None:
-        """Turn the filter wheel before the lens."""
+        """Rotate the filter wheel in front of the lens."""
 
     def health(self) -> None:
         """Raise `UnsafeError` if a servo is too warm or the voltage is out of range."""
 
     def relax(self) -> None:
-        """Unpower the servos."""
+        """Switch the torque off."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class Camera(Protocol):
-    """Camera with all automatic functions disabled."""
+    """A camera with all automatic functions switched off."""
 
     def describe(self) -> str:
-        """Describe the camera."""
+        """Return a short description."""
 
     def prepare(self) -> None:
-        """Open the camera with fixed settings and verify them with a first picture."""
+        """Open the camera with fixed settings, and verify them with a first picture."""
 
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call; verify its settings."""

@@ -1,4 +1,4 @@
-"""Errors of a rig. Every message is one sentence with the device, the problem and the action to take."""
+"""Errors of a rig. Every message is one sentence with the device, the problem and a remedy."""
 
 from rhizotwin.scenes.errors import UserError
 
@@ -8,7 +8,7 @@ class RigError(UserError):
 
 
 class NoAnswerError(RigError):
-    """A device does not reply, or its replies are invalid, after all retries."""
+    """A device does not answer, or its answers are invalid, after every retry."""
 
 
 class LostError(RigError):

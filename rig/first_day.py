@@ -1,6 +1,6 @@
-"""Interactive checklist for the first day of a real rig.
+"""Guided first check of a real rig.
 
-It checks properties that cannot be emulated, and writes a report.
+The user is guided through tests that no emulation can replace; the results are written to a report.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,42 +9,42 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.rig.jog import Jog, finite
+from rhizotwin.rig.jog import Jog, parse_number
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
-from rhizotwin.rig.scanning.homing import Ask, facing_angle, wrapped
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.homing import Ask, facing_angle, wrap_angle
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey, encode_png
+from rhizotwin.scenes.picture_codec import Grey, encode_png
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
 
 TURN_DEG, JOINT_DEG = 9.0, 5.0
 TURN_TOLERANCE_DEG = 1.0
-"""Tolerance of the rotation. The angle from a single picture is accurate to some tenths of a degree; a wrong
-direction gives an error of 18 degrees, a wrong gear ratio several degrees."""
+"""Tolerance of the table's angle: a single picture measures it to a few tenths of a degree; a wrong direction causes an
+error of 18 degrees, a wrong gear ratio of several."""
 BLOCKS_XY = (16, 12)
 LEAST_CONTRAST = 0.3
-"""Minimum contrast of a picture with an object in front of the panel: the pot alone absorbs nearly all light; an
-empty panel varies less (`LEAST_EVEN` refers to its corners)."""
+"""Minimum relative darkness of objects in front of the panel: the pot absorbs nearly all light, an empty panel varies
+by less (`LEAST_EVEN` applies to its corners)."""
 LEAST_EVEN = 0.6
-"""Minimum brightness ratio of the darkest to the brightest part of the panel. The reconstruction corrects it, with a
-loss of photons."""
+"""Minimum ratio of the darkest to the brightest part of the panel: the reconstruction corrects for it, but photons are
+lost."""
 CALIPER_MM = 0.3
-"""Tolerance of the calipers: 0.3 mm across the pot of 159 mm is 0.2 % of every length and 0.6 % of the volume."""
+"""Tolerance of calliper measurements: 0.3 mm in the pot's 159 mm is 0.2 % of every length and 0.6 % of the volume."""
 JOINTS = (
-    "the base rotate counter-clockwise, as seen from above",
-    *[f"the {name} tilt toward the canister" for name in ("shoulder", "elbow", "wrist")],
-    "the camera roll, without any other movement",
+    "the base turn counter-clockwise, seen from above",
+    *[f"the {name} lean toward the canister" for name in ("shoulder", "elbow", "wrist")],
+    "the camera roll, and nothing else move",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Result of one step of the checklist."""
+    """Result of one step."""
 
     step: str
     verdict: str
@@ -54,25 +54,27 @@ class Finding:
 
 
 class FirstDay:
-    """Interactive checklist of a rig."""
+    """Guided check of a rig."""
 
     def __init__(self, devices: Devices, scene: Scene, *, ask: Ask, say: Say, folder: Path) -> None:
         self._scene, self._ask, self._say, self._folder = scene, ask, say, folder
         self._devices = devices
         self._jog = Jog(devices, scene, say=say)
         self._before_canister = devices.arm is None
-        """Whether the camera faces strip and water, as it does on a tripod."""
+        """Whether strip and water are in the camera's view, as for a tripod."""
         self.findings: list[Finding] = []
 
     def walk(self, *, wrong_devices: int) -> list[Finding]:
-        """Run the checklist; in any case the rig is left safe, and the findings are written.
+        """Run all steps. On errors too, the rig is left in a safe state, and previous results are written.
 
         Parameters
         ----------
         wrong_devices : int
-            Number of failed checks of `rig.bench.check`.
+            Number of problems found by `rig.bench.check`.
         """
-        self._found("devices", wrong_devices == 0, f"{wrong_devices} failed; see the messages above" if wrong_devices else "all answer")
+        self._record_finding(
+            "devices", wrong_devices == 0, f"{wrong_devices} wrong; see the lines above" if wrong_devices else "all answer"
+        )
         steps: list[tuple[str, Callable[[], None]]] = [
             ("lamps", self._lamps),
             *[(f"joint {k + 1}", self._joint_step(k)) for k in range(len(JOINTS))],
@@ -90,7 +92,7 @@ class FirstDay:
                     step()
                 except UserError as error:
                     self._note(Finding(step=name, verdict="wrong", text=str(error)))
-            remarks = self._ask("Any other observations? ")
+            remarks = self._ask("Anything else that was unexpected? ")
             if remarks.strip():
                 self._note(Finding(step="remarks", verdict="skipped", text=remarks.strip()))
         finally:
@@ -100,30 +102,28 @@ class FirstDay:
 
     def _lamps(self) -> None:
         self._jog.do(["lights", "1", "1"])
-        self._found(
+        self._record_finding(
             "lamps",
-            self._yes("Are the complete panel and the front lamp on, uniform to the eye and without flicker?"),
-            "as observed",
+            self._yes("Are the whole panel and the front lamp lit, evenly to the eye and without flicker?"),
+            "judged by eye",
         )
 
     def _arm(self) -> None:
-        """Move the camera in front of the canister, after all joints were found to move in the correct direction."""
+        """Move the camera in front of the canister, after every joint is known to move in the right direction."""
         if self._devices.arm is None:
             self._note(Finding(step="arm", verdict="skipped", text="this rig has no arm"))
             return
         if any(one.verdict != "ok" for one in self.findings if one.step.startswith("joint")):
-            self._note(
-                Finding(step="arm", verdict="skipped", text="skipped until all joints are ok; correct them and run the checklist again")
-            )
+            self._note(Finding(step="arm", verdict="skipped", text="not moved before all joints are ok; correct them and repeat"))
             return
         ring = self._scene.plan.rings[0]
         where = f"{ring.distance_mm:g} mm from the axis, {ring.height_mm:g} mm above the rim"
-        if not self._yes(f"Keep a hand on the power switch of the arm. Move the camera in front of the canister ({where})?"):
+        if not self._yes(f"Keep a hand on the switch: may the arm move the camera in front of the canister ({where})?"):
             self._note(Finding(step="arm", verdict="skipped", text="not moved"))
             return
         self._jog.do(["go", f"{ring.distance_mm:g}", f"{ring.height_mm:g}", f"{ring.tilt_deg:g}"])
         self._before_canister = self._yes("Does the camera face the canister, with strip and water in the picture?")
-        self._found("arm", self._before_canister, f"as observed: {where}")
+        self._record_finding("arm", self._before_canister, f"judged by eye: {where}")
 
     def _out_of_place(self, step: str) -> bool:
         """Skip a step whose picture would not show the canister."""
@@ -137,15 +137,15 @@ class FirstDay:
         image = self._jog.shot()
         write_bytes(self._folder / "focus.png", encode_png(image))
         if contrast(image) < LEAST_CONTRAST:
-            self._found(
-                "focus", False, "no dark object is in front of the panel: bring pot, strip and canister into the picture (focus.png)"
+            self._record_finding(
+                "focus", False, "there is no dark object in front of the panel: bring pot, strip and canister into the picture (focus.png)"
             )
             return
         width_px, cell_px = edge_width_px(image), self._cell_px()
         sharp = width_px < 0.5 * cell_px
-        text = f"the sharpest edges are {width_px:.1f} px wide, a marker cell is {cell_px:.1f} px wide"
-        cure = "; adjust the focus until edges are narrower than half a cell"
-        self._found("focus", sharp, text if sharp else text + cure, edge_px=width_px, cell_px=cell_px)
+        text = f"the sharpest edges are {width_px:.1f} px wide, a cell of a marker {cell_px:.1f} px"
+        cure = "; turn the focus until edges are less than half a cell wide"
+        self._record_finding("focus", sharp, text if sharp else text + cure, edge_px=width_px, cell_px=cell_px)
 
     def _strip(self) -> None:
         if self._out_of_place("strip"):
@@ -153,20 +153,15 @@ class FirstDay:
         image = self._jog.shot()
         seen = read_strip(image, self._scene)
         if seen is not None:
-            self._found(
-                "strip",
-                True,
-                f"{seen.markers} markers, reprojection error {seen.reprojection_px:.2f} px",
-                reprojection_px=seen.reprojection_px,
+            self._record_finding(
+                "strip", True, f"{seen.markers} markers, {seen.reprojection_px:.2f} px error", reprojection_px=seen.reprojection_px
             )
         elif read_strip(np.ascontiguousarray(image[:, ::-1]), self._scene) is not None:
-            self._found(
-                "strip",
-                False,
-                "the picture is mirrored: disable the flip of the camera, or print the strip again if it was printed mirrored",
+            self._record_finding(
+                "strip", False, "the picture is mirrored: switch off the camera's flip, or print the strip anew if it was printed mirrored"
             )
         else:
-            self._found("strip", False, why_unread(image, self._scene))
+            self._record_finding("strip", False, unread_reason(image, self._scene))
 
     def _panel(self) -> None:
         if self._out_of_place("panel"):
@@ -174,13 +169,10 @@ class FirstDay:
         self._jog.do(["lights", "1", "0"])
         image = self._jog.shot()
         write_bytes(self._folder / "panel.png", encode_png(image))
-        even, full = panel_evenness(image), preflight.exposure_of(image).saturated
+        even, full = panel_evenness(image), preflight.measure_exposure(image).saturated
         good = even >= LEAST_EVEN and full <= preflight.MOST_SATURATED
-        text = (
-            f"darker parts have {100.0 * even:.0f} % of the brightness of brighter "
-            f"ones, {100.0 * full:.1f} % of the pixels are at full scale"
-        )
-        self._found("panel", good, text, evenness=even, saturated=full)
+        text = f"its darker parts have {100.0 * even:.0f} % of the light of its brighter ones, {100.0 * full:.1f} % is at full scale"
+        self._record_finding("panel", good, text, evenness=even, saturated=full)
         self._jog.do(["lights", "1", "1"])
 
     def _table(self) -> None:
@@ -188,23 +180,23 @@ class FirstDay:
         before = self._sighting()
         self._jog.do(["home"] if before is not None else ["home", "0"])
         self._jog.do(["table", f"+{TURN_DEG:g}"])
-        seen_right = self._yes(f"Did the turntable rotate {sense} by about {TURN_DEG:g} degrees, as seen from above?")
+        seen_right = self._yes(f"Did the table turn {sense} by about {TURN_DEG:g} degrees, seen from above?")
         after = self._sighting()
         self._jog.do(["table", f"-{TURN_DEG:g}"])
         back = self._sighting()
         if before is None or after is None or back is None:
-            self._found("table", seen_right, "as observed; the markers could not be detected")
+            self._record_finding("table", seen_right, "judged by eye; the markers could not be read")
             return
-        turn, miss = (wrapped(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
+        turn, miss = (wrap_angle(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
         measured = abs(turn - TURN_DEG) <= TURN_TOLERANCE_DEG
-        text = f"commanded {TURN_DEG:g} deg, measured {turn:.2f} deg by the markers, returned to {miss:+.2f} deg"
+        text = f"commanded to turn by {TURN_DEG:g} deg, the markers turned by {turn:.2f} and returned to {miss:+.2f}"
         if abs(turn + TURN_DEG) <= TURN_TOLERANCE_DEG:
-            text += ": wrong direction; swap a coil of the motor, set INVERT_X_DIR or hat.reverse, or turntable.direction = -1 in the scene"
+            text += ": wrong direction; swap the motor's coil, set INVERT_X_DIR or hat.reverse, or turntable.direction = -1 in the scene"
         elif not measured:
             text += ": correct the steps per degree"
         elif not seen_right:
-            text += f"; correct by the markers, but no rotation {sense} was observed: is the strip upside down?"
-        self._found("table", measured and seen_right, text, turned_deg=turn, back_deg=miss)
+            text += f"; the markers confirm it, but no turn {sense} was observed: is the strip upside down?"
+        self._record_finding("table", measured and seen_right, text, turned_deg=turn, back_deg=miss)
 
     def _joint_step(self, k: int) -> Callable[[], None]:
         def step() -> None:
@@ -213,7 +205,7 @@ class FirstDay:
             if arm is None:
                 self._note(Finding(step=name, verdict="skipped", text="this rig has no arm"))
                 return
-            if not self._yes(f"Keep a hand on the power switch of the arm. Move joint {k + 1} by {JOINT_DEG:g} degrees?"):
+            if not self._yes(f"Keep a hand on the switch of the arm's supply: may joint {k + 1} move by {JOINT_DEG:g} degrees?"):
                 self._note(Finding(step=name, verdict="skipped", text="not moved"))
                 return
             self._jog.do(["joint", str(k + 1), "+0"])  # connects
@@ -222,66 +214,56 @@ class FirstDay:
             moved_deg = arm.read_joints()[k] - before
             right = self._yes(f"Did {JOINTS[k]}?")
             self._jog.do(["joint", str(k + 1), f"-{JOINT_DEG:g}"])
-            text = f"commanded {JOINT_DEG:g} deg, the servo reports {moved_deg:+.1f} deg"
-            self._found(name, right, text + ("" if right else f"; invert the sign of arm.joints {k + 1}"), moved_deg=moved_deg)
+            text = f"commanded to move by {JOINT_DEG:g} deg, the servo reports {moved_deg:+.1f}"
+            self._record_finding(
+                name, right, text + ("" if right else f"; set sign of arm.joints {k + 1} to the other one"), moved_deg=moved_deg
+            )
 
         return step
 
     def _calipers(self) -> None:
         pot, strip = self._scene.net_pot, self._scene.strip
         asked = [
-            (
-                "diameter of the net pot over the paper of the strip",
-                2.0 * pot.outer_radius_mm,
-                "net_pot.outer_radius_mm, half of the measured diameter",
-            )
+            ("across the net pot, over the strip's paper", 2.0 * pot.outer_radius_mm, "net_pot.outer_radius_mm, half of what you measure")
         ]
         asked.append(
-            (
-                "diameter of the canister",
-                2.0 * self._scene.canister.outer_radius_mm,
-                "canister.outer_radius_mm, half of the measured diameter",
-            )
+            ("across the canister", 2.0 * self._scene.canister.outer_radius_mm, "canister.outer_radius_mm, half of what you measure")
         )
         if strip.rows:
             asked.append(
                 (
-                    "width of ten markers in a row, from edge to edge",
+                    "from edge to edge over ten markers in a row",
                     9.0 * 2.0 * np.pi * pot.outer_radius_mm / strip.columns + strip.marker_mm,
                     "",
                 )
             )
         for what, given_mm, key in asked:
-            answer = self._ask(f"Measure with calipers or a tape: {what} in mm? (empty: skip) ").strip()
+            answer = self._ask(f"Callipers or tape: how many mm is it {what}? (empty to skip) ").strip()
             if not answer:
                 self._note(Finding(step="calipers", verdict="skipped", text=what))
                 continue
             try:
-                measured_mm = finite(answer)
+                measured_mm = parse_number(answer)
             except ValueError:
                 self._note(Finding(step="calipers", verdict="skipped", text=f"{what}: {answer!r} is not a number"))
                 continue
             near = abs(measured_mm - given_mm) <= CALIPER_MM
             text = f"{what} {measured_mm:.2f} mm, in the scene {given_mm:.2f}"
-            cure = (
-                f"; correct {key}"
-                if key
-                else "; the scale of the printer is wrong: check its ruler, and use 'rhizotwin markers --printed-ruler-mm'"
-            )
-            self._found("calipers", near, text if near else text + cure, measured_mm=measured_mm, given_mm=given_mm)
+            cure = f"; correct {key}" if key else "; the printer scales: see its ruler, and `rhizotwin markers --printed-ruler-mm`"
+            self._record_finding("calipers", near, text if near else text + cure, measured_mm=measured_mm, given_mm=given_mm)
 
     def _sighting(self) -> Sighting | None:
         return read_strip(self._jog.shot(), self._scene)
 
     def _cell_px(self) -> float:
-        """Return the width of a marker cell in pixels in the first ring.
+        """Return the size in pixels of a marker's cell from the first ring.
 
-        A marker has 8 cells with its border (AprilTag 36h11: 10).
+        A marker has 8 cells including its border (AprilTag 36h11: 10).
         """
-        from rhizotwin.scenes.markers import dictionary_named
+        from rhizotwin.scenes.markers import get_dictionary
 
         lens, ring, strip = self._scene.camera.as_pinhole(), self._scene.plan.rings[0], self._scene.strip
-        cells = int(dictionary_named(strip.dictionary).markerSize) + 2
+        cells = int(get_dictionary(strip.dictionary).markerSize) + 2
         distance_mm = ring.distance_mm - self._scene.net_pot.outer_radius_mm
         return lens.focal_px[0] * strip.marker_mm / cells / distance_mm
 
@@ -290,9 +272,9 @@ class FirstDay:
             answer = self._ask(f"{question} [yes/no] ").strip().lower()
             if answer in ("y", "yes", "n", "no"):
                 return answer.startswith("y")
-            self._say("answer yes or no")
+            self._say("please answer yes or no")
 
-    def _found(self, step: str, good: bool, text: str, **measured: float) -> None:
+    def _record_finding(self, step: str, good: bool, text: str, **measured: float) -> None:
         self._note(Finding(step=step, verdict="ok" if good else "wrong", text=text, measured=measured))
 
     def _note(self, finding: Finding) -> None:
@@ -309,25 +291,24 @@ class FirstDay:
 
 
 def report(findings: Sequence[Finding], name: str) -> str:
-    """Return the findings as a Markdown report."""
+    """Return the results as a Markdown report."""
     rows = [f"| {one.step} | {one.verdict} | {one.text.replace('|', '/')} |" for one in findings]
     wrong = sum(one.verdict == "wrong" for one in findings)
     head = [
         f"# First day of {name}",
         "",
-        f"{len(findings)} steps, {wrong} failed.",
+        f"{len(findings)} steps, {wrong} wrong.",
         "",
-        "| step | verdict | finding |",
+        "| step | verdict | result |",
         "|---|---|---|",
     ]
     return "\n".join([*head, *rows, ""])
 
 
 def edge_width_px(image: Grey) -> float:
-    """Measure the width of the sharpest vertical edges in a picture in px.
+    """Return the width in px of the sharpest vertical edges: the step from dark to bright over the steepest slope.
 
-    The width is the step from dark to bright divided by the steepest slope. The 99.9th percentile of the slopes is used
-    instead of the maximum, so that single noisy pixels have no effect.
+    The 99.9th percentile of the slopes is used, so that single noisy pixels have no effect.
     """
     numbers = image.astype(np.float64)
     slope = np.abs(numbers[:, 2:] - numbers[:, :-2]) / 2.0
@@ -336,15 +317,15 @@ def edge_width_px(image: Grey) -> float:
 
 
 def contrast(image: Grey) -> float:
-    """Return the contrast: relative difference of the dark (2nd percentile) and the bright parts (98th percentile)."""
+    """Return the relative difference between the bright (98th percentile) and the dark parts (2nd) of a picture."""
     dark, bright = np.percentile(image, (2.0, 98.0))
     return float(1.0 - dark / max(bright, 1.0))
 
 
 def panel_evenness(image: Grey) -> float:
-    """Return the brightness ratio of darker to brighter parts of the panel, in blocks that are mostly panel.
+    """Return the ratio of the panel's darker to its brighter parts, in blocks that are mostly panel.
 
-    It is the ratio of the 5th to the 95th percentile.
+    These are the 5th and the 95th percentile.
     """
     height, width = image.shape
     rows, columns = np.array_split(np.arange(height), BLOCKS_XY[1]), np.array_split(np.arange(width), BLOCKS_XY[0])

@@ -1,4 +1,4 @@
-"""Manual control of every device by typed commands, with collision checks before the arm moves."""
+"""Interactive commands to operate every device by hand, with collision checks of the arm's paths."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -9,7 +9,15 @@ import numpy as np
 from rhizotwin.rig import bands
 from rhizotwin.rig.arm.clearance import check_path, plan_path
 from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
-from rhizotwin.rig.arm.placing import arm_of, camera_wanted, corrected_joints, joints_for, joints_looking, place_of, within_limits
+from rhizotwin.rig.arm.placement import (
+    camera_position,
+    check_limits,
+    compute_joints,
+    compute_joints_from_direction,
+    correct_joints,
+    planned_camera_pose,
+    require_arm,
+)
 from rhizotwin.rig.devices import Arm
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
@@ -17,19 +25,19 @@ from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.alignment import ALL_JOINTS, MOST_MOVES, Misalignment, misalignment, single_move
 from rhizotwin.rig.scanning.arm_stand import SEARCH_DEG, WRIST
 from rhizotwin.rig.scanning.homing import facing_angle
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.scanning.safety import Say, make_safe, park
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Ring, Scene
-from rhizotwin.scenes.pictures import Grey, encode_png
+from rhizotwin.scenes.picture_codec import Grey, encode_png
 
 JOINT_COUNT = 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Word:
-    """A command that can be typed."""
+    """A command of the interactive mode."""
 
     usage: str
     does: str
@@ -37,7 +45,7 @@ class Word:
 
 
 class Jog:
-    """Devices of a rig, controlled by typed lines."""
+    """The devices of a rig, operated by typed commands."""
 
     def __init__(self, devices: Devices, scene: Scene, *, say: Say) -> None:
         self._devices = devices
@@ -47,12 +55,10 @@ class Jog:
         self._seen = np.eye(4)
         self._commanded: tuple[float, ...] | None = None
         self._words: Mapping[str, Word] = {
-            "table": Word(usage="table +9 | table 90", does="rotate by an angle with a sign, or to an angle without one", run=self._table),
-            "home": Word(
-                usage="home [DEG]", does="determine the angle of the turntable from the markers, or set it to DEG", run=self._home
-            ),
+            "table": Word(usage="table +9 | table 90", does="turn by an angle (with sign), or to an angle (without)", run=self._table),
+            "home": Word(usage="home [DEG]", does="determine the table's angle by the markers, or declare it as DEG", run=self._home),
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
-            "band": Word(usage="band NAME", does="set lamps and filter as a band of the camera needs them", run=self._band),
+            "band": Word(usage="band NAME", does="set lamps and filter for a band of the camera", run=self._band),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
             "go": Word(
                 usage="go DISTANCE HEIGHT [TILT]",
@@ -61,31 +67,31 @@ class Jog:
             ),
             "look": Word(
                 usage="look X Y Z DX DY DZ | look NAME",
-                does="move the camera to a position and direction, or to a named pose",
+                does="move the camera to a position and direction, or a named pose",
                 run=self._look_from,
             ),
             "align": Word(
                 usage="align [DISTANCE HEIGHT]",
-                does="align the camera with the canister by the markers: level, upright, aimed at the axis",
+                does="align the camera with the canister's axis, level and upright, by the markers",
                 run=self._align,
             ),
             "park": Word(usage="park", does="move the arm to its parking position", run=self._park),
-            "relax": Word(usage="relax", does="unpower the arm: hold the camera", run=self._relax),
-            "pose": Word(usage="pose", does="print the positions of turntable, joints and camera", run=self._pose),
-            "markers": Word(usage="markers", does="take a picture and report the detected markers", run=self._markers),
+            "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
+            "pose": Word(usage="pose", does="show table angle, joint angles and camera position", run=self._pose),
+            "markers": Word(usage="markers", does="take a picture and show the detected markers", run=self._markers),
             "picture": Word(usage="picture FILE.png", does="take a picture and write it to a file", run=self._picture),
-            "help": Word(usage="help", does="print this list", run=self._help),
+            "help": Word(usage="help", does="say this", run=self._help),
         }
 
     def run(self, lines: Iterable[str], *, stop_at_mistake: bool) -> None:
-        """Run the commands of lines until ``quit``, and leave the rig safe.
+        """Execute commands until ``quit``, and leave the rig in a safe state.
 
         Parameters
         ----------
         lines : iterable of str
-            Typed lines, or lines from a pipe.
+            Command lines, from a terminal or a pipe.
         stop_at_mistake : bool
-            Raise the first error, as for a pipe; otherwise report it and continue.
+            Raise the first error, as for a pipe; otherwise errors are printed, and the next line is executed.
         """
         try:
             for line in lines:
@@ -104,25 +110,25 @@ class Jog:
             self.leave()
 
     def do(self, words: list[str]) -> None:
-        """Run one command, given as words.
+        """Execute one command, given as its words.
 
         Raises
         ------
         UserError
-            If the command is unknown, rejected or fails.
+            For unknown or invalid commands, and for failures.
         """
         word = self._words.get(words[0])
         if word is None:
-            raise UserError(f"unknown command {words[0]!r}; available: {', '.join(self._words)} and quit")
+            raise UserError(f"there is no command {words[0]!r}; there are {', '.join(self._words)} and quit")
         try:
             word.run(words[1:])
         except (ValueError, IndexError):
-            raise UserError(f"{' '.join(words)!r} is not a valid command; write: {word.usage}") from None
+            raise UserError(f"{' '.join(words)!r} is invalid; usage: {word.usage}") from None
 
     def leave(self) -> None:
-        """Leave the rig safe: lamps off, arm parked and unpowered.
+        """Leave the rig in a safe state: lamps off, the arm parked and without torque.
 
-        The motor of the turntable stays on if its angle is known.
+        The table's motor remains on if its angle is known.
         """
         table = self._devices.table
         known = False
@@ -133,16 +139,16 @@ class Jog:
         finally:
             make_safe(self._devices, self._scene, say=self._say, board=self._table_ready, arm=self._arm_ready, finished=not known)
         if known:
-            self._say("turntable: the motor stays on to keep the angle")
+            self._say("turntable: its motor remains on, so that its angle is kept")
 
     def _board(self) -> None:
-        """Connect to the board on first use."""
+        """Connect to the board when it is first used."""
         if not self._table_ready:
             self._say(preflight.check_table(self._devices.table))
             self._table_ready = True
 
     def _arm(self) -> Arm:
-        """Connect to the arm on first use."""
+        """Connect to the arm when it is first used."""
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -154,15 +160,15 @@ class Jog:
     def _look(self) -> tuple[Sighting | None, str]:
         image = self.shot()
         seen = read_strip(image, self._scene)
-        return seen, "" if seen is not None else why_unread(image, self._scene)
+        return seen, "" if seen is not None else unread_reason(image, self._scene)
 
     def _table(self, words: list[str]) -> None:
         (text,) = words
-        angle_deg = finite(text)
+        angle_deg = parse_number(text)
         self._board()
         table = self._devices.table
         if not table.knows_zero():
-            raise RigError("turntable: the angle is unknown; type home, or home 0 if the seam of the strip faces the camera")
+            raise RigError("turntable: its angle is unknown; type home, or home 0 if the strip's seam faces the camera")
         goal_deg = angle_deg + (table.position_deg() if text[0] in "+-" else 0.0)
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
@@ -170,18 +176,18 @@ class Jog:
         self._board()
         if words:
             (text,) = words
-            angle_deg = finite(text)
+            angle_deg = parse_number(text)
         else:
             seen, why = self._look()
             if seen is None:
-                raise RigError(f"turntable: the angle could not be determined from the markers: {why}")
+                raise RigError(f"turntable: no angle from the markers: {why}")
             angle_deg = facing_angle(seen, self._scene)
         angle_deg %= 360.0
         self._devices.table.declare(angle_deg)
         self._say(f"table at {angle_deg:.3f} deg")
 
     def _lights(self, words: list[str]) -> None:
-        panel, front = finite(words[0]), finite(words[1]) if len(words) > 1 else 0.0
+        panel, front = parse_number(words[0]), parse_number(words[1]) if len(words) > 1 else 0.0
         if len(words) > 2 or not (0.0 <= panel <= 1.0 and 0.0 <= front <= 1.0):
             raise ValueError(words)
         self._board()
@@ -189,7 +195,7 @@ class Jog:
 
     def _band(self, words: list[str]) -> None:
         (name,) = words
-        part = bands.part_of(self._devices.rig, name)
+        part = bands.band_part(self._devices.rig, name)
         if part is None:
             known = ", ".join(one.name for one in self._devices.rig.camera.bands) or "none"
             raise UserError(f"the rig file has no band {name!r}; it has {known}")
@@ -203,19 +209,19 @@ class Jog:
         k = int(number) - 1
         if not 0 <= k < JOINT_COUNT:
             raise ValueError(number)
-        angle_deg = finite(text)
+        angle_deg = parse_number(text)
         here = self._arm().read_joints()
         goal = list(here)
         goal[k] = angle_deg + (here[k] if text[0] in "+-" else 0.0)
         self._say(joints_text(self._move([tuple(goal)])))
 
     def _go(self, words: list[str]) -> None:
-        distance_mm, height_mm = finite(words[0]), finite(words[1])
-        tilt_deg = finite(words[2]) if len(words) > 2 else 0.0
+        distance_mm, height_mm = parse_number(words[0]), parse_number(words[1])
+        tilt_deg = parse_number(words[2]) if len(words) > 2 else 0.0
         if len(words) > 3 or distance_mm <= 0.0:
             raise ValueError(words)
         arm = self._arm()
-        goal = joints_for(self._devices.rig, camera_wanted(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
+        goal = compute_joints(self._devices.rig, planned_camera_pose(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
         self._say(joints_text(self._move(list(plan_path(self._devices.rig, self._scene, arm.read_joints(), goal)))))
 
     def _look_from(self, words: list[str]) -> None:
@@ -223,12 +229,12 @@ class Jog:
         if len(words) == 1:
             named = {pose.name: pose for pose in rig.poses}
             if words[0] not in named:
-                raise UserError(f"there is no pose {words[0]!r} in the rig file; available: {', '.join(named) or 'none'}")
+                raise UserError(f"there is no pose {words[0]!r} in the rig file; it has {', '.join(named) or 'none'}")
             position_mm, direction = named[words[0]].position_mm, named[words[0]].direction
         else:
-            x, y, z, dx, dy, dz = (finite(word) for word in words)
+            x, y, z, dx, dy, dz = (parse_number(word) for word in words)
             position_mm, direction = (x, y, z), (dx, dy, dz)
-        arm, goal = self._arm(), joints_looking(rig, position_mm, direction)
+        arm, goal = self._arm(), compute_joints_from_direction(rig, position_mm, direction)
         self._say(joints_text(self._move(list(plan_path(rig, self._scene, arm.read_joints(), goal)))))
 
     def _align(self, words: list[str]) -> None:
@@ -239,32 +245,34 @@ class Jog:
         self.align()
 
     def align(self) -> Misalignment:
-        """Correct the joints by the markers until the camera is aligned; return the remaining error (thesis C.2).
+        """Correct the joints by the markers until the camera faces the canister, and return the remaining error.
+
+        This is the correction of the thesis, appendix C.2.
 
         Raises
         ------
         UserError
-            If no markers are detected, the path is not free, or the alignment does not improve.
+            If the strip cannot be read, the path is not clear, or the corrections do not converge.
         """
-        rig, part = self._devices.rig, arm_of(self._devices.rig)
+        rig, part = self._devices.rig, require_arm(self._devices.rig)
         here = self._commanded or self._arm().read_joints()
         left, moves = self._misalignment(search=True), 0
         self._say(f"before: {left.text()}")
         here = self._commanded or here
         while not left.is_aligned and moves < MOST_MOVES:
-            way = [corrected_joints(rig, here, self._seen)] if moves < ALL_JOINTS else single_move(part, here, self._seen)
+            way = [correct_joints(rig, here, self._seen)] if moves < ALL_JOINTS else single_move(part, here, self._seen)
             self._move(way)
             moves, here, left = moves + 1, way[-1], self._misalignment()
         self._say(f"after {moves} moves: {left.text()}")
         if not left.is_aligned:
             raise RigError(
-                f"arm: not aligned after {moves} moves ({left.text()}): the servos do not reach their commanded positions; "
-                "check the supply and the stops, or calibrate the arm"
+                f"arm: not aligned after {moves} moves ({left.text()}): its servos do not reach the commanded positions; "
+                "check its supply and its stops, or calibrate it"
             )
         return left
 
     def _misalignment(self, *, search: bool = False) -> Misalignment:
-        """Take a picture and return the misalignment, tilting the camera to find the strip."""
+        """Take a picture and return the misalignment of the camera, tilting it to find the strip."""
         seen, why = self._look()
         here = self._arm().read_joints()
         for tilt_deg in SEARCH_DEG if search and seen is None else ():
@@ -278,25 +286,25 @@ class Jog:
         return misalignment(self._seen)
 
     def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
-        """Move directly between positions with collision checks; return the joints as read."""
+        """Move along a path, checking each segment before, and return the measured joint angles."""
         arm, rig = self._arm(), self._devices.rig
-        within_limits(arm_of(rig), path[-1])
+        check_limits(require_arm(rig), path[-1])
         check_path(rig, self._scene, [arm.read_joints(), *path])
         for joints_deg in path:
             read = arm.move_to(joints_deg)
-        self._devices.clock.sleep(arm_of(rig).settle_s)
+        self._devices.clock.sleep(require_arm(rig).settle_s)
         self._commanded = path[-1]
         return read
 
     def _park(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         arm = self._arm()
         park(arm, self._devices.rig, self._scene)
         self._commanded = None
         self._say(joints_text(arm.read_joints()))
 
     def _relax(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -304,56 +312,50 @@ class Jog:
         self._arm_ready, self._commanded = False, None
 
     def _pose(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         self._board()
         table, part = self._devices.table, self._devices.rig.arm
         known = "" if table.knows_zero() else " (not homed)"
         self._say(f"table at {table.position_deg():.3f} deg{known}")
         if part is not None:
             joints = self._arm().read_joints()
-            distance_mm, height_mm, tilt_deg = place_of(camera_at(part, joints))
+            distance_mm, height_mm, tilt_deg = camera_position(camera_at(part, joints))
             self._say(joints_text(joints))
-            self._say(
-                f"by the joints, the camera is {distance_mm:.1f} mm from the axis at z "
-                f"= {height_mm:.1f} mm, tilted down by {tilt_deg:.1f} deg"
-            )
+            self._say(f"by the joints the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
 
     def _markers(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         seen, why = self._look()
         if seen is None:
             raise RigError(f"markers: {why}")
-        distance_mm, height_mm, tilt_deg = place_of(seen.cam_from_canister)
+        distance_mm, height_mm, tilt_deg = camera_position(seen.cam_from_canister)
         facing_deg = facing_angle(seen, self._scene) % 360.0
         self._say(
-            f"{seen.markers} markers, reprojection error {seen.reprojection_px:.2f} px; with "
-            f"the camera on the +x side, the table is at {facing_deg:.2f} deg"
+            f"{seen.markers} markers, {seen.reprojection_px:.2f} px error; seen from the +x side the table is at {facing_deg:.2f} deg"
         )
-        self._say(
-            f"by the markers, the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, tilted down by {tilt_deg:.1f} deg"
-        )
+        self._say(f"by the markers the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
 
     def _picture(self, words: list[str]) -> None:
         (name,) = words
         path = Path(name)
         if path.suffix.lower() != ".png":
-            raise UserError(f"{name} must end in .png")
+            raise UserError(f"{name}: pictures are written as PNG; give a name that ends in .png")
         if path.exists():
-            raise UserError(f"{name} already exists; choose another name")
+            raise UserError(f"{name} exists already; choose another name")
         image = self.shot()
         write_bytes(path, encode_png(image))
-        found = preflight.exposure_of(image)
+        found = preflight.measure_exposure(image)
         self._say(f"{path}: {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated")
 
     def _help(self, words: list[str]) -> None:
-        nothing(words)
+        require_no_arguments(words)
         width = max(len(word.usage) for word in self._words.values())
         for word in self._words.values():
             self._say(f"  {word.usage:<{width}}  {word.does}")
-        self._say(f"  {'quit':<{width}}  switch the lamps off, park and unpower the arm")
+        self._say(f"  {'quit':<{width}}  lights off, arm parked without torque")
 
     def shot(self) -> Grey:
-        """Take a picture of the scene's size."""
+        """Return a picture of the scene's size."""
         camera = self._devices.camera
         if not self._camera_ready:
             self._say(preflight.check_camera(camera))
@@ -363,20 +365,20 @@ class Jog:
         return image
 
 
-def finite(text: str) -> float:
-    """Convert a word to a finite number."""
+def parse_number(text: str) -> float:
+    """Return a finite number; words such as nan and inf are rejected."""
     value = float(text)
     if not np.isfinite(value):
         raise ValueError(text)
     return value
 
 
-def nothing(words: list[str]) -> None:
-    """Reject superfluous words."""
+def require_no_arguments(words: list[str]) -> None:
+    """Raise an error for arguments of a command without arguments."""
     if words:
         raise ValueError(words)
 
 
 def joints_text(joints_deg: tuple[float, ...]) -> str:
-    """Format joint angles, base to wrist roll."""
+    """Return joint angles as text, base to wrist roll."""
     return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

@@ -1,4 +1,4 @@
-"""Opening of the devices of a rig file."""
+"""Opening of the devices described in a rig file."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,7 +22,7 @@ from rhizotwin.scenes.model import Scene
 
 @dataclass(kw_only=True)
 class Devices:
-    """Open devices of a rig."""
+    """The open devices of a rig."""
 
     rig: RigFile
     clock: Clock
@@ -31,16 +31,16 @@ class Devices:
     camera: Camera
     arm: Arm | None
     open_board: Callable[[], tuple[Turntable, Lights]]
-    """Opens the board of turntable and lamps again after it was lost."""
+    """Function that reopens the board of table and lights after it was lost."""
 
     def reconnect_board(self) -> None:
-        """Close turntable and lamps if necessary, and open them again."""
+        """Close table and lights, and reopen them."""
         with suppress(RigError):
             self.table.close()
         self.table, self.lights = self.open_board()
 
     def close(self) -> None:
-        """Close all devices; a failure does not prevent the others from being closed."""
+        """Close every device; errors of one do not prevent the others from being closed."""
         for device in (self.camera, self.arm, self.table):
             with suppress(RigError):
                 if device is not None:
@@ -48,30 +48,30 @@ class Devices:
 
 
 def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | None = None, recorder: Recorder | None = None) -> Devices:
-    """Open the devices of a rig; nothing moves, lights up or is energised yet.
+    """Open the devices of a rig, without any motion, light or current.
 
     Parameters
     ----------
     rig : RigFile
-        Devices and their positions.
+        Rig file with the devices.
     scene : Scene
-        Scene whose camera gives size and bit depth of the pictures.
+        Scene, whose camera defines size and bit depth of the pictures.
     clock : Clock
-        Clock for waiting.
+        Clock for waiting times.
     camera : Camera or None
-        Emulated camera; None: the camera of the rig file.
+        Camera of the twin; None for that of the rig file.
     recorder : Recorder or None
-        Records the serial communication.
+        Records every transmitted byte.
 
     Returns
     -------
     Devices
-        Devices, to be closed by the caller.
+        Devices, which the caller must close.
 
     Raises
     ------
     RigError
-        If a device is missing; devices that were opened before are closed.
+        If a device is missing; those opened before it are closed.
     """
 
     def board() -> tuple[Turntable, Lights]:
@@ -93,21 +93,21 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
-    """Open the controller of turntable and lamps: a Marlin board, or the pins of this Raspberry Pi.
+    """Open the driver of table and lights: a Marlin board, or this Raspberry Pi's own pins.
 
     Parameters
     ----------
     rig : RigFile
-        Devices and their positions.
+        Rig file with the devices.
     clock : Clock
-        Clock for waiting.
+        Clock for waiting times.
     recorder : Recorder or None
-        Records the serial communication.
+        Records every transmitted byte.
 
     Returns
     -------
     Turntable, Lights
-        Open devices; nothing was sent yet.
+        Open devices; nothing was sent.
     """
     part = rig.turntable
     if part.kind == "hat":
@@ -124,21 +124,21 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
 
 
 def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:
-    """Open the port of the arm; None for a rig without an arm.
+    """Open the arm's port; return None for a rig without an arm.
 
     Parameters
     ----------
     rig : RigFile
-        Devices and their positions.
+        Rig file with the devices.
     clock : Clock
-        Clock for waiting.
+        Clock for waiting times.
     recorder : Recorder or None
-        Records the serial communication.
+        Records every transmitted byte.
 
     Returns
     -------
     Arm or None
-        Open device; nothing was sent yet.
+        Open arm; nothing was sent.
     """
     part = rig.arm
     if part is None:

@@ -1,6 +1,6 @@
-"""Rig file: types, connections and positions of the devices.
+"""Rig file: the devices, their connections, and the position of the arm.
 
-It is a TOML file; unknown keys are rejected.
+It is a validated TOML file; unknown keys are rejected.
 """
 
 from dataclasses import dataclass, field
@@ -17,34 +17,34 @@ LSC_BAUD = 9600
 
 @dataclass(frozen=True, kw_only=True)
 class TurntablePart:
-    """Turntable and lamps: a Marlin 2.1 board on a serial port, axis X in degrees, or the pins of this Raspberry Pi."""
+    """Turntable and lights: a Marlin 2.1 board on one serial line, or this Raspberry Pi's own pins."""
 
     kind: Literal["marlin", "hat"] = "marlin"
-    """Controller: marlin (a board at ``port``), or hat (a DRV8825 and NeoPixels on the pins of this computer, see
-    ``hat``; ``port`` and ``baud`` are not used)."""
+    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``), for which ``port``
+    and ``baud`` are not used."""
     port: str = "/dev/ttyUSB0"
     """A serial port, or any URL of pyserial such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
     speed_deg_per_s: float = bounded(30.0, 0.1, 360.0)
     acceleration_deg_per_s2: float = bounded(60.0, 0.1, 10000.0)
-    """Acceleration at the beginning and end of each move; limited by the firmware of a Marlin board."""
+    """Acceleration of each move; a Marlin board limits it to its own maximum."""
     full_step_deg: float = bounded(1.8, 0.001, 30.0)
     """Table angle of one full step of the motor."""
     approach_deg: float = bounded(3.6, 0.0, 45.0)
-    """Overshoot of moves against the direction of approach, so that backlash is always taken up on one side."""
+    """Moves against the approach direction overshoot by this angle and return, so that backlash is always on the same
+    side."""
     tolerance_deg: float = bounded(0.02, 1e-4, 5.0)
-    """Maximum difference between the commanded angle and the angle read back."""
+    """Maximum difference between the commanded and the measured angle."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Waiting time between a move and a picture, for the water to come to rest."""
+    """Pause after a move before a picture, until the water is still."""
     rest: Literal["given", "measured"] = "given"
-    """Waiting time: given (``settle_s``), or measured (before its first picture, the scan measures how long the
-    picture moves after rotations at this and lower accelerations, and uses the fastest combination; it waits at
-    least ``settle_s``)."""
+    """measured: before its first picture, a scan turns a few times at this and lower accelerations, measures how long
+    the picture moves, and uses the acceleration with the shortest total time; it pauses at least ``settle_s``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightsPart:
-    """Light panel and front lamp: two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE)."""
+    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE): backlight panel and front light."""
 
     panel_strip: int = bounded(0, 0, 1)
     front_strip: int = bounded(1, 0, 1)
@@ -55,34 +55,34 @@ class LightsPart:
     """Level during the scan."""
     front_level: float = bounded(1.0, 0.0, 1.0)
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Waiting time between a change and a picture."""
+    """Pause after a change before a picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HatPart:
-    """Electronics of the thesis: a DRV8825 and two NeoPixel strips on the pins of a Raspberry Pi, with GPIO numbers."""
+    """Electronics of the thesis: a DRV8825 and two NeoPixel strips on a Raspberry Pi's pins, with GPIO numbers."""
 
     step_pin: int = bounded(23, 0, 27)
     direction_pin: int = bounded(24, 0, 27)
     enable_pin: int = bounded(25, 0, 27)
-    """Low switches the motor on."""
+    """Pin that switches the motor on when low."""
     fault_pin: int = bounded(22, 0, 27)
-    """Low: the driver is too hot, or a coil is shorted."""
+    """Pin that signals a hot driver or a shorted coil when low."""
     microsteps: int = bounded(32, 1, 32)
-    """Microsteps per full step, according to the MODE pins of the driver."""
+    """Microsteps per step, according to the wiring of the driver's MODE pins."""
     reverse: bool = False
-    """Whether the wiring of the motor reverses the direction of the turntable."""
+    """Whether the wiring of the motor's coils reverses the table's direction."""
     panel_pin: int = bounded(18, 0, 27)
-    """GPIO 12 or 18: channel 0 of rpi_ws281x."""
+    """Pin of the panel, GPIO 12 or 18: channel 0 of rpi_ws281x."""
     front_pin: int = bounded(13, 0, 27)
-    """GPIO 13 or 19: channel 1."""
+    """Pin of the front light, GPIO 13 or 19: channel 1."""
     panel_pixels: int = bounded(300, 1, 5000)
     front_pixels: int = bounded(18, 1, 5000)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """One servo as a joint."""
+    """One servo, as a joint."""
 
     servo: int = bounded(1, 0, 253)
     zero_counts: float = bounded(500.0, -2000.0, 3000.0)
@@ -95,14 +95,14 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmPart:
-    """Arm with six LX servos, five of which move the camera. Remove the section for a camera on a tripod."""
+    """The arm: six LX servos, five of which move the camera. Omit the section for a camera on a tripod."""
 
     protocol: Literal["lx", "lsc"] = "lx"
     """lx: the servo bus itself (115200 Bd, checksums). lsc: the controller board (9600 Bd, none)."""
     port: str = "/dev/ttyUSB1"
     baud: int = bounded(115200, 1200, 4_000_000)
     echo: Literal["auto", "yes", "no"] = "auto"
-    """Whether the half-duplex adapter echoes sent data (lx only)."""
+    """Whether the half-duplex adapter echoes transmitted bytes (lx only)."""
     joints: tuple[Joint, ...] = (
         Joint(servo=6, min_deg=-90.0, max_deg=90.0),
         Joint(servo=5, min_deg=-86.0, max_deg=91.0),
@@ -112,35 +112,35 @@ class ArmPart:
     )
     """Base, shoulder, elbow, wrist pitch, wrist roll."""
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
-    """Base plate to shoulder axis, shoulder to elbow, elbow to wrist pitch, wrist pitch to the projection centre of
-    the camera."""
+    """Lengths from base plate to shoulder axis, to elbow, to wrist pitch, and to the camera's centre."""
     position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
-    """Centre of the lower face of the base plate in the rig frame; the default is 145 mm above the floor, to reach
-    rings of root and shoot."""
+    """Centre of the base plate's underside in the rig frame; by default 145 mm above the floor, to reach rings of root
+    and shoot."""
     rotation_deg: tuple[float, float, float] = bounded((0.0, 0.0, 180.0), -360.0, 360.0)
-    """Rotation vector from the frame of the arm (+z along the axis of the base, +x in the direction of positive
+    """Rotation vector from the arm frame (+z along the base's axis, +x the direction in which the arm leans at positive
     shoulder angles) to the rig frame."""
     max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)
     tolerance_deg: float = bounded(3.0, 0.1, 30.0)
-    """Maximum difference between commanded and read angles, including sag and dead band."""
+    """Maximum difference between commanded and measured angles (including sag and dead band) at the end of a move."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
-    """Parking position, in which the servos are unpowered; the path to the first ring starts and ends here."""
+    """Parking position of the arm, in which its torque is switched off; the path to the first ring begins and ends
+    here."""
     filter: Joint | None = None
-    """Motor of the end effector that turns a filter wheel in front of the lens, if there is one."""
+    """End effector's motor, if it rotates a filter wheel in front of the lens."""
     min_volt: float = bounded(6.5, 4.5, 12.0)
     max_volt: float = bounded(8.4, 4.5, 12.0)
     max_celsius: float = bounded(65.0, 20.0, 85.0)
     correct: bool = True
-    """Whether to correct the camera position of each ring by the markers."""
+    """Whether to correct the camera's position for each ring by the markers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BandPart:
-    """How lamps and filter are set for one of the scene's bands."""
+    """Lamp and filter settings for one of the scene's bands."""
 
     name: str = ""
-    """As in the scene."""
+    """Name of the band, as in the scene."""
     panel_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
     """Colour of the panel at level 1. None: as in ``[lights]``."""
     front_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
@@ -150,19 +150,20 @@ class BandPart:
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
     """Level of the front light. None: as in ``[lights]``."""
     output: int | None = field(default=None, metadata={"limits": (0, 27)})
-    """Switched output of a lamp that is on in this band alone, such as near infrared LEDs: number of the Marlin board's
+    """Switched output of a lamp that is only on in this band, such as near-infrared LEDs: number of the Marlin board's
     fan output (M106), or of a Raspberry Pi's GPIO pin (hat)."""
     filter_deg: float | None = field(default=None, metadata={"limits": (-360.0, 360.0)})
-    """Angle of the filter wheel, which the end effector's motor (``arm.filter``) turns."""
+    """Angle of the filter wheel, which is rotated by the end effector's motor (``arm.filter``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPart:
-    """Camera: Raspberry Pi (picamera2), USB (v4l2), or another computer with `rhizotwin camera` (http)."""
+    """The camera: on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer (http)."""
 
     kind: Literal["picamera2", "v4l2", "http"] = "picamera2"
     address: str = "0"
-    """picamera2, v4l2: number of the camera (v4l2: or its device file). http: such as http://raspberrypi:8471."""
+    """picamera2, v4l2: number of the camera (for v4l2 also its device file). http: URL such as http://raspberrypi:8471.
+    """
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
@@ -170,12 +171,12 @@ class CameraPart:
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
     """Fixed white balance (v4l2)."""
     bands: tuple[BandPart, ...] = ()
-    """How each of the scene's ``[[camera.bands]]`` is set."""
+    """Settings for each of the scene's ``[[camera.bands]]``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bar:
-    """Box that the arm must not touch, such as a part of the frame or a lamp, in the rig frame."""
+    """A box that the arm must avoid, such as a part of the frame or a lamp. Rig frame."""
 
     low_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
     high_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
@@ -183,34 +184,34 @@ class Bar:
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
-    """Obstacles and margins of the collision checks, in addition to canister and net pot of the scene."""
+    """Obstacles of the arm, in addition to the scene's canister and net pot."""
 
     margin_mm: float = bounded(15.0, 0.0, 500.0)
-    """Minimum distance between the arm with its camera and obstacles, which covers sag and backlash."""
+    """Minimum distance between the arm with its camera and obstacles, as a margin for sag and backlash."""
     arm_radius_mm: float = bounded(32.0, 1.0, 300.0)
     """Half the width of the arm's links."""
     camera_radius_mm: float = bounded(35.0, 1.0, 300.0)
-    """Radius of a sphere around the projection centre that contains camera and lens."""
+    """Radius of a sphere about the camera's centre that encloses camera and lens."""
     table_radius_mm: float = bounded(110.0, 1.0, 2000.0)
     floor_z_mm: float = bounded(-195.0, -5000.0, 0.0)
-    """Height of the floor on which the base of the arm and the feet of the turntable stand."""
+    """Height (z) of the surface on which the arm's base and the turntable stand."""
     bars: tuple[Bar, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """Named pose of the camera in the rig frame, for ``look NAME`` in ``rhizotwin rig jog``."""
+    """A named pose of the camera, rig frame, for ``look NAME`` in ``rhizotwin rig jog``."""
 
     name: str = ""
     position_mm: tuple[float, float, float] = bounded((400.0, 0.0, -42.0), -5000.0, 5000.0)
-    """Projection centre of the camera."""
+    """Centre of the camera."""
     direction: tuple[float, float, float] = bounded((-1.0, 0.0, 0.0), -1e6, 1e6)
     """Direction of the optical axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFile:
-    """Complete rig."""
+    """Complete description of a rig."""
 
     name: str = "rig"
     description: str = ""
@@ -229,8 +230,8 @@ def load_rig(path: Path | str) -> RigFile:
     Raises
     ------
     UserError
-        If the file is missing, a key is unknown, a value has a wrong type or is out of range (with the line), or values
-        are inconsistent.
+        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or inconsistent
+        values.
     """
     table, text = read_toml(Path(path))
     place = Place(str(path), text)
@@ -240,10 +241,10 @@ def load_rig(path: Path | str) -> RigFile:
 
 
 def check_rig(rig: RigFile, place: Place) -> None:
-    """Reject inconsistent values."""
+    """Check the values of a rig file against each other."""
     if rig.lights.panel_strip == rig.lights.front_strip:
         raise place.at("lights", "front_strip").error(
-            "must differ from panel_strip, because each lamp is a separate strip", rig.lights.front_strip
+            "must differ from panel_strip: each lamp must be a separate strip", rig.lights.front_strip
         )
     _check_hat(rig.hat, place.at("hat"))
     _check_bands(rig, place.at("camera"))
@@ -253,7 +254,7 @@ def check_rig(rig: RigFile, place: Place) -> None:
     names = [pose.name for pose in rig.poses]
     for i, name in enumerate(names):
         if not name or not name.isidentifier() or name in names[:i]:
-            raise place.at("poses", i, "name").error("must be one word of letters and digits, and unique", name)
+            raise place.at("poses", i, "name").error("must be one word of letters and digits, different for each pose", name)
     if rig.arm is not None:
         _check_arm(rig.arm, place.at("arm"))
 
@@ -278,11 +279,11 @@ def _check_bands(rig: RigFile, place: Place) -> None:
     for i, band in enumerate(rig.camera.bands):
         here = place.at("bands", i)
         if not band.name or band.name in names[:i]:
-            raise here.at("name").error("must be the name of one of the scene's bands, no two the same", band.name)
+            raise here.at("name").error("must be the name of one of the scene's bands, different for each entry", band.name)
         if band.output in taken:
-            raise here.at("output").error("is a pin that [hat] uses already", band.output)
+            raise here.at("output").error("is a pin already used by [hat]", band.output)
         if band.filter_deg is not None and wheel is None:
-            raise here.at("filter_deg").error("needs [arm.filter], the motor that turns the filter wheel", band.filter_deg)
+            raise here.at("filter_deg").error("requires [arm.filter], the motor of the filter wheel", band.filter_deg)
         if band.filter_deg is not None and wheel is not None and not wheel.min_deg <= band.filter_deg <= wheel.max_deg:
             must = f"must be between arm.filter's {wheel.min_deg:g} and {wheel.max_deg:g} deg"
             raise here.at("filter_deg").error(must, band.filter_deg)
@@ -294,13 +295,13 @@ def _check_arm(arm: ArmPart, place: Place) -> None:
     if len({joint.servo for joint in arm.joints}) != JOINTS:
         raise place.at("joints").error("must have different servo numbers", [joint.servo for joint in arm.joints])
     if arm.filter is not None and arm.filter.servo in {joint.servo for joint in arm.joints}:
-        raise place.at("filter", "servo").error("must differ from the servos of the joints", arm.filter.servo)
+        raise place.at("filter", "servo").error("must differ from the joints' servos", arm.filter.servo)
     for i, (joint, rest) in enumerate(zip(arm.joints, arm.park_deg, strict=True)):
         if joint.min_deg >= joint.max_deg:
             raise place.at("joints", i, "max_deg").error(f"must be above min_deg {joint.min_deg:g}", joint.max_deg)
         if not joint.min_deg <= rest <= joint.max_deg:
             raise place.at("park_deg").error(f"element {i + 1} must be between its joint's {joint.min_deg:g} and {joint.max_deg:g}", rest)
     if arm.protocol == "lsc" and arm.baud != LSC_BAUD:
-        raise place.at("baud").error(f"must be {LSC_BAUD}, the only baud rate of the controller board (protocol lsc)", arm.baud)
+        raise place.at("baud").error(f"must be {LSC_BAUD}: the controller board (protocol lsc) supports no other rate", arm.baud)
     if arm.min_volt >= arm.max_volt:
         raise place.at("max_volt").error(f"must be above min_volt {arm.min_volt:g}", arm.max_volt)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
-"""Regular expression of the names made by `beside`."""
+"""Regular expression of the names made by `temporary_path`."""
 
 
 def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: bool = True) -> None:
@@ -63,17 +63,17 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
                 stream.flush()
                 os.fsync(descriptor)
                 if sys.platform != "win32":
-                    _put(temporary, path, new=new)
+                    _rename_file(temporary, path, new=new)
             if sys.platform == "win32":  # Windows cannot rename open files
-                _put(temporary, path, new=new)
+                _rename_file(temporary, path, new=new)
             sync_folder(path.parent)
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
     except OSError as error:
         if new and isinstance(error, FileExistsError) and os.path.lexists(path):
-            raise UserError(f"{asked}: already exists; choose another name") from error
-        raise explained(error, asked) from error
+            raise UserError(f"{asked}: exists already; choose another name") from error
+        raise write_error(error, asked) from error
 
 
 def write_text(path: Path | str, text: str, *, new: bool = False) -> None:
@@ -138,7 +138,7 @@ def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | 
     write_bytes(path, data.tobytes())
 
 
-def beside(path: Path) -> Path:
+def temporary_path(path: Path) -> Path:
     """Return an unused hidden name in the same folder; it matches `TEMPORARY`."""
     return path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
 
@@ -162,7 +162,7 @@ def is_full(error: OSError) -> bool:
     return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
-def explained(error: OSError, path: Path | str) -> UserError:
+def write_error(error: OSError, path: Path | str) -> UserError:
     """Return a failed write as an error with a one-sentence explanation."""
     if is_full(error):
         return UserError(f"{path}: the disk is full; nothing was written under this name; free some space and run again")
@@ -173,7 +173,7 @@ def explained(error: OSError, path: Path | str) -> UserError:
 def _open_beside(path: Path) -> tuple[Path, int]:
     """Open a new file beside a path, locked, so that other processes recognise it as in use."""
     while True:
-        temporary = beside(path)
+        temporary = temporary_path(path)
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, 0o666)
         if try_lock(descriptor) is not False and os.fstat(descriptor).st_nlink:
             return temporary, descriptor
@@ -193,7 +193,7 @@ def _remove_left(path: Path) -> None:
                     os.close(descriptor)
 
 
-def _put(temporary: Path, path: Path, *, new: bool) -> None:
+def _rename_file(temporary: Path, path: Path, *, new: bool) -> None:
     """Rename a file to its final name; with ``new``, only if that name is free."""
     if new:
         _link(temporary, path)

@@ -34,7 +34,7 @@ class Band:
     """Brightness of white paper on the strip in this band as a fraction of full scale. None: as in ``[lights]``."""
 
 
-def by_range(bands: Sequence[Band]) -> dict[str, str]:
+def bands_by_range(bands: Sequence[Band]) -> dict[str, str]:
     """Return the names of the bands by the range of `RANGES_NM` in which they lie.
 
     If several bands lie in one range, the band nearest to the typical wavelength is used.

@@ -15,7 +15,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import read_toml
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.limits import bounded
-from rhizotwin.scenes.markers import black_rectangles, dictionary_named
+from rhizotwin.scenes.markers import black_rectangles, get_dictionary
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 MARKER_SHARE = 11.0 / 15.0
@@ -59,7 +59,7 @@ class CharucoBoard:
 
 def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
     """Return the board as an OpenCV object, in mm."""
-    return cv2.aruco.CharucoBoard(board.squares_xy, board.square_mm, board.marker_mm, dictionary_named(board.dictionary))
+    return cv2.aruco.CharucoBoard(board.squares_xy, board.square_mm, board.marker_mm, get_dictionary(board.dictionary))
 
 
 def black_parts(board: CharucoBoard) -> Array:
@@ -109,7 +109,7 @@ def check_board(board: CharucoBoard, *, where: str = "board", text: str = "") ->
         must = f"must be at most {board.square_mm * (1.0 - 2.0 * LEAST_GAP):g}, to leave white round the markers"
         raise place.at("board", "marker_mm").error(must, board.marker_mm)
     try:
-        size = len(dictionary_named(board.dictionary).bytesList)
+        size = len(get_dictionary(board.dictionary).bytesList)
     except UserError as error:
         raise place.at("board", "dictionary").error(str(error)) from error
     if board.markers > size:

@@ -19,13 +19,13 @@ import numpy as np
 
 from rhizotwin.scenes.atomic import json_bytes, write_bytes
 from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.errors import UserError, parsers_words
+from rhizotwin.scenes.errors import UserError, parser_message
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey, decode_light
+from rhizotwin.scenes.picture_codec import Grey, decode_light
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
-from rhizotwin.scenes.transfer import LINEAR, Curve, of_camera, stated_in
+from rhizotwin.scenes.transfer import LINEAR, Curve, camera_curve, read_stated_curve
 
 SCHEMA_VERSION = 1
 
@@ -49,8 +49,8 @@ class Frame:
     table_read_deg: float | None = None
     """Table angle reported by the turntable after its move."""
     placement: int = 0
-    """Number of the camera's placement in this ring, which increases whenever the camera is placed, or the table's zero
-    is found, anew; within one placement the camera is static."""
+    """Number of the camera's placement in this ring, which increases whenever the camera is placed or the table's zero
+    is determined again; within one placement the camera is static."""
     joints_deg: tuple[float, ...] | None = None
     """Commanded joint angles of the arm, from base to wrist roll."""
     joints_read_deg: tuple[float, ...] | None = None
@@ -224,7 +224,7 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     -------
     ndarray
         (H, W), uint8 or uint16 as in the file if its values are linear in light, else uint16; see
-        `scenes.decode_pictures.decode_light`.
+        `scenes.picture_codec.decode_light`.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     if dataset.masks:
         curve = LINEAR
-    stated = curve or stated_in(data) or of_camera(dataset.scene.camera)
+    stated = curve or read_stated_curve(data) or camera_curve(dataset.scene.camera)
     image = decode_light(data, stated, where=str(path), image_wh=dataset.scene.camera.image_wh)
     if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256.lower():
         raise UserError(
@@ -247,7 +247,7 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     return image
 
 
-def sha256_of(path: Path | str) -> str:
+def file_sha256(path: Path | str) -> str:
     """Return the SHA-256 of a file in hexadecimal."""
     if not Path(path).is_file():
         raise UserError(f"{path}: cannot be read (there is no such file)")
@@ -283,7 +283,7 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
     try:
         mapping = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: is damaged: not valid JSON ({parsers_words(error)}); restore it or create it again") from error
+        raise UserError(f"{path}: is damaged: not valid JSON ({parser_message(error)}); restore it or create it again") from error
     if not isinstance(mapping, Mapping):
         raise UserError(f"{path}: is damaged: not a JSON object; restore it or create it again")
     found = mapping.get("schema_version")

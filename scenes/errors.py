@@ -9,7 +9,7 @@ class UserError(Exception):
     """
 
 
-def parsers_words(error: ValueError | RecursionError) -> str:
+def parser_message(error: ValueError | RecursionError) -> str:
     """Return the message of Python's JSON or TOML parser, without its advice to programmers."""
     if isinstance(error, RecursionError):
         return "brackets are nested too deeply"

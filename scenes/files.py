@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rhizotwin.scenes import explained
+from rhizotwin.scenes import key_descriptions
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.errors import UserError, parsers_words
+from rhizotwin.scenes.errors import UserError, parser_message
 from rhizotwin.scenes.model import Disturbances, Scene
 from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
@@ -43,11 +43,11 @@ def load_scene(name_or_path: str | Path) -> Scene:
     UserError
         For an unknown name, an unreadable or an invalid file; the message states file, line, key, value and limit.
     """
-    path = _found(name_or_path)
+    path = _find_scene(name_or_path)
     table, text = read_toml(path)
     scene = from_plain(Scene, {"name": path.stem} | table, Place(str(path), text))
-    plants = tuple(replace(plant, specimen=_resolved(plant.specimen, path.parent)) for plant in scene.plants)
-    scene = replace(scene, specimen=_resolved(scene.specimen, path.parent), plants=plants)
+    plants = tuple(replace(plant, specimen=_resolve(plant.specimen, path.parent)) for plant in scene.plants)
+    scene = replace(scene, specimen=_resolve(scene.specimen, path.parent), plants=plants)
     check_scene(scene, where=str(path), text=text)
     return scene
 
@@ -67,15 +67,15 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
         Raise an error if the file exists.
     """
     here = Path()
-    plants = tuple(replace(plant, specimen=_resolved(plant.specimen, here)) for plant in scene.plants)
-    scene = replace(scene, specimen=_resolved(scene.specimen, here), plants=plants)
+    plants = tuple(replace(plant, specimen=_resolve(plant.specimen, here)) for plant in scene.plants)
+    scene = replace(scene, specimen=_resolve(scene.specimen, here), plants=plants)
     plain = scene_to_dict(scene)
     if not plants:
         del plain["plants"]  # with an empty list, users could not add a [[plants]] section
-    write_text(path, explained.commented(_without_none(plain)), new=new)
+    write_text(path, key_descriptions.to_commented_toml(_without_none(plain)), new=new)
 
 
-def _resolved(specimen: Specimen | None, folder: Path) -> Specimen | None:
+def _resolve(specimen: Specimen | None, folder: Path) -> Specimen | None:
     """Return a specimen with an absolute path, if it is a file."""
     if not isinstance(specimen, MeshSpecimen | RsmlSpecimen):
         return specimen
@@ -110,13 +110,13 @@ def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
 
 def library() -> list[tuple[str, str]]:
     """Return name and description of every scene in the library, sorted by name."""
-    return _listed(_LIBRARY)
+    return _list_files(_LIBRARY)
 
 
 def profiles() -> list[tuple[str, str]]:
     """Return name and description of every built-in disturbance profile, mildest first."""
     order = {"clean": 0, "bench": 1, "camera": 2, "harsh": 3, "real": 4}
-    return sorted(_listed(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
+    return sorted(_list_files(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
 
 
 def load_profile(name: str) -> Disturbances:
@@ -141,7 +141,7 @@ def load_profile(name: str) -> Disturbances:
     return from_plain(Disturbances, table.get("disturbances", {}), place.at("disturbances"))
 
 
-def _found(name_or_path: str | Path) -> Path:
+def _find_scene(name_or_path: str | Path) -> Path:
     """Return the path of a scene given by library name or path."""
     name = str(name_or_path)
     if isinstance(name_or_path, Path) or _looks_like_path(name):
@@ -170,10 +170,10 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     try:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers with thousands of digits
-        raise UserError(f"{path}: is not valid TOML: {parsers_words(error)}") from error
+        raise UserError(f"{path}: is not valid TOML: {parser_message(error)}") from error
 
 
-def _listed(folder: Path) -> list[tuple[str, str]]:
+def _list_files(folder: Path) -> list[tuple[str, str]]:
     return [(path.stem, str(read_toml(path)[0].get("description", ""))) for path in sorted(folder.glob("*.toml"))]
 
 

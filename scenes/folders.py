@@ -25,10 +25,10 @@ from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from rhizotwin.scenes.atomic import TEMPORARY, explained, is_full, sync_folder
+from rhizotwin.scenes.atomic import TEMPORARY, is_full, sync_folder, write_error
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
-from rhizotwin.scenes.said import printable
+from rhizotwin.scenes.formatting import printable
+from rhizotwin.scenes.lock import lock_file
 
 LOCK, NEW, OLD, WHOLE = ".rhizotwin-lock", ".rhizotwin-new", ".rhizotwin-old", ".rhizotwin-whole"
 HEADS = ("dataset.json", "result.json")
@@ -91,7 +91,7 @@ def refuse_links(folder: Path) -> None:
 
 
 @contextmanager
-def held(folder: Path | str) -> Iterator[Path]:
+def lock_folder(folder: Path | str) -> Iterator[Path]:
     """Lock a folder for exclusive use; it is created if it is missing, and removed again if it remains empty.
 
     Files left by a killed run are first moved into place, moved back or removed.
@@ -106,7 +106,7 @@ def held(folder: Path | str) -> Iterator[Path]:
     UserError
         If another process uses it, it is a file, it contains links, or it cannot be written.
     """
-    with _held(folder) as (goal, _):
+    with _lock_folder(folder) as (goal, _):
         refuse_links(goal)
         yield goal
 
@@ -134,7 +134,7 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
         If the target contains other files, another process uses it, the disk is full, or it cannot be written; or if
         others added a file with the name of a new one, which is then kept under another name.
     """
-    with _held(goal) as (folder, finished):
+    with _lock_folder(goal) as (folder, finished):
         strange = [name for name in contents(folder) if name not in replaces]
         if strange and finished:
             raise UserError(f"{goal}: is complete, although the run that wrote it was stopped; use it, or choose another name")
@@ -151,12 +151,12 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
                 raise UserError(str(error).replace(str(building), str(goal))) from error
             except OSError as error:
                 if is_full(error) or str(building) in str(error.filename):
-                    raise explained(error, goal) from error
+                    raise write_error(error, goal) from error
                 raise
             try:
                 _put_in_place(folder, before, goal=str(goal))
             except OSError as error:
-                raise explained(error, goal) from error
+                raise write_error(error, goal) from error
         except BaseException as error:
             if not (isinstance(error, KeyboardInterrupt) and (folder / WHOLE).is_dir()):
                 with suppress(OSError, UserError):  # the next run does it
@@ -174,13 +174,13 @@ def recover(folder: Path) -> None:
         If another process uses the folder, or recovery fails.
     """
     if any(os.path.lexists(folder / name) for name in (LOCK, NEW, OLD, WHOLE)):
-        with _held(folder):
+        with _lock_folder(folder):
             pass
 
 
 @contextmanager
-def _held(folder: Path | str) -> Iterator[tuple[Path, bool]]:
-    """Implement `held`; also yield whether a killed run had completed its output."""
+def _lock_folder(folder: Path | str) -> Iterator[tuple[Path, bool]]:
+    """Implement `lock_folder`; also yield whether a killed run had completed its output."""
     goal = Path(os.path.realpath(folder))
     if os.path.lexists(goal) and not goal.is_dir():
         raise UserError(f"{folder}: is a file, but the output is a folder; choose another name")
@@ -188,7 +188,7 @@ def _held(folder: Path | str) -> Iterator[tuple[Path, bool]]:
     try:
         with ExitStack() as stack:
             try:
-                left = stack.enter_context(locked(goal / LOCK, what=str(folder)))
+                left = stack.enter_context(lock_file(goal / LOCK, what=str(folder)))
                 if left:
                     _clear(goal)
                 finished = _settle(goal) or (left and not set(HEADS).isdisjoint(contents(goal)))
@@ -196,7 +196,7 @@ def _held(folder: Path | str) -> Iterator[tuple[Path, bool]]:
                 if room.total and room.free < LEAST_FREE_MIB * 2**20:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             except OSError as error:
-                raise explained(error, folder) from error
+                raise write_error(error, folder) from error
             except RecursionError:
                 raise UserError(
                     f"{folder}: a killed run left folders that are nested too deeply to be removed; remove them manually"

@@ -69,7 +69,7 @@ def apply(a_from_b: Array, points_b: Array) -> Array:
     return points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
 
 
-def twisted(points: Array, share: Array, twist_deg: float) -> Array:
+def twist(points: Array, share: Array, twist_deg: float) -> Array:
     """Rotate points (N, 3) about the z axis, each by a fraction (N,) of an angle.
 
     Parameters

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import printable
+from rhizotwin.scenes.formatting import printable
 
 if sys.platform == "win32":
     import msvcrt
@@ -41,7 +41,7 @@ _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 @contextmanager
-def locked(path: Path, *, what: str) -> Iterator[bool]:
+def lock_file(path: Path, *, what: str) -> Iterator[bool]:
     """Hold a lock file; its folder is created if it is missing, and the file is removed at the end.
 
     Parameters
@@ -63,7 +63,7 @@ def locked(path: Path, *, what: str) -> Iterator[bool]:
     OSError
         If the file cannot be created.
     """
-    descriptor, left = _take(path, what)
+    descriptor, left = _acquire(path, what)
     try:
         if left is not None:
             logging.getLogger(__name__).warning("%s: %s left it unfinished; continuing", printable(what), _holder(left))
@@ -108,7 +108,7 @@ def remove_open(path: Path, descriptor: int) -> None:
         os.close(descriptor)
 
 
-def _take(path: Path, what: str) -> tuple[int, bytes | None]:
+def _acquire(path: Path, what: str) -> tuple[int, bytes | None]:
     """Return the locked file, and the content left by a previous process; None if the file is new."""
     for _ in range(MOST_TRIES):
         path.parent.mkdir(parents=True, exist_ok=True)

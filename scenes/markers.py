@@ -8,7 +8,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 
 
-def dictionary_named(name: str) -> cv2.aruco.Dictionary:
+def get_dictionary(name: str) -> cv2.aruco.Dictionary:
     """Return OpenCV's ArUco dictionary by its name without ``DICT_``.
 
     Raises
@@ -29,7 +29,7 @@ def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
     UserError
         If the dictionary is unknown or has no such marker.
     """
-    known = dictionary_named(dictionary)
+    known = get_dictionary(dictionary)
     if not 0 <= marker_id < len(known.bytesList):
         raise UserError(f"marker {marker_id} does not exist: {dictionary} has the markers 0 to {len(known.bytesList) - 1}")
     return np.asarray(known.generateImageMarker(marker_id, known.markerSize + 2)) > 127

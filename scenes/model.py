@@ -278,7 +278,7 @@ class CapturePlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """Errors of a real rig. Zero (or None) stands for no error; profiles are files of these values with reasons."""
+    """Errors of a real rig. Zero (or None) means no error; profiles are files of these values with reasons."""
 
     full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
     """Full-well capacity in electrons, at full scale, of Poisson photon noise. None for no photon noise."""

@@ -52,7 +52,7 @@ class DamagedError(UnfitError):
         super().__init__(f"the picture is {what}; copy or take it again, or exclude it")
 
 
-def checked(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
+def check_picture(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
     """Check a picture's file.
 
     Parameters
@@ -120,7 +120,7 @@ def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
     if interlace:
         sizes = [(-(-(width - x) // across), -(-(height - y) // down)) for x, y, across, down in _ADAM7]
     rows = [(1 + -(-wide * _CHANNELS[colour] * depth // 8), high) for wide, high in sizes if wide > 0 and high > 0]
-    pixels = _inflated(chunks.get(b"IDAT", []), sum(row * high for row, high in rows))
+    pixels = _inflate(chunks.get(b"IDAT", []), sum(row * high for row, high in rows))
     at = 0
     for row, high in rows:
         if pixels[at : at + row * high : row].max() > 4:  # filter type of each row
@@ -155,7 +155,7 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(content, zlib.crc32(kind)))
 
 
-def _inflated(packed: list[memoryview], count: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
+def _inflate(packed: list[memoryview], count: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
     """Return the rows of a PNG after checking their number of bytes and their checksum."""
     unpacker = zlib.decompressobj()
     try:
@@ -199,7 +199,7 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
 
 
 def is_sealed(data: bytes) -> bool:
-    """Return whether a file that `checked` has passed has a checksum over its pixels."""
+    """Return whether a file that `check_picture` has passed has a checksum over its pixels."""
     if data.startswith(_TIFF):
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             return int(file.pages.first.compression) in _DEFLATE

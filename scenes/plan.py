@@ -53,14 +53,14 @@ def views(scene: Scene, *, seed: int = 0) -> list[View]:
     return found
 
 
-def bands_of(scene: Scene, ring: int) -> tuple[str, ...]:
+def ring_bands(scene: Scene, ring: int) -> tuple[str, ...]:
     """Return the names of the bands in which the views of a ring are taken; one empty name if there are no bands."""
     return scene.plan.rings[ring].bands or tuple(band.name for band in scene.camera.bands) or ("",)
 
 
 def main_band(scene: Scene, ring: int) -> str:
     """Return the band of a ring's views that shows outlines and markers: the first with both lights on."""
-    return next(band for band in bands_of(scene, ring) if not band or scene.is_lit(band))
+    return next(band for band in ring_bands(scene, ring) if not band or scene.is_lit(band))
 
 
 def picture_name(view: int, band: str) -> str:

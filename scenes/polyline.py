@@ -16,12 +16,12 @@ def length_mm(points_mm: Array) -> float:
     return float(steps_mm(points_mm).sum())
 
 
-def way_mm(points_mm: Array) -> Array:
+def arc_length_mm(points_mm: Array) -> Array:
     """Return the arc length (N,) at each point (N, 3) of a polyline, 0 at the first."""
     return np.concatenate([[0.0], np.cumsum(steps_mm(points_mm))])
 
 
-def between(points_mm: Array, way: Array, at: Array) -> Array:
+def interpolate(points_mm: Array, way: Array, at: Array) -> Array:
     """Interpolate the points (M, 3) at given arc lengths of a polyline.
 
     Parameters
@@ -29,7 +29,7 @@ def between(points_mm: Array, way: Array, at: Array) -> Array:
     points_mm : (N, 3) float64 array
         Points of the polyline.
     way : (N,) float64 array
-        Arc length of each point, as from `way_mm`.
+        Arc length of each point, as from `arc_length_mm`.
     at : (M,) float64 array
         Arc lengths of the interpolated points; values beyond the ends are clipped.
 
@@ -47,7 +47,7 @@ def middles(way: Array, step_mm: float) -> Array:
     Parameters
     ----------
     way : (N,) float64 array
-        Arc length at each point, as from `way_mm`.
+        Arc length at each point, as from `arc_length_mm`.
     step_mm : float
         Approximate length of a piece.
 

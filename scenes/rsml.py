@@ -50,7 +50,7 @@ def length_mm(roots: Iterable[Root]) -> float:
     return float(sum(polyline.length_mm(root.points_mm) for root in roots))
 
 
-def of_plant(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
+def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
     """Return the roots of one plant, with parents as indices among themselves; parents on another plant become -1."""
     number = {index: place for place, index in enumerate(k for k, root in enumerate(roots) if root.plant == plant)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in number)
@@ -73,9 +73,9 @@ def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
     """Return points along at least one root, about ``step_mm`` apart and at least one on each root."""
     points, radii, lengths = [], [], []
     for root in roots:
-        way = polyline.way_mm(root.points_mm)
+        way = polyline.arc_length_mm(root.points_mm)
         at = polyline.middles(way, step_mm)
-        points.append(polyline.between(root.points_mm, way, at))
+        points.append(polyline.interpolate(root.points_mm, way, at))
         radii.append(np.interp(at, way, root.diameters_mm / 2.0))
         lengths.append(np.full(len(at), way[-1] / len(at)))
     return CentrePoints(
@@ -268,8 +268,8 @@ def _decimal(value: np.floating) -> str:
 def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, list[ET.Element]]]:
     """Yield name, element and samples of each function along a root, from the root's own elements."""
     for element in own:
-        samples = [child for child in element if rsml_xml.local(child) == "sample"]
-        if rsml_xml.local(element).startswith("function") and samples:
+        samples = [child for child in element if rsml_xml.local_name(child) == "sample"]
+        if rsml_xml.local_name(element).startswith("function") and samples:
             yield rsml_xml.attribute(element, "name") or "", element, samples
 
 
@@ -281,7 +281,7 @@ class _Reader:
         self.diameter_mm = diameter_mm
         self.parent_nodes: list[int | None] = []
         self.document = rsml_xml.parse(path)
-        if rsml_xml.local(self.document) != "rsml":
+        if rsml_xml.local_name(self.document) != "rsml":
             raise UserError(f"{path}: is not an RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
         self.units = Units(path, self.document)
         self.step_mm = self.units.step_mm(unit)
@@ -295,17 +295,17 @@ class _Reader:
         while stack:
             element, parent, plant = stack.pop()
             below = parent
-            if rsml_xml.local(element) == "plant":
+            if rsml_xml.local_name(element) == "plant":
                 plant = rsml_xml.attribute(element, "label") or ""
                 plant = "" if plant == NAMELESS else plant
-            if rsml_xml.local(element) == "root":
+            if rsml_xml.local_name(element) == "root":
                 number += 1
                 order = found[parent].order + 1 if parent >= 0 else 0
                 root = self._root(element, f"root {number}", order, parent, plant)
                 if root is not None:
                     below = len(found)
                     found.append(root)
-                    node = rsml_xml.property_of(list(rsml_xml.own(element)), "parent-node")
+                    node = rsml_xml.read_property(list(rsml_xml.own_elements(element)), "parent-node")
                     self.parent_nodes.append(int(node) if node.isdecimal() else None)
             stack.extend((child, below, plant) for child in reversed(element))
         if not found:
@@ -315,13 +315,13 @@ class _Reader:
     def _root(self, element: ET.Element, name: str, order: int, parent: int, plant: str) -> Root | None:
         label = rsml_xml.attribute(element, "label") or ""
         name = f'{name} ("{label}")' if label else name
-        own = list(rsml_xml.own(element))
-        polylines = [p for p in own if rsml_xml.local(p) == "polyline" and any(rsml_xml.local(q) == "point" for q in p)]
+        own = list(rsml_xml.own_elements(element))
+        polylines = [p for p in own if rsml_xml.local_name(p) == "polyline" and any(rsml_xml.local_name(q) == "point" for q in p)]
         if not polylines:
             return None
         if len(polylines) > 1:
             raise UserError(f"{self.path}: {name} has {len(polylines)} polylines; a root must have one")
-        points = [p for p in polylines[0] if rsml_xml.local(p) == "point"]
+        points = [p for p in polylines[0] if rsml_xml.local_name(p) == "point"]
         if len(points) < 2:
             return None
         axes = "xyz" if rsml_xml.attribute(points[0], "z") is not None else "xy"
@@ -330,7 +330,7 @@ class _Reader:
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
-        seen = (rsml_xml.property_of(own, _TIP_SEEN) or "").lower() not in ("false", "0")
+        seen = (rsml_xml.read_property(own, _TIP_SEEN) or "").lower() not in ("false", "0")
         return Root(
             points_mm=points_mm,
             diameters_mm=diameters_mm,
@@ -358,12 +358,12 @@ class _Reader:
                 if match is None or match[1].lower() != word:
                     continue
                 scale_mm = to_diameter * (self.units.unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
-                return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
-            text = rsml_xml.property_of(own, word)
+                return self._check_diameters(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
+            text = rsml_xml.read_property(own, word)
             if text:
                 value = self.units.number(text, f"{word} of {name}")
                 scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
-                return self._checked(np.full(len(points_mm), value * scale_mm), name)
+                return self._check_diameters(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
             raise UserError(
                 f"{self.path}: {name} has no diameter; set one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
@@ -381,7 +381,7 @@ class _Reader:
             return np.full(len(points_mm), values[0])
         if by_point:
             raise UserError(f"{self.path}: {what} has {len(values)} samples for {len(points_mm)} points; it must have one for each")
-        way_mm = polyline.way_mm(points_mm)
+        way_mm = polyline.arc_length_mm(points_mm)
         if None in positions:
             at_mm = np.linspace(0.0, way_mm[-1], len(values))
         else:
@@ -391,7 +391,7 @@ class _Reader:
         along: Array = np.interp(way_mm, at_mm, values)
         return along
 
-    def _checked(self, diameters_mm: Array, name: str) -> Array:
+    def _check_diameters(self, diameters_mm: Array, name: str) -> Array:
         if diameters_mm.min() < 0.0 or diameters_mm.max() == 0.0:
             raise UserError(f"{self.path}: {name} has a diameter of {diameters_mm.min():g} mm; diameters must be above 0")
         return diameters_mm

@@ -83,8 +83,8 @@ class Units:
         """Return the size in mm of the units of the properties that the metadata define with a unit of length."""
         found: dict[str, float] = {}
         for definition in self.document.iter():
-            if rsml_xml.local(definition) == "property-definition":
-                texts = {rsml_xml.local(child): (child.text or "").strip() for child in definition}
+            if rsml_xml.local_name(definition) == "property-definition":
+                texts = {rsml_xml.local_name(child): (child.text or "").strip() for child in definition}
                 if texts.get("unit", "").lower() in _UNITS_MM:
                     found[texts.get("label", "").lower()] = _UNITS_MM[texts["unit"].lower()]
         return found
@@ -92,9 +92,9 @@ class Units:
     def metadata(self, key: str) -> str:
         """Return an entry of the metadata, empty if there is none."""
         for metadata in self.document:
-            if rsml_xml.local(metadata) == "metadata":
+            if rsml_xml.local_name(metadata) == "metadata":
                 for child in metadata:
-                    if rsml_xml.local(child) == key:
+                    if rsml_xml.local_name(child) == key:
                         return (child.text or "").strip()
         return ""
 

@@ -30,7 +30,7 @@ def parse(path: Path) -> ET.Element:
         raise UserError(f"{path}: is not an RSML file: not valid XML ({error})") from error
 
 
-def local(element: ET.Element) -> str:
+def local_name(element: ET.Element) -> str:
     """Return an element's name without its prefix, in lower case."""
     return _local(element.tag)
 
@@ -47,21 +47,21 @@ def attribute(element: ET.Element, name: str) -> str | None:
     return exact if exact is not None else next((value for key, value in element.attrib.items() if key.lower() == name), None)
 
 
-def own(root: ET.Element) -> Iterator[ET.Element]:
+def own_elements(root: ET.Element) -> Iterator[ET.Element]:
     """Yield the elements that belong to a root itself, not to its laterals."""
     stack = list(reversed(root))
     while stack:
         element = stack.pop()
-        if local(element) != "root":
+        if local_name(element) != "root":
             yield element
             stack.extend(reversed(element))
 
 
-def property_of(own: list[ET.Element], name: str) -> str:
+def read_property(own: list[ET.Element], name: str) -> str:
     """Return the text of a root's first non-empty property of a name; empty if there is none."""
-    for holder in (element for element in own if local(element) == "properties"):
+    for holder in (element for element in own if local_name(element) == "properties"):
         for child in holder:
-            called = (attribute(child, "name") or "").lower() or local(child)
+            called = (attribute(child, "name") or "").lower() or local_name(child)
             text = (attribute(child, "value") or child.text or "").strip()
             if called == name and text:
                 return text

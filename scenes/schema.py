@@ -15,7 +15,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -39,23 +39,23 @@ class Place:
 
     def error(self, must: str, *value: Any) -> UserError:
         """Return the error ``WHERE, line N: [section] key = value: must ...``."""
-        line = _line_of(self.text, self.path)
+        line = _find_line(self.text, self.path)
         start = self.where if line is None else f"{self.where}, line {line}"
-        section, key = _named(self.path)
-        shown = f" = {_shown(value[0])}" if value else ""
+        section, key = _split_path(self.path)
+        shown = f" = {_format_value(value[0])}" if value else ""
         return UserError(f"{start}: {f'[{section}] ' if section else ''}{key}{shown}: {must}" if key else f"{start}: {must}")
 
 
 def suggestion(name: str, known: list[str]) -> str:
     """Return `` (did you mean "x"?)`` for the most similar known name, or an empty text."""
-    near = nearest(name, known)
+    near = most_similar(name, known)
     return f' (did you mean "{near}"?)' if near else ""
 
 
 def to_plain(value: Any) -> Any:
     """Return dataclasses as dicts and tuples as lists, ready for JSON; members of unions get their ``kind``."""
     if is_dataclass(value) and not isinstance(value, type):
-        plain = {"kind": kind_of(type(value))} if kind_of(type(value)) else {}
+        plain = {"kind": union_tag(type(value))} if union_tag(type(value)) else {}
         return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, (tuple, list)):
         return [to_plain(item) for item in value]
@@ -108,11 +108,11 @@ def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
         if value is None and NoneType in arguments:
             return None
         choices = [a for a in arguments if a is not NoneType]
-        return _value(choices[0], value, f, place) if len(choices) == 1 else _tagged(choices, value, place)
+        return _value(choices[0], value, f, place) if len(choices) == 1 else _choose_kind(choices, value, place)
     if origin is Literal:
         if not any(value == a and type(value) is type(a) for a in arguments):
             near = suggestion(value, [a for a in arguments if isinstance(a, str)]) if isinstance(value, str) else ""
-            raise place.error(f"must be one of {', '.join(_shown(a) for a in arguments)}{near}", value)
+            raise place.error(f"must be one of {', '.join(_format_value(a) for a in arguments)}{near}", value)
         return value
     if origin is tuple:
         return _tuple(arguments, value, f, place)
@@ -157,9 +157,9 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
     return tuple(_value(hint, item, f, place.at(i)) for i, (hint, item) in enumerate(zip(hints, value, strict=True)))
 
 
-def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
+def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
     """Select one of several dataclasses by the key ``kind``."""
-    kinds = {kind_of(choice): choice for choice in choices}
+    kinds = {union_tag(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
     named = ", ".join(f'"{k}"' for k in kinds)
@@ -171,7 +171,7 @@ def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
     return from_plain(kinds[kind], {key: item for key, item in value.items() if key != "kind"}, place)
 
 
-def kind_of(choice: type) -> str:
+def union_tag(choice: type) -> str:
     """Return the tag of a member of a union: ``sphere`` for ``SphereSpecimen``; empty for other classes."""
     name = choice.__name__
     return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""
@@ -183,13 +183,13 @@ def _type_name(value: Any) -> str:
     return names.get(type(value), "a table" if isinstance(value, Mapping) else type(value).__name__)
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     """Return a value as written in the file, shortened."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
+def _split_path(path: tuple[str | int, ...]) -> tuple[str, str]:
     """Split a path into the section and the key.
 
     Examples are ("plan.rings 2", "views") and ("camera", "image_wh element 1"); indices start at 1.
@@ -202,7 +202,7 @@ def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
     return "".join(words).lstrip("."), key
 
 
-def _line_of(text: str, path: tuple[str | int, ...]) -> int | None:
+def _find_line(text: str, path: tuple[str | int, ...]) -> int | None:
     """Find the line of a TOML text that contains a path, or its deepest part found; None if nothing is found."""
     best: tuple[int, int | None] = (0, None)
     table: tuple[str | int, ...] = ()

@@ -23,7 +23,7 @@ SEEDS_APART = 1_000_003
 Grow = Callable[[GrownSpecimen], Sequence[Root]]
 
 
-def grown(scene: Scene) -> GrownSpecimen:
+def require_grown(scene: Scene) -> GrownSpecimen:
     """Return a scene's grown plant.
 
     Raises
@@ -55,12 +55,12 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
     Scene
         Scene with the replicate.
     """
-    plant = grown(scene)
+    plant = require_grown(scene)
     told = replace(scene.subject, plant=f"{scene.subject.plant or scene.name}-{number + 1}", replicate=number + 1)
     return replace(scene, specimen=replace(plant, seed=plant.seed + SEEDS_APART * (number if seed is None else seed)), subject=told)
 
 
-def treated(scene: Scene, name: str, growth: float, factors: Mapping[str, float] | None = None) -> Scene:
+def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str, float] | None = None) -> Scene:
     """Return a scene under another treatment, which scales root growth and the nutrient solution.
 
     Parameters
@@ -84,7 +84,7 @@ def treated(scene: Scene, name: str, growth: float, factors: Mapping[str, float]
     UserError
         If the scene has no compounds to which the factors apply.
     """
-    plant = grown(scene)
+    plant = require_grown(scene)
     orders = tuple(
         replace(order, elongation_mm_per_day=order.elongation_mm_per_day * growth, max_length_mm=order.max_length_mm * growth)
         for order in plant.orders
@@ -114,7 +114,7 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
     Scene
         Scene with the plant at that age.
     """
-    plant = grown(scene)
+    plant = require_grown(scene)
     reference = like or plant
     other = replace(plant, age_days=day)
     before = tube_mm3(grow(reference))

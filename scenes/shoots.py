@@ -38,7 +38,7 @@ class Shoot:
     youngest: float = bounded(0.35, 0.05, 1.0)
     """Size of the youngest leaf as a fraction of the oldest."""
     size_sd: float = bounded(0.08, 0.0, 0.5)
-    """Standard deviation of a leaf's size, as a fraction of it."""
+    """Standard deviation of a leaf's size, as a fraction of that size."""
     stem_mm: float = bounded(12.0, 2.0, 500.0)
     """Height of the stem, which bears the petioles, above the net pot's top."""
     stem_diameter_mm: float = bounded(3.0, 0.2, 50.0)

@@ -140,7 +140,7 @@ def check_solution(solution: Solution, place: Place) -> None:
             raise place.at("factors", what).error(f"must be an element (K, N, potassium) or a compound of the solution; it has {has}")
 
 
-def of_summary(summary: Mapping[str, Any], where: str) -> Solution:
+def from_summary(summary: Mapping[str, Any], where: str) -> Solution:
     """Return the solution of a ``result.json``; empty for results of earlier versions.
 
     Raises

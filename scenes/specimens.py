@@ -56,7 +56,7 @@ class RootOrder:
     diameter_mm: float = bounded(0.3, 0.01, 50.0)
     """Mean diameter at the base of the root, before the radii of the plant are scaled to its volume."""
     diameter_sd: float = bounded(0.1, 0.0, 0.5)
-    """Standard deviation of that diameter between roots, as a fraction of it."""
+    """Standard deviation of that diameter between roots, as a fraction of the mean."""
     taper: float = bounded(0.6, 0.05, 1.0)
     """Diameter at the tip as a fraction of that at the base; linear along the root."""
     elongation_mm_per_day: float = bounded(3.0, 0.01, 200.0)
@@ -64,12 +64,12 @@ class RootOrder:
     max_length_mm: float = bounded(60.0, 0.5, 2000.0)
     """Mean final length of a root."""
     length_sd: float = bounded(0.3, 0.0, 1.0)
-    """Standard deviation of the final length between roots, as a fraction of it; elongation rates vary in proportion.
-    """
+    """Standard deviation of the final length between roots, as a fraction of the mean; elongation rates vary in
+    proportion."""
     interlateral_mm: float = bounded(4.0, 0.1, 1000.0)
     """Mean distance between neighbouring laterals along a root of this order."""
     interlateral_sd: float = bounded(0.4, 0.0, 1.0)
-    """Standard deviation of the distance between laterals, as a fraction of it."""
+    """Standard deviation of the distance between laterals, as a fraction of the mean."""
     base_mm: float = bounded(2.0, 0.0, 1000.0)
     """Length without laterals at the base of the root."""
     apex_mm: float = bounded(10.0, 0.0, 1000.0)

@@ -73,7 +73,7 @@ def check_subject(subject: Subject, place: Place) -> None:
             raise place.at("date").error("must be a date as 2022-10-06", subject.date) from None
 
 
-def of_summary(summary: Mapping[str, Any], where: str) -> Subject:
+def from_summary(summary: Mapping[str, Any], where: str) -> Subject:
     """Return the subject of a ``result.json``; empty for results of earlier versions.
 
     Raises
@@ -87,7 +87,7 @@ def of_summary(summary: Mapping[str, Any], where: str) -> Subject:
     return subject
 
 
-def of_cells(cells: Mapping[str, str], where: str) -> Subject:
+def from_cells(cells: Mapping[str, str], where: str) -> Subject:
     """Return the subject in a row of a table; fields without a column are unknown.
 
     Raises

@@ -22,7 +22,7 @@ _FORM = "{percentage:3.0f} %|{bar}| {desc}, {elapsed} so far, {remaining} left"
 BEAT_S = 1.0
 """Interval between updates of the bar, so that the clock continues in stages without steps."""
 _UNKNOWN = 0.02
-"""Fraction of the time assumed for a stage without a known share."""
+"""Fraction of the time assumed for a stage with unknown duration."""
 
 
 class OneBar(Monitor):

@@ -161,17 +161,17 @@ _HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "low", "hig
 
 def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
     rows: list[Sequence[Any]] = []
-    for d, *numbers, one in _assessed(traits, assessed):
-        value, low, high = map(written, numbers)
+    for d, *numbers, one in _trait_rows(traits, assessed):
+        value, low, high = map(format_exact, numbers)
         rows.append((d.column, "", "", "", value, d.unit, low, high, one.verdict, ";".join(one.codes), d.meaning))
     for h in HISTOGRAMS:
         for index, value in enumerate(getattr(traits, h.field)):
-            edges = (written(edge) for edge in h.edges(index))
-            rows.append((h.column, *edges, h.bin_unit, written(value), "mm", "", "", NOT_ASSESSED.verdict, "", h.meaning))
+            edges = (format_exact(edge) for edge in h.edges(index))
+            rows.append((h.column, *edges, h.bin_unit, format_exact(value), "mm", "", "", NOT_ASSESSED.verdict, "", h.meaning))
     return rows
 
 
-def _assessed(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, Assessment]]:
+def _trait_rows(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, Assessment]]:
     """Yield definition, value, limits of the interval and assessment of each trait."""
     for d in DEFINITIONS:
         one = assessed.get(d.field, NOT_ASSESSED)
@@ -200,7 +200,7 @@ def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
                 "reasons": list(one.codes),
                 "definition": d.meaning,
             }
-            for d, value, low, high, one in _assessed(traits, assessed)
+            for d, value, low, high, one in _trait_rows(traits, assessed)
         ],
         "histograms": [
             {
@@ -231,16 +231,16 @@ def lines(traits: Traits, assessed: Assessments) -> list[str]:
     width, rows = max(len(d.name) for d in DEFINITIONS) + 2, []
     for d in DEFINITIONS:
         value = getattr(traits, d.field)
-        known = "" if value is None else said(assessed.get(d.field, NOT_ASSESSED))
-        rows.append(f"{d.name:<{width}}{shown(value):>12} {d.unit:<5} {known:<24} {d.meaning}")
+        known = "" if value is None else format_assessment(assessed.get(d.field, NOT_ASSESSED))
+        rows.append(f"{d.name:<{width}}{format_number(value):>12} {d.unit:<5} {known:<24} {d.meaning}")
     return rows
 
 
-def said(one: Assessment) -> str:
+def format_assessment(one: Assessment) -> str:
     """Format an interval or a verdict for display."""
     if one.interval is None:
         return one.verdict
-    interval = f"{shown(one.interval[0])} to {shown(one.interval[1])}"
+    interval = f"{format_number(one.interval[0])} to {format_number(one.interval[1])}"
     return interval if one.verdict == "reliable" else f"{one.verdict} ({interval})"
 
 
@@ -254,10 +254,14 @@ def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
     """Format the traits of a shoot as aligned lines."""
     width = max(len(d.name) for d in DEFINITIONS) + 2
     found = shoot_numbers(shoot)
-    return [f"{d.name:<{width}}{shown(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip() for d in (*SHOOT, *COLOUR) if d.name in found]
+    return [
+        f"{d.name:<{width}}{format_number(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip()
+        for d in (*SHOOT, *COLOUR)
+        if d.name in found
+    ]
 
 
-def shown(value: Number) -> str:
+def format_number(value: Number) -> str:
     """Format a number for display: an integer, or four significant digits; a dash for None."""
     if value is None:
         return "-"
@@ -273,6 +277,6 @@ def csv_text(rows: Sequence[Sequence[Any]]) -> str:
     return stream.getvalue()
 
 
-def written(value: Number) -> str:
+def format_exact(value: Number) -> str:
     """Format a number for files, with seven significant digits; empty for None."""
     return "" if value is None else str(value) if isinstance(value, int) else f"{value:.7g}"

@@ -143,9 +143,11 @@ def measure_traits(
         roots=len(roots) if known else None,
         tips=sum(root.tip_seen for root in roots) if known else None,
         branch_points=_branch_points(roots) if known else None,
-        length_by_order_mm=_binned(pieces.order, pieces.length) if known else (),
+        length_by_order_mm=_bin_lengths(pieces.order, pieces.length) if known else (),
         length_by_depth_mm=_by_depth(pieces, top_mm) if known else (),
-        length_by_diameter_mm=_binned(np.floor(pieces.diameter / DIAMETER_BIN_MM + 1e-9).astype(np.int64), pieces.length) if known else (),
+        length_by_diameter_mm=_bin_lengths(np.floor(pieces.diameter / DIAMETER_BIN_MM + 1e-9).astype(np.int64), pieces.length)
+        if known
+        else (),
         angle_to_gravity_deg=_gravity_deg(pieces) if known else None,
         angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
         specific_root_length_m_per_g=total_mm / 1000.0 / mass_g if known and mass_g is not None else None,
@@ -176,7 +178,7 @@ def _gravity_deg(pieces: _Segments) -> float:
     return float(np.rad2deg(np.arccos(cosine)) @ pieces.length / pieces.length.sum())
 
 
-def _binned(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
+def _bin_lengths(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
     return tuple(float(value) for value in np.bincount(np.maximum(index, 0), weights=length))
 
 
@@ -246,7 +248,7 @@ def _emergence_deg(roots: Sequence[Root]) -> Array:
         parent = roots[root.parent].points_mm
         nearest = int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
         along = parent[min(nearest + 1, len(parent) - 1)] - parent[max(nearest - 1, 0)]
-        way = polyline.way_mm(root.points_mm)
+        way = polyline.arc_length_mm(root.points_mm)
         reach = min(EMERGENCE_MM, float(way[-1]))
         end = np.array([np.interp(reach, way, root.points_mm[:, axis]) for axis in range(3)])
         lateral = end - root.points_mm[0]

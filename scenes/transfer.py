@@ -79,14 +79,14 @@ def power(exponent: float) -> Curve:
     return _formula(f"a gamma of {exponent:.3g}", np.linspace(0.0, 1.0, _STEPS) ** exponent)
 
 
-def of_camera(camera: Camera) -> Curve:
+def camera_curve(camera: Camera) -> Curve:
     """Return the curve stated by a scene."""
     if camera.transfer == "table":
         return Curve("the scene's table", camera.transfer_table)
     return SRGB if camera.transfer == "srgb" else LINEAR
 
 
-def stated_in(picture: bytes | Path) -> Curve | None:
+def read_stated_curve(picture: bytes | Path) -> Curve | None:
     """Return the curve stated in a picture file; None if there is none that can be read."""
     logging.getLogger("PIL").setLevel(logging.CRITICAL)  # unreadable pictures are reported elsewhere
     try:
@@ -94,26 +94,26 @@ def stated_in(picture: bytes | Path) -> Curve | None:
         with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
             info = opened.info
             if profile := info.get("icc_profile"):
-                return _of_profile(profile)
+                return _profile_curve(profile)
             if info.get("srgb") is not None:
                 return SRGB
             if gamma := info.get("gamma"):
-                return _of_gamma(1.0 / gamma)
+                return _gamma_curve(1.0 / gamma)
             exif = opened.getexif().get_ifd(_EXIF)
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return None  # unreadable pictures are reported elsewhere
     if gamma := exif.get(_GAMMA):
-        return _of_gamma(float(gamma))
+        return _gamma_curve(float(gamma))
     return SRGB if exif.get(_COLOUR_SPACE) == 1 else None
 
 
-def _of_gamma(exponent: float) -> Curve:
+def _gamma_curve(exponent: float) -> Curve:
     if abs(exponent - 1.0) < 0.01:
         return LINEAR
     return power(exponent)
 
 
-def _of_profile(profile: bytes) -> Curve | None:
+def _profile_curve(profile: bytes) -> Curve | None:
     """Return the curve of an ICC profile's green or grey channel (ICC.1:2022, 7.3, 10.6 and 10.18).
 
     None for profiles with lookup tables.
@@ -122,12 +122,12 @@ def _of_profile(profile: bytes) -> Curve | None:
         (count,) = struct.unpack_from(">I", profile, 128)
         tags = {profile[at : at + 4]: struct.unpack_from(">II", profile, at + 4) for at in range(132, 132 + 12 * min(count, 200), 12)}
         start, size = tags.get(b"gTRC") or tags[b"kTRC"]
-        return _of_trc(profile[start : start + size])
+        return _parse_trc(profile[start : start + size])
     except (struct.error, KeyError):
         return None
 
 
-def _of_trc(data: bytes) -> Curve | None:
+def _parse_trc(data: bytes) -> Curve | None:
     """Parse a ``curveType`` or a ``parametricCurveType``."""
     v = np.linspace(0.0, 1.0, _STEPS)
     if data[:4] == b"curv":

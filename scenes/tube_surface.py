@@ -41,15 +41,15 @@ def stations(roots: Sequence[Root]) -> Stations:
     """Cut roots into pieces of at most 0.3 mm."""
     centre, along, length, radius, owner = [], [], [], [], []
     for index, root in enumerate(roots):
-        way = polyline.way_mm(root.points_mm)
+        way = polyline.arc_length_mm(root.points_mm)
         if way[-1] <= 0.0:
             continue
         edges = np.linspace(0.0, way[-1], max(1, int(np.ceil(way[-1] / _STEP_MM))) + 1)
         middle = (edges[1:] + edges[:-1]) / 2.0
-        at = polyline.between(root.points_mm, way, edges)
+        at = polyline.interpolate(root.points_mm, way, edges)
         step = np.diff(at, axis=0)
         size = np.linalg.norm(step, axis=1)
-        centre.append(polyline.between(root.points_mm, way, middle))
+        centre.append(polyline.interpolate(root.points_mm, way, middle))
         along.append(step / np.maximum(size, 1e-12)[:, None])
         length.append(np.diff(edges))
         radius.append(np.interp(middle, way, root.diameters_mm / 2.0))
@@ -57,19 +57,19 @@ def stations(roots: Sequence[Root]) -> Stations:
     return Stations(np.concatenate(centre), np.concatenate(along), np.concatenate(length), np.concatenate(radius), np.concatenate(owner))
 
 
-def outside_mm2(tubes: Stations) -> Array:
+def exposed_area_mm2(tubes: Stations) -> Array:
     """Return the exposed area (N,) of each piece, estimated from eight points around it.
 
     Ends are not capped.
     """
     tree = cKDTree(tubes.centre_mm)
     count = len(tubes.centre_mm)
-    hidden = [_hidden(tubes, tree, slice(first, first + _AT_ONCE)) for first in range(0, count, _AT_ONCE)]
+    hidden = [_hidden_fraction(tubes, tree, slice(first, first + _AT_ONCE)) for first in range(0, count, _AT_ONCE)]
     area: Array = 2.0 * np.pi * tubes.radius_mm * tubes.length_mm * (1.0 - np.concatenate(hidden))
     return area
 
 
-def _hidden(tubes: Stations, tree: cKDTree, part: slice) -> Array:
+def _hidden_fraction(tubes: Stations, tree: cKDTree, part: slice) -> Array:
     """Return the hidden fraction of the surface of each piece."""
     direction = tubes.along[part]
     helper = np.where(np.abs(direction[:, 2:]) < 0.9, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))

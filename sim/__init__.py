@@ -1,1 +1,1 @@
-"""The twin: draws the rig's errors, renders the scene with Mitsuba and writes datasets with their truth."""
+"""Simulation of pictures: draws the rig's errors, renders scenes with Mitsuba, writes datasets with truth."""

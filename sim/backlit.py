@@ -1,10 +1,10 @@
-"""The fast deterministic fidelity: only the primary refracted path of a camera ray, no random numbers.
+"""Fast deterministic rendering: only the primary refracted path of each camera ray, without random numbers.
 
-A ray crosses every interface by its transmitted branch (reflected only in total reflection), weighted by what the
-interface lets through, until it meets a light, something opaque, or nothing. Roots that refract have an index close to
-the water's, so that light is reflected at grazing angles alone and little turned aside: it comes from the panel as that
-which is let through does, and counts as it (docs/decisions/roots-refract.md). The same walk tells whether the ray met
-the specimen, and which way it went.
+A ray crosses every interface by its transmitted branch (or by total reflection), weighted by the transmittance, until
+it meets a light or an opaque surface, or leaves the scene. The index of refracting roots is close to that of water, so
+that light is only reflected at grazing angles with a small deflection: it comes from the panel, as transmitted light
+does, and is added to it (docs/decisions/roots-refract.md). The same path determines whether the ray met the specimen,
+and its sequence of surfaces.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ import mitsuba as mi
 from rhizotwin.sim.lights import Lamps
 
 MAX_DEPTH = 48
-"""Surfaces that a ray may meet: what meets more runs on inside a wall by total reflection, and is dark."""
+"""Maximum number of surfaces on a path; longer paths are trapped in a wall by total reflection, and dark."""
 STEP_MM = 0.01
-"""How far along itself a ray goes on after an interface: along the ray nothing shifts sideways, and it clears rounding
-errors."""
+"""Distance by which a ray continues beyond an interface, larger than rounding errors; along the ray this causes no
+sideways displacement."""
 AMBIENT = 0.065
-"""Radiance, in units of full scale, that a white thing in the canister shows: what path tracing gives on average."""
+"""Radiance of white objects in the canister by stray light, in units of full scale: the average of path tracing."""
 LEAST_SPAN_MM = 1.0
-"""A shorter stretch of a way through the room of fine things holds none: behind a film on the wall there is 0.05 mm of
-water."""
+"""Minimum length of a segment in the space of fine structures; shorter ones contain none, as the 0.05 mm of water
+behind a film on the wall."""
 
 
 class Room(NamedTuple):
-    """An upright cylinder round the canister's axis."""
+    """An upright cylinder about the canister's axis."""
 
     radius_mm: float
     low_mm: float
@@ -37,39 +37,39 @@ class Room(NamedTuple):
 
 
 class Way(NamedTuple):
-    """What rays met."""
+    """Results of tracing rays."""
 
     light: mi.Float
     """Radiance that reaches the camera; 1 is full scale."""
     coverage: mi.Float
-    """1 where the specimen was met, else 0."""
+    """1 if the specimen was met, else 0."""
     course: mi.UInt32
-    """Two rays that met the same surfaces one after the other have the same number."""
+    """Identifier of the sequence of surfaces; it is equal for rays that met the same surfaces in the same order."""
     end: mi.ShapePtr
-    """The last surface met; null where the ray left the scene or met a light."""
+    """Last surface met; null if the ray left the scene or met a light."""
     spans: mi.UInt32
-    """Number of straight stretches that ran through the given room."""
+    """Number of straight segments through the given space."""
     start: mi.Point3f
-    """Start of the last of these."""
+    """Start of the last of these segments."""
     heading: mi.Vector3f
-    """Its direction."""
+    """Direction of that segment."""
 
 
 class Backlit:
-    """Follows camera rays through a scene without its lights.
+    """Traces camera rays through a scene without its lights.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        Everything but the two lights, in the canister's frame.
+        Scene without the two lights, in the canister frame.
     lamps : Lamps
-        The lights, placed for the view.
+        Lights, placed for the view.
     media : bool
-        The scene has attenuating media (turbid water, translucent roots); following them costs time.
+        Whether the scene has attenuating media (turbid water, translucent roots), which take additional time.
     room : Room or None
-        Where fine things are; ``spans`` counts the stretches through it.
+        Space of fine structures; ``spans`` counts the segments through it.
     roots : str
-        Id of the shape whose reflected light counts as let through.
+        Id of the shape whose reflected light is added to the transmitted light.
     """
 
     def __init__(self, scene: Any, lamps: Lamps, *, media: bool, room: Room | None = None, roots: str = "") -> None:
@@ -85,19 +85,19 @@ class Backlit:
         dr.make_opaque(self.roots)
 
     def aim(self, target: str) -> None:
-        """Choose the shape whose coverage is wanted, by its id; where there is none, nothing is covered."""
+        """Select the shape, by its id, whose coverage is computed; without such a shape, the coverage is 0."""
         self.target = self.shapes.get(target, dr.zeros(mi.ShapePtr))
         dr.make_opaque(self.target)
 
     @dr.syntax  # type: ignore[untyped-decorator]
     def follow(self, ray_: Any, active: Any = True) -> Way:
-        """Return what rays meet."""
+        """Trace rays, and return the results."""
         ray = mi.Ray3f(dr.detach(ray_))  # current segment
-        beta = mi.Spectrum(1.0)  # share of the light ahead that reaches the camera
+        beta = mi.Spectrum(1.0)  # fraction of the light ahead that reaches the camera
         radiance = mi.Spectrum(0.0)
-        coverage = mi.Float(0.0)  # 1: the path met the target
-        outside = mi.Bool(True)  # no interface crossed yet: the front light falls straight on what is hit
-        medium = dr.zeros(mi.MediumPtr)  # what the segment runs through
+        coverage = mi.Float(0.0)  # 1 after the path met the target
+        outside = mi.Bool(True)  # no interface was crossed: the front light illuminates surfaces directly
+        medium = dr.zeros(mi.MediumPtr)  # medium of the segment
         depth = mi.UInt32(0)
         course = mi.UInt32(0)
         end = dr.zeros(mi.ShapePtr)
@@ -115,7 +115,7 @@ class Backlit:
                 heading[within] = ray.d
                 spans[within] += 1
 
-            # ---- light met: the end of the path; only air is between the canister and a light
+            # ---- light met: end of the path; between canister and lights there is only air
             lamp, glow = self.lamps.meet(ray, si.t)
             radiance[active] += beta * glow
             course[active & (lamp > 0)] = course * 31 + lamp
@@ -130,7 +130,7 @@ class Backlit:
 
             bs, weight, smooth = self.cross(si, active)
 
-            # ---- something opaque: direct light, unshadowed, or the stray light of the canister's inside
+            # ---- opaque surface: direct light without shadows, or stray light inside the canister
             opaque = active & ~smooth
             if opaque:
                 end = si.shape
@@ -151,21 +151,21 @@ class Backlit:
         return Way(radiance[0], coverage, course, end, spans, start, heading)
 
     def let_through(self, medium: Any, si: Any, active: Any) -> Any:
-        """Return the share of light that a medium lets through on the way to where it ends.
+        """Return the transmittance of a medium over a segment.
 
         Parameters
         ----------
         medium : mi.MediumPtr
-            What the ray runs through.
+            Medium of the segment.
         si : mi.SurfaceInteraction3f
-            Where the way ends.
+            Surface at the end of the segment.
         active : mi.Bool
-            Rays that count.
+            Active rays.
 
         Returns
         -------
         mi.UnpolarizedSpectrum
-            Beer and Lambert's exp(-sigma_t t).
+            Transmittance exp(-sigma_t t) (Beer-Lambert law).
         """
         mei = dr.zeros(mi.MediumInteraction3f)
         mei.p, mei.t = si.p, si.t
@@ -173,41 +173,41 @@ class Backlit:
         return dr.exp(-sigma_t * (si.t + STEP_MM))
 
     def cross(self, si: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Return the transmitted branch of a surface, its weight, and where the surface is smooth.
+        """Return the transmitted branch of a surface, its weight, and whether the surface is smooth.
 
-        A first sample of almost 1 is above every reflectance but that of total reflection.
+        A first sample close to 1 exceeds every reflectance except that of total reflection.
         """
         bs, weight = si.bsdf().sample(mi.BSDFContext(), si, 1.0 - 1e-6, mi.Point2f(0.5), active)
         return bs, weight, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
 
     def shade(self, si: Any, outside: Any, active: Any) -> Any:
-        """Return the radiance of a matt surface.
+        """Return the radiance of a diffuse surface.
 
         Parameters
         ----------
         si : mi.SurfaceInteraction3f
-            Where the surface is met.
+            Intersection with the surface.
         outside : mi.Bool
-            Whether that is in the air, where the lamps shine.
+            Whether it is in air, where the lamps illuminate it.
         active : mi.Bool
-            Rays that count.
+            Active rays.
 
         Returns
         -------
         mi.UnpolarizedSpectrum
-            1 is full scale.
+            Radiance; 1 is full scale.
         """
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         lit = si.wi.z > 0.0
         return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * AMBIENT)
 
     def crosses_room(self, ray: Any, t: Any) -> Any:
-        """Tell whether a segment runs through the room for at least `LEAST_SPAN_MM`."""
+        """Return whether a segment passes through the space of fine structures for at least `LEAST_SPAN_MM`."""
         low, high, radius = self.bounds
         a = ray.d.x * ray.d.x + ray.d.y * ray.d.y
         b = ray.o.x * ray.d.x + ray.o.y * ray.d.y
         c = ray.o.x * ray.o.x + ray.o.y * ray.o.y - radius * radius
-        root = dr.safe_sqrt(b * b - a * c)  # 0 where it passes the cylinder by
+        root = dr.safe_sqrt(b * b - a * c)  # 0 if it misses the cylinder
         down, up = (low - ray.o.z) / ray.d.z, (high - ray.o.z) / ray.d.z
         near = dr.maximum(dr.maximum((-b - root) / a, dr.minimum(down, up)), 0.0)
         far = dr.minimum(dr.minimum((root - b) / a, dr.maximum(down, up)), t)

@@ -1,10 +1,10 @@
-"""A scene as one band of the camera sees it: light, leaves, roots and water at the band's wavelength."""
+"""Scenes in one band of the camera: light, leaves, roots and water at the band's wavelength."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from rhizotwin.scenes.bands import Band, by_range, vegetation_indices
+from rhizotwin.scenes.bands import Band, bands_by_range, vegetation_indices
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.shoots import Shoot
 
@@ -27,16 +27,16 @@ WATER_PER_M = (
 """Absorption of pure water by wavelength (nm): Pope and Fry 1997 (Appl. Opt. 36:8710) up to 700 nm, Kou et al. 1993
 (Appl. Opt. 32:3531) beyond, rounded."""
 MU_NM = 550.0
-"""Wavelength at which roots attenuate light as the profile's ``root_mu_per_mm`` says."""
+"""Wavelength of the profile's ``root_mu_per_mm``."""
 MU_POWER = -1.0
-"""Roots attenuate by scattering, which falls with this power of the wavelength (soft tissue has -0.7 to -1.5: Jacques
-2013, Phys. Med. Biol. 58:R37, table 1)."""
+"""Exponent of the wavelength dependence of root attenuation, which is caused by scattering (soft tissue has -0.7 to
+-1.5: Jacques 2013, Phys. Med. Biol. 58:R37, table 1)."""
 
 
 def scene_in_band(scene: Scene, name: str) -> Scene:
-    """Return the scene as the band of that name sees it, a scene of one band; the scene itself for an empty name.
+    """Return the scene in the band of that name, as a scene with a single band; for an empty name the scene itself.
 
-    A band's pictures are grey, so that no white balance wanders.
+    Pictures of a band are grey, so that white-balance variations are disabled.
     """
     if not name:
         return scene
@@ -59,19 +59,19 @@ def scene_in_band(scene: Scene, name: str) -> Scene:
 
 
 def reflectance(shoot: Shoot, band: Band) -> float:
-    """Return the share of light that leaves reflect at a band's centre."""
+    """Return the reflectance of leaves at a band's centre."""
     return _at(shoot.spectrum, band.wavelength_nm)
 
 
 def true_colour(scene: Scene) -> dict[str, float]:
-    """Return what is true of the colour of a scene's shoot: reflectances by range and vegetation indices."""
+    """Return the true colour of a scene's shoot: reflectances by range and vegetation indices."""
     if scene.shoot is None:
         return {}
     known = {band.name: band for band in scene.camera.bands}
-    by_name = {name: reflectance(scene.shoot, known[band]) for name, band in by_range(scene.camera.bands).items()}
+    by_name = {name: reflectance(scene.shoot, known[band]) for name, band in bands_by_range(scene.camera.bands).items()}
     return {f"reflectance_{name}": value for name, value in by_name.items()} | vegetation_indices(by_name)
 
 
 def _at(table: tuple[tuple[float, float], ...], wavelength_nm: float) -> float:
-    """Interpolate a table by wavelength; beyond its ends it is level."""
+    """Interpolate a table by wavelength, with constant extrapolation."""
     return float(np.interp(wavelength_nm, *np.array(table).T))

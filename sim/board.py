@@ -1,4 +1,4 @@
-"""Pictures of the calibration board in air, evenly lit, with the true lens beside them."""
+"""Simulated pictures of the calibration board in air, uniformly lit, with the true lens."""
 
 from __future__ import annotations
 
@@ -27,33 +27,34 @@ from rhizotwin.sim.textures import bitmap
 from rhizotwin.sim.world import lens_distortion
 
 BORDER_MM = 12.0
-"""White paper round the pattern."""
+"""White margin around the pattern."""
 TEXELS_PER_MM = 12.0
-"""Of the painted pattern: a third of a pixel at 800x600."""
+"""Resolution of the painted pattern: a third of a pixel at 800x600."""
 MOST_TEXELS = 6000
-"""Of the texture's longer side: larger boards are painted coarser."""
+"""Maximum length of the texture's longer side; larger boards are painted at lower resolution."""
 SIDE = 7
-"""Rays a pixel: SIDE x SIDE on a regular lattice; a prime."""
+"""Rays per pixel: SIDE x SIDE on a regular lattice; a prime number."""
 MAX_RAYS = 8_000_000
-"""Rays a kernel launch, as in `sim.render`."""
+"""Maximum number of rays per kernel launch, as in `sim.render`."""
 LEAST_VISIBLE = 0.6
-"""Share of the board's corners that a pose must bring into the picture."""
+"""Minimum fraction of the board's corners that must be visible in a pose."""
 LEAST_SQUARE_PX = 20.0
-"""A square's edge in the picture: a marker fills 3/4 of it, and OpenCV needs 2 px a module of 6."""
+"""Minimum size of a square in the picture: a marker covers 3/4 of it, and OpenCV requires 2 px for each of its 6
+modules."""
 ATTEMPTS = 300
-"""Poses that are drawn until one shows enough of the board: one that fits the field takes a few."""
+"""Maximum number of random poses until one shows enough of the board; a board of suitable size takes a few."""
 TRUTH = Path("truth") / "camera.json"
 _POSE, _NOISE = 41, 42  # keys of the random streams
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoardPictures:
-    """What `simulate_board` wrote."""
+    """Result of `simulate_board`."""
 
     camera: Camera
-    """The true lens, distortion included."""
+    """True lens, including distortion."""
     cam_from_board: dict[str, frames.Array]
-    """By file name."""
+    """Pose of the board, by file name."""
 
 
 def simulate_board(
@@ -64,28 +65,28 @@ def simulate_board(
     Parameters
     ----------
     scene : Scene
-        Its camera, the working distance of its first ring, and its ``disturbances``: distortion, lens opening, focus
-        and noise.
+        Scene, of which camera, working distance of the first ring, and ``disturbances`` (distortion, aperture, focus
+        and noise) are used.
     board : CharucoBoard
-        What was printed.
+        The printed board.
     folder : Path
-        New or empty; appears whole or not at all.
+        New or empty folder, written atomically.
     pictures : int
-        How many, named board_000.png and on.
+        Number of pictures, named board_000.png and so on.
     seed : int
         Random seed for poses and noise; picture k does not depend on the pictures before it.
     monitor : Monitor, optional
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     BoardPictures
-        The folder, with the true camera and poses.
+        Folder, true camera and true poses.
 
     Raises
     ------
     UserError
-        When the board is far too large or too small for the camera, or the folder holds something.
+        If the board is too large or too small for the camera, or the folder is not empty.
     """
     check_board(board)
     camera = true_camera(scene)
@@ -104,9 +105,9 @@ def simulate_board(
 
 
 def true_camera(scene: Scene) -> Camera:
-    """Return the scene's camera with the distortion that its lens really has.
+    """Return the scene's camera with the true distortion of its lens.
 
-    A profile's ``focal_error`` comes after the calibration.
+    A profile's ``focal_error`` is excluded, as it occurs after the calibration.
     """
     return replace(scene.camera, distortion=lens_distortion(scene))
 
@@ -118,30 +119,30 @@ def working_distance_mm(scene: Scene) -> float:
 
 
 def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> frames.Array:
-    """Return ``cam_from_board`` of one picture.
+    """Draw the pose ``cam_from_board`` of one picture.
 
-    The board turned by quarters, tilted every way, somewhere in the field.
+    The board is rotated by multiples of 90 degrees, tilted in all directions, and placed anywhere in the picture.
 
     Parameters
     ----------
     scene : Scene
         Camera and working distance.
     board : CharucoBoard
-        What must be in the picture.
+        Board that must be visible.
     seed, index : int
-        Of the series, and the picture's number in it.
+        Random seed of the series, and index of the picture.
 
     Returns
     -------
     (4, 4) array
-        The first drawn pose that shows enough of the board.
+        First random pose in which enough of the board is visible.
     """
     camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
     middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm
     best = 0.0
     for _ in range(ATTEMPTS):
         tilt_rad = np.deg2rad(rng.uniform(0.0, 10.0) if index % 5 == 0 else rng.uniform(20.0, 45.0))
-        towards_rad = 2.399963 * index + rng.uniform(0.0, 1.0)  # the golden angle spreads the directions of the tilt
+        towards_rad = 2.399963 * index + rng.uniform(0.0, 1.0)  # the golden angle distributes the directions of the tilt
         roll_rad = np.deg2rad(90.0 * (index % 4) + rng.normal(0.0, 8.0))
         turn = Rotation.from_rotvec(tilt_rad * np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0])) * Rotation.from_rotvec(
             [0.0, 0.0, roll_rad]
@@ -156,19 +157,19 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
             if square_px < LEAST_SQUARE_PX:
                 raise UserError(
                     f"the board's squares of {board.square_mm:g} mm are only {square_px:.0f} px wide at the working distance of "
-                    f"{working_distance_mm(scene):.0f} mm, below {LEAST_SQUARE_PX:g}: give larger ones (--square-mm)"
+                    f"{working_distance_mm(scene):.0f} mm, below {LEAST_SQUARE_PX:g}: use larger ones (--square-mm)"
                 )
             return cam_from_board
         best = max(best, share)
     (wide_mm, high_mm), depth = board.size_mm, working_distance_mm(scene)
     raise UserError(
         f"the board of {wide_mm:g} x {high_mm:g} mm is too large for the camera at {depth:.0f} mm: at most {best:.0%} of its "
-        f"corners are in the picture, {LEAST_VISIBLE:.0%} are needed; give fewer or smaller squares"
+        f"corners are in the picture, {LEAST_VISIBLE:.0%} are required; use fewer or smaller squares"
     )
 
 
 def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Array) -> float:
-    """Return the share of the corners that are in the picture, 0 where one is close to the camera or behind it."""
+    """Return the fraction of the corners in the picture; 0 if one is close to the camera or behind it."""
     at_cam = frames.apply(cam_from_board, corners_mm)
     if at_cam[:, 2].min() < 0.4 * at_cam[:, 2].mean():
         return 0.0
@@ -177,7 +178,7 @@ def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Ar
 
 
 def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Array) -> frames.Array:
-    """Project points (N, 3) of the board to pixels (N, 2), centres at integers.
+    """Project points (N, 3) of the board to pixels (N, 2); pixel centres have integer coordinates.
 
     Parameters
     ----------
@@ -191,7 +192,7 @@ def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Arra
     Returns
     -------
     (N, 2) array
-        px.
+        Pixels.
     """
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -202,7 +203,7 @@ def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Arra
 
 
 class BoardRenderer:
-    """Renders the board as a scene's camera sees it."""
+    """Renders the board in a scene's camera."""
 
     def __init__(self, scene: Scene, board: CharucoBoard) -> None:
         wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
@@ -224,10 +225,10 @@ class BoardRenderer:
         )
 
     def light(self, cam_from_board: frames.Array) -> NDArray[np.float32]:
-        """Return a picture of linear light (H, W), 1 the camera's full scale, black beside the board.
+        """Return a picture of linear light (H, W), with 1 as full scale, black beside the board.
 
-        Light from everywhere makes the matt paper shine by its reflectance alone, so that nothing is random and nothing
-        shades it.
+        Uniform illumination from all directions makes the radiance of the matt paper proportional to its reflectance,
+        without randomness or shadows.
         """
         sensor.set_pose(self.eye, cam_from_board)
         width, height = self.image_wh
@@ -248,30 +249,30 @@ class BoardRenderer:
 
 
 def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
-    """Paint the board's reflectance (rows, columns), border and all, row 0 at the top, each texel its area's mean."""
+    """Paint the board's reflectance (rows, columns) including its border, row 0 at the top, averaged over texels."""
     wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
     scale = min(TEXELS_PER_MM, MOST_TEXELS / max(wide_mm, high_mm))
     columns, rows = round(wide_mm * scale), round(high_mm * scale)
     x_mm, y_mm = np.linspace(0.0, wide_mm, columns + 1) - BORDER_MM, np.linspace(0.0, high_mm, rows + 1) - BORDER_MM
     black = np.zeros((rows, columns), np.float32)
     for left, top, right, bottom in black_parts(board):
-        (i, across), (j, down) = _covered(x_mm, left, right), _covered(y_mm, top, bottom)
+        (i, across), (j, down) = _coverage(x_mm, left, right), _coverage(y_mm, top, bottom)
         black[j, i] += np.outer(down, across).astype(np.float32)
     return (PAPER + (INK - PAPER) * black).astype(np.float32)
 
 
-def _covered(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
-    """Return which texels between ``edges`` a stretch touches, and which fraction of each it covers."""
+def _coverage(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
+    """Return the range of texels between ``edges`` that an interval touches, and the covered fraction of each."""
     first, last = int(np.searchsorted(edges, low, "right")) - 1, int(np.searchsorted(edges, high, "left"))
     low_edges, high_edges = edges[first:last], edges[first + 1 : last + 1]
     return slice(first, last), (np.minimum(high_edges, high) - np.maximum(low_edges, low)) / (high_edges - low_edges)
 
 
 def _on_lens(ray: mi.UInt32) -> mi.Point2f:
-    """Give every lattice ray of a pixel its place on the lens.
+    """Return the point on the lens for each lattice ray of a pixel.
 
-    The place's two coordinates and the ray's in the pixel make an orthogonal array (SIDE is a prime): no two of the
-    four go together, so that blur shifts nothing.
+    The two coordinates on the lens and the two in the pixel form an orthogonal array (SIDE is a prime): all pairs of
+    them are uncorrelated, so that blur causes no displacement.
     """
     a, b = ray % SIDE, ray // SIDE
     return mi.Point2f((mi.Float((a + b) % SIDE) + 0.5) / SIDE, (mi.Float((a + 2 * b) % SIDE) + 0.5) / SIDE)

@@ -1,7 +1,4 @@
-"""The water that roots may grow in.
-
-They turn aside along the wall, the floor and the net pot's grid rather than leave it.
-"""
+"""Confinement of roots to the water: they turn along the wall, the floor and the net pot's grid."""
 
 from dataclasses import dataclass
 
@@ -14,12 +11,12 @@ from rhizotwin.scenes.specimens import GrownSpecimen
 Array = NDArray[np.float64]
 
 WALL_TURN_MM = 6.0
-"""Radius of the arc on which a root turns away from what it meets."""
+"""Radius of the arc on which a root turns away from an obstacle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """Where surfaces of roots may be, in the canister frame."""
+    """Limits of root surfaces, in the canister frame."""
 
     radius_mm: float
     low_z_mm: float
@@ -27,14 +24,14 @@ class Bounds:
 
 
 def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
-    """Return where the surfaces of a specimen's roots may be: the water below the grid, less the specimen's margins.
+    """Return the limits of a specimen's root surfaces: the water below the grid, minus the specimen's margins.
 
     Parameters
     ----------
     specimen : GrownSpecimen
-        With its margins.
+        Specimen with its margins.
     canister, net_pot : Canister, NetPot
-        What the water lies between.
+        Canister and net pot that enclose the water.
 
     Returns
     -------
@@ -49,7 +46,7 @@ def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> B
 
 
 def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Turn headings (N, 3) aside before the limits, as on an arc of radius `WALL_TURN_MM` that ends along the limit.
+    """Deflect headings (N, 3) near the limits, as on an arc of radius `WALL_TURN_MM` that is tangent to the limit.
 
     Parameters
     ----------
@@ -58,9 +55,9 @@ def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> 
     heading : (N, 3) array
         Unit vectors.
     radii_mm : (N,) array
-        Of the roots there.
+        Radii of the roots at these points.
     limits : Bounds
-        Of their surfaces.
+        Limits of root surfaces.
 
     Returns
     -------
@@ -84,28 +81,28 @@ def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> 
         limited[:, 0] = np.minimum(local[:, 0], out_max)
         limited[:, 2] = np.clip(local[:, 2], -down_max, up_max)
         length = np.linalg.norm(limited, axis=1)
-        # head on: turn along the limit
+        # heading straight at the limit: turn along it
         limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])
         local = limited / np.linalg.norm(limited, axis=1, keepdims=True)
     return np.concatenate([local[:, :1] * outward + local[:, 1:2] * around, local[:, 2:]], axis=1)
 
 
 def keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Move points (N, 3) that a finite step took past the limits back onto them.
+    """Move points (N, 3) beyond the limits, after a finite step, back onto them.
 
     Parameters
     ----------
     points_mm : (N, 3) array
-        Axes, canister frame.
+        Points of centre lines, canister frame.
     radii_mm : (N,) array
-        Of the roots there.
+        Radii of the roots at these points.
     limits : Bounds
-        Of their surfaces.
+        Limits of root surfaces.
 
     Returns
     -------
     (N, 3) array
-        mm.
+        Corrected points, mm.
     """
     radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
     shrink = np.minimum(1.0, (limits.radius_mm - radii_mm) / np.maximum(radius_mm, 1e-9))

@@ -1,7 +1,4 @@
-"""What does not belong in a clean canister.
-
-Algae films, felt fibres and air bubbles, drawn from a scene's disturbances.
-"""
+"""Contamination of the canister: algae films, felt fibres, air bubbles, dust and scratches, drawn from a scene."""
 
 from dataclasses import dataclass
 
@@ -21,7 +18,7 @@ class Patch:
     radius_mm: float
     opacity: float
     lobes_rad: tuple[float, ...]
-    """Phases of the outline's waves, 2, 3, 4, ... round the film."""
+    """Phases of the outline's harmonics 2, 3, 4, ..."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +26,7 @@ class Fibre:
     """A black fibre that hangs from the net pot's felt."""
 
     points_mm: NDArray[np.float64]
-    """Centreline (N, 3) in the canister frame, from the felt down."""
+    """Centre line (N, 3) in the canister frame, from the felt downwards."""
     radius_mm: float
 
 
@@ -45,28 +42,28 @@ class Bubble:
 
 @dataclass(frozen=True, kw_only=True)
 class OuterDirt:
-    """What sits on the canister's outside and turns with it, as places on the unrolled wall.
+    """Dust and scratches on the canister's outside, which rotate with it, as positions on the unrolled wall.
 
-    Azimuth (rad) and z (mm).
+    The coordinates are azimuth (rad) and z (mm).
     """
 
     specks: NDArray[np.float64]
     """(N, 3) azimuth, z, radius in mm."""
     scratches: NDArray[np.float64]
-    """(M, 4) azimuth and z of one end, and of the other."""
+    """(M, 4) azimuth and z of both ends."""
 
 
 SPECK_MM = 0.05, 0.25
-"""Radii of specks of dust: what settles from a room's air and is not wiped off (household dust ends at about half a
-millimetre)."""
+"""Range of the radii of dust specks: settled airborne dust that is not wiped off (household dust is up to about half a
+millimetre in size)."""
 SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
-"""Length, width and opacity of scratches, assumed: fine ones from wiping, half a pixel wide."""
+"""Length, width and opacity of scratches (assumed): fine ones from wiping, half a pixel wide."""
 SEAM_WIDE_MM = 1.0
-"""As the scene's key says."""
+"""Width of the seam, as stated for the scene key."""
 
 
 def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
-    """Draw specks and scratches, anywhere on the outside below the net pot's skirt."""
+    """Draw specks and scratches at random positions on the outside below the net pot's skirt."""
     wrong, canister = scene.disturbances, scene.canister
     low_mm, high_mm = canister.floor_z_mm, scene.net_pot.skirt_bottom_mm
     count = wrong.dust_specks
@@ -89,21 +86,21 @@ def outer_opacity(
     dirt : OuterDirt
         Dust and scratches.
     seam_rad, seam_opacity : float
-        Azimuth of the seam, and the light that it absorbs.
+        Azimuth of the seam, and the fraction of light that it absorbs.
     radius_mm, z_range_mm : float, tuple of float
-        Of the wall, and its lowest and highest z.
+        Radius of the wall, and its lowest and highest z.
     mm_per_texel : float
         Edge of a texel.
 
     Returns
     -------
     (rows, columns) float32 array
-        0 to 1.
+        Opacity, 0 to 1.
     """
     low_mm, high_mm = z_range_mm
     columns, rows = round(2.0 * np.pi * radius_mm / mm_per_texel), max(8, round((high_mm - low_mm) / mm_per_texel))
-    fine = 16  # OpenCV draws to a sixteenth of a texel
-    picture = np.zeros((rows, 3 * columns), np.uint8)  # three turns: what runs over the edge
+    fine = 16  # OpenCV draws with a resolution of a sixteenth of a texel
+    picture = np.zeros((rows, 3 * columns), np.uint8)  # three turns, for shapes that cross the edge
 
     def place(azimuth: float, z_mm: float) -> tuple[int, int]:
         column = (np.mod(azimuth, 2.0 * np.pi) / (2.0 * np.pi) + 1.0) * columns - 0.5
@@ -123,14 +120,14 @@ def outer_opacity(
 
 
 def near(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
-    """Return 1 (rows, columns) where something is painted within a square about a texel, else 0."""
+    """Return 1 (rows, columns) if any pixel is painted within a square about a texel, else 0."""
     side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
     painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
     return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
 
 
 def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
-    """Draw the algae films: 2 to 8 mm in radius, half to all of the profile's opacity, anywhere on the wetted wall."""
+    """Draw algae films with radii of 2 to 8 mm and 50 to 100 % of the profile's opacity on the wetted wall."""
     wrong = scene.disturbances
     low_mm, high_mm = scene.canister.floor_z_mm, min(scene.net_pot.grid_z_mm, scene.water.level_mm)
     return tuple(
@@ -146,21 +143,21 @@ def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
 
 
 def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> tuple[Fibre, ...]:
-    """Draw the felt fibres: 20 to 60 um thick, 2 to 10 mm long, bent at random, hanging from the grid.
+    """Draw felt fibres, 20 to 60 um thick, 2 to 10 mm long and randomly bent, which hang from the grid.
 
     Parameters
     ----------
     scene : Scene
-        How many, and where the grid and the water are.
+        Scene with the number of fibres, grid and water.
     rng : np.random.Generator
-        Draws them.
+        Random generator.
     points : int
-        Of each one's line.
+        Number of points per fibre.
 
     Returns
     -------
     tuple of Fibre
-        Lines and radii.
+        Centre lines and radii.
     """
     reach_mm = 0.9 * scene.canister.inner_radius_mm
     fibres = []
@@ -177,18 +174,18 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
 
 
 def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
-    """Draw the bubbles: 0.2 to 1 mm in radius, ``gap_mm`` of water between them and the wall.
+    """Draw bubbles with radii of 0.2 to 1 mm, separated from the wall by ``gap_mm`` of water.
 
     Parameters
     ----------
     scene : Scene
-        How many, and where the water is.
+        Scene with the number of bubbles, and the water.
     rng : np.random.Generator
-        Draws them.
+        Random generator.
     wall_mm : float
-        Radius of the wall, where it is least.
+        Minimum radius of the wall.
     gap_mm : float
-        Water between a bubble and the wall.
+        Distance between a bubble and the wall.
 
     Returns
     -------
@@ -216,17 +213,17 @@ def opacity_map(
     Parameters
     ----------
     patches : tuple of Patch
-        Films, each round.
+        Algae films.
     radius_mm, z_range_mm : float, tuple of float
-        Of the wall, and its lowest and highest z.
+        Radius of the wall, and its lowest and highest z.
     mm_per_texel : float
         Edge of a texel.
 
     Returns
     -------
     (rows, columns) float32 array
-        Row 0 at the top, column 0 at azimuth 0, azimuth growing with the column. A film's edge fades over a quarter
-        of its radius.
+        Opacity, with row 0 at the top and column 0 at azimuth 0, which increases with the column. The edge of a film
+        fades over a quarter of its radius.
     """
     low_mm, high_mm = z_range_mm
     columns = max(8, round(2.0 * np.pi * radius_mm / mm_per_texel))

@@ -1,7 +1,4 @@
-"""From linear light to the camera's numbers.
-
-Lens, photons, electrons, noise, clipping, converter, the camera's curve and colours.
-"""
+"""Conversion of linear light to pixel values: lens, noise, clipping, quantisation, transfer curve and colours."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,33 +11,33 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
-"""Electrons at full scale where a profile has read noise but no photon noise (about that of the Pi HQ camera's
-pixels)."""
+"""Full-well capacity in electrons for profiles with read noise but without photon noise (about that of the Pi HQ
+camera's pixels)."""
 MANY_E = 25.0
-"""From so many electrons on their quantiles are an expansion."""
+"""Number of electrons from which quantiles are computed by an expansion."""
 
 
 def expose(
     light: NDArray[np.float32], camera: Camera, disturbances: Disturbances, *, rng: np.random.Generator
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Turn a picture of linear light into what the camera stores.
+    """Convert a picture of linear light to the stored picture.
 
     Parameters
     ----------
     light : (H, W) float32
-        1 is full scale.
+        Linear light; 1 is full scale.
     camera : Camera
-        Its ``bits`` are the converter's depth, its ``transfer`` its curve.
+        Camera, with bit depth ``bits`` of its converter and transfer curve ``transfer``.
     disturbances : Disturbances
-        What the camera does besides: noise, exposure, white balance, vignetting, the depth of the stored picture,
-        another curve.
+        Further effects: noise, exposure, white balance, vignetting, bit depth of the stored picture, another transfer
+        curve.
     rng : Generator
-        The picture's own.
+        Random generator of the picture.
 
     Returns
     -------
-    (H, W), or (H, W, 3) RGB where the white balance wanders; uint8, or uint16 with the numbers left-aligned where they
-    have over 8 bits.
+    (H, W), or (H, W, 3) RGB if the white balance varies; uint8, or uint16 with left-aligned values for more than 8
+    bits.
     """
     wrong = disturbances
     signal = np.maximum(light.astype(np.float64), 0.0)
@@ -56,34 +53,35 @@ def expose(
     if wrong.white_balance_wander > 0.0:
         red, blue = rng.uniform(1.0 - wrong.white_balance_wander, 1.0 + wrong.white_balance_wander, 2)
         signal = signal[..., None] * np.array([red, 1.0, blue])
-    shown = as_taken(camera, wrong)
+    shown = stored_camera(camera, wrong)
     number = np.rint(np.clip(signal, 0.0, 1.0) * (2**camera.bits - 1)) / (2**camera.bits - 1)
-    number = transfer.of_camera(shown).number(number) if shown.transfer != "linear" else number
+    number = transfer.camera_curve(shown).number(number) if shown.transfer != "linear" else number
     stored = np.rint(number * (2**shown.bits - 1))
     return np.asarray(stored.astype(np.uint8) if shown.bits <= 8 else stored.astype(np.uint16) << np.uint16(16 - shown.bits))
 
 
-def as_taken(camera: Camera, disturbances: Disturbances) -> Camera:
-    """Return the camera with the curve and the depth of the pictures that it stores."""
+def stored_camera(camera: Camera, disturbances: Disturbances) -> Camera:
+    """Return the camera with the transfer curve and the bit depth of its stored pictures."""
     curve = camera.transfer if disturbances.transfer == "linear" else disturbances.transfer
     return replace(camera, transfer=curve, bits=disturbances.stored_bits or camera.bits)
 
 
 def _falloff(shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
-    """Return what the lens leaves of the light (H, W): all in the middle, 1 - ``share`` in the corners."""
+    """Return the lens's transmission (H, W): 1 in the centre, 1 - ``share`` in the corners."""
     y, x = (np.linspace(-1.0, 1.0, size) for size in shape[:2])
     return np.asarray(1.0 - 0.5 * share * (x[None, :] ** 2 + y[:, None] ** 2))
 
 
 def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Poisson numbers (H, W) of given means: the quantiles of normal chances (H, W), each pixel's own.
+    """Return Poisson numbers (H, W) with given means, as the quantiles of normal random values (H, W) of each pixel.
 
-    A generator's own Poisson numbers are drawn by rejection: one pixel that differs in its last bit then draws once
-    more, and every pixel after it gets other noise. Here a pixel that changes by little changes by at most one
-    electron, and no other does.
+    Generators draw Poisson numbers by rejection: a pixel that differs in its last bit may then consume another random
+    value, which changes the noise of all subsequent pixels. Here a small change of a pixel changes it by at most one
+    electron, and no other pixel.
 
-    Few photons are counted up to the quantile. From `MANY_E` on it is Cornish and Fisher's expansion (Abramowitz and
-    Stegun 26.2.49), whose skewness is m^-1/2 and excess m^-1: less than one pixel in a hundred is one electron off.
+    For small means the quantile is found by summation. From `MANY_E` on it is the Cornish-Fisher expansion (Abramowitz
+    and Stegun 26.2.49), with skewness m^-1/2 and excess m^-1: fewer than one pixel in a hundred are wrong by one
+    electron.
     """
     root, z = np.sqrt(np.maximum(mean, MANY_E)), chance
     found: NDArray[np.float64] = mean + root * z + (z**2 - 1.0) / 6.0 + ((z**3 - 3.0 * z) / 24.0 - (2.0 * z**3 - 5.0 * z) / 36.0) / root
@@ -102,5 +100,5 @@ def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[n
 
 
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:
-    """Return coverage (H, W) in [0, 1] as 16-bit numbers."""
+    """Return coverage (H, W) in [0, 1] as 16-bit values."""
     return np.asarray(np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0), dtype=np.uint16)

@@ -1,10 +1,10 @@
-"""Growth of a root system from the field's parameters, inside the canister's water.
+"""Growth of a root system in the canister's water, by an architectural root model.
 
-The model is the architectural one of the field (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant
-and Soil 332:177): roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and by chance, and bear laterals
-acropetally at random distances. All roots of one order grow together as arrays; every draw of a root comes from a
-generator seeded by the root's path (child numbers from the taproot on), so that no root depends on how many others
-there are.
+The model follows the literature (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant and Soil
+332:177): roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and bear laterals
+acropetally at random distances. All roots of one order grow together as arrays; the random values of a root come from a
+generator seeded by the root's path (child numbers from the taproot on), so that no root depends on the number of
+others.
 """
 
 from dataclasses import dataclass
@@ -25,23 +25,23 @@ Array = NDArray[np.float64]
 STEP_MM = 1.0
 """Length of a growth step, and of a segment of the finished root."""
 BEND_LENGTH_MM = 4.0
-"""Distance over which a random curvature persists: headings are smooth."""
+"""Correlation length of the random curvature, which makes headings smooth."""
 MOST_ROOTS = 20_000
-"""Beyond this a specimen is refused: its solid would take many minutes and gigabytes."""
+"""Maximum number of roots; the solid of more roots would take many minutes and gigabytes."""
 HEADING_FAN_DEG = 137.5
-"""Mean azimuth from one lateral to the next (the golden angle keeps sides evenly used) ..."""
+"""Mean azimuth between successive laterals; the golden angle distributes them evenly around the root."""
 HEADING_FAN_SD_DEG = 40.0
-"""... and its standard deviation."""
+"""Standard deviation of that azimuth."""
 BASAL_KIND = 1_000_000
-"""Child numbers of a kind of basal roots begin at this times the kind's number, counted from 1: beyond those of all
-laterals."""
+"""Offset of the child numbers of each kind of basal roots, multiplied by its number from 1, which exceeds the numbers
+of all laterals."""
 
 
-class _Grown(NamedTuple):
-    """What became of a bud."""
+class _GrownBud(NamedTuple):
+    """Result of growing a bud."""
 
     root: Root | None
-    """None: too short to exist."""
+    """Grown root; None if it is too short to exist."""
     length_mm: float
     max_length_mm: float
     elongation_mm_per_day: float
@@ -49,7 +49,7 @@ class _Grown(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class _Bud:
-    """A root about to grow."""
+    """A root that has not yet grown."""
 
     path: tuple[int, ...]
     parent: int
@@ -66,21 +66,20 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
     Parameters
     ----------
     specimen : GrownSpecimen
-        Seed, age and the parameters of each order. Its ``volume_ml`` is not used here.
+        Seed, age and parameters of each order; ``volume_ml`` is not used here.
     canister, net_pot : Canister or None, NetPot or None
-        What confines the roots; None: the default rig.
+        Limits of the roots; None for the default rig.
 
     Returns
     -------
     list of Root
-        Taproot first, parents before children, points in mm in the canister frame about `STEP_MM` apart, the diameters
-        before they are scaled to the plant's volume. Centrelines keep their radius and the margins away from wall,
-        floor and grid.
+        Taproot first, parents before children, points in mm in the canister frame about `STEP_MM` apart, with diameters
+        before scaling to the plant's volume. Root surfaces keep the margins from wall, floor and grid.
 
     Raises
     ------
     UserError
-        The taproot's beginning has no room between the limits, or there would be more than `MOST_ROOTS` roots.
+        If the taproot's base does not fit within the limits, or there would be more than `MOST_ROOTS` roots.
     """
     limits = bounds(specimen, canister=canister or Canister(), net_pot=net_pot or NetPot())
     _check_origin(specimen, limits)
@@ -115,49 +114,49 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
                 roots.append(root)
             if len(roots) + len(children) > MOST_ROOTS:
                 raise UserError(
-                    f"specimen.orders would grow more than {MOST_ROOTS} roots by day {specimen.age_days:g}, the most that is allowed: "
-                    "raise interlateral_mm or lower max_length_mm."
+                    f"specimen.orders would grow more than {MOST_ROOTS} roots by day {specimen.age_days:g}, the maximum: "
+                    "increase interlateral_mm or reduce max_length_mm."
                 )
         buds = children
     return roots
 
 
 def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the length of a root of some age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
+    """Return the length of a root at a given age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
 
     Parameters
     ----------
     age_days : (N,) array
-        Since the root came out.
+        Time since the emergence of the root.
     max_length_mm : (N,) array
-        Its greatest length, k.
+        Final length, k.
     elongation_mm_per_day : (N,) array
-        Its first growth rate, r.
+        Initial growth rate, r.
 
     Returns
     -------
     (N,) array
-        mm.
+        Lengths in mm.
     """
     return max_length_mm * -np.expm1(-elongation_mm_per_day * np.maximum(age_days, 0.0) / max_length_mm)
 
 
 def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the age at which a root has some length below its greatest: the inverse of `length_at`.
+    """Return the age at which a root has a given length, the inverse of `length_at`.
 
     Parameters
     ----------
     length_mm : (N,) array
-        Below the greatest.
+        Length, less than the final length.
     max_length_mm : (N,) array
-        Its greatest length, k.
+        Final length, k.
     elongation_mm_per_day : (N,) array
-        Its first growth rate, r.
+        Initial growth rate, r.
 
     Returns
     -------
     (N,) array
-        days.
+        Ages in days.
     """
     return -max_length_mm / elongation_mm_per_day * np.log1p(-length_mm / max_length_mm)
 
@@ -166,16 +165,16 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
     radius_mm = max(specimen.orders[0].diameter_mm, specimen.hypocotyl_diameter_mm) / 2.0 if specimen.orders else 0.0
     x, y, z = specimen.origin_mm
     if not specimen.orders:
-        raise UserError("specimen.orders is empty: give at least the taproot's parameters.")
+        raise UserError("specimen.orders is empty: at least the taproot's parameters are required.")
     if z + radius_mm > limits.high_z_mm or z - radius_mm < limits.low_z_mm or np.hypot(x, y) + radius_mm > limits.radius_mm:
         raise UserError(
-            f"specimen.origin_mm {specimen.origin_mm} leaves no room for a root of {2.0 * radius_mm:.2f} mm: it must lie "
+            f"specimen.origin_mm {specimen.origin_mm} leaves no space for a root of {2.0 * radius_mm:.2f} mm: it must be "
             f"{radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to {limits.high_z_mm:.1f} mm and radius {limits.radius_mm:.1f} mm."
         )
 
 
 def _generators(seed: int, path: tuple[int, ...]) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
-    """Return the generators of a root's own traits, of its wobble and of its laterals."""
+    """Return the random generators of a root's own traits, of its curvature and of its laterals."""
     shape, wobble, laterals = np.random.SeedSequence(entropy=seed, spawn_key=path).generate_state(3, np.uint64)
     return np.random.default_rng(int(shape)), np.random.default_rng(int(wobble)), np.random.default_rng(int(laterals))
 
@@ -185,7 +184,7 @@ def _factor(rng: np.random.Generator, sd: float) -> float:
     return float(rng.gamma(1.0 / sd**2, sd**2)) if sd > 0.0 else 1.0
 
 
-def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_Grown]:
+def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_GrownBud]:
     """Grow all buds of an order."""
     if not buds:
         return []
@@ -199,48 +198,49 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
     thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
     room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if buds[0].parent < 0 else 0.0) / 2.0
     points_mm = _centrelines(buds, order, lengths_mm, room_mm, specimen.seed, limits, down)
-    grown: list[_Grown] = []
+    grown: list[_GrownBud] = []
     for i, bud in enumerate(buds):
         root = None
-        if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones have not left their parent yet
+        if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones are still inside their parent
             line_mm, along_mm = _cut(points_mm[i], lengths_mm[i])
             diameters_mm = thickest[i] * (1.0 + (order.taper - 1.0) * along_mm / lengths_mm[i])
             if bud.parent < 0 and specimen.hypocotyl_diameter_mm > 0.0:
-                diameters_mm = np.maximum(diameters_mm, _swollen(diameters_mm, along_mm, specimen))
+                diameters_mm = np.maximum(diameters_mm, _thicken_top(diameters_mm, along_mm, specimen))
             label = ".".join(str(child + 1) for child in (0, *bud.path))
             root = Root(points_mm=line_mm, diameters_mm=diameters_mm, order=bud.order, parent=bud.parent, label=label)
-        grown.append(_Grown(root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
+        grown.append(_GrownBud(root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
     return grown
 
 
-def _swollen(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
-    """Return the diameters (N,) of the thickened top of the taproot."""
+def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
+    """Return the diameters (N,) of the taproot with its thickened top."""
     fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
-    if specimen.hypocotyl_shape == "globe":  # an ellipsoid of revolution
+    if specimen.hypocotyl_shape == "globe":  # ellipsoid of revolution
         return specimen.hypocotyl_diameter_mm * 2.0 * np.sqrt(fade * (1.0 - fade))
     return diameters_mm + (specimen.hypocotyl_diameter_mm - diameters_mm) * 0.5 * (1.0 + np.cos(np.pi * fade))
 
 
 def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
-    """Cut a centreline with points every `STEP_MM` at a length; its points and their distance along the root."""
+    """Cut a centre line with points every `STEP_MM` at a length; return its points and their arc lengths."""
     whole = max(int(np.ceil(length_mm / STEP_MM - 1e-9)), 1)
     along_mm = np.minimum(np.arange(whole + 1) * STEP_MM, length_mm)
     line_mm = points_mm[: whole + 1].copy()
     line_mm[-1] = points_mm[whole - 1] + (points_mm[whole] - points_mm[whole - 1]) * (along_mm[-1] - along_mm[-2]) / STEP_MM
-    if whole > 1 and along_mm[-1] - along_mm[-2] < 0.25 * STEP_MM:  # no sliver of a segment at the tip
+    if whole > 1 and along_mm[-1] - along_mm[-2] < 0.25 * STEP_MM:  # avoids a very short segment at the tip
         line_mm, along_mm = np.delete(line_mm, -2, axis=0), np.delete(along_mm, -2)
     return line_mm, along_mm
 
 
 def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array) -> Array:
-    """Return the centrelines (N, S + 1, 3) of all buds, each long enough for the longest."""
+    """Return the centre lines (N, S + 1, 3) of all buds, each long enough for the longest."""
     steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
     bend = np.zeros((len(buds), steps, 3))
     for i, bud in enumerate(buds):
         own = min(int(np.ceil(lengths_mm[i] / STEP_MM)) + 1, steps)
         bend[i, :own] = _generators(seed, bud.path)[1].standard_normal((own, 3))
     persistence = np.exp(-STEP_MM / BEND_LENGTH_MM)
-    # curvature is an Ornstein-Uhlenbeck process: the heading's variance grows by wobble^2 a mm beyond its persistence
+    # curvature is an Ornstein-Uhlenbeck process: beyond its correlation length, the heading's variance grows by
+    # wobble^2 per mm
     curvature_sd = np.deg2rad(order.wobble_deg) / np.sqrt(2.0 * BEND_LENGTH_MM)
     points_mm = np.empty((len(buds), steps + 1, 3))
     points_mm[:, 0] = [bud.start_mm for bud in buds]
@@ -260,7 +260,7 @@ def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm
 def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list[_Bud]:
     """Place the basal roots of a kind.
 
-    Evenly along their zone, round the taproot by the mean azimuth between laterals.
+    They are evenly distributed along their zone, and around the taproot by the mean azimuth between laterals.
     """
     basal: BasalRoots = specimen.basal[kind]
     children: list[_Bud] = []
@@ -279,8 +279,8 @@ def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list
     return children
 
 
-def _laterals(bud: _Bud, grown: _Grown, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
-    """Place the laterals of a root whose zones behind the tip have been passed."""
+def _laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
+    """Place the laterals of a root beyond its apical zone."""
     root, length_mm, max_length_mm, elongation_mm_per_day = grown
     if root is None:
         return []
@@ -315,9 +315,9 @@ def _bud_on(
     age_days: float,
     buried_mm: float,
 ) -> _Bud:
-    """Return a bud on a root at a distance along it, turned from the root by azimuth and insertion angle."""
+    """Return a bud at a distance along a root, with azimuth and insertion angle relative to the root."""
     azimuth_rad, insertion_rad = turn_rad
-    ladder_mm = polyline.way_mm(root.points_mm)
+    ladder_mm = polyline.arc_length_mm(root.points_mm)
     segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
     part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)
     along = root.points_mm[segment + 1] - root.points_mm[segment]

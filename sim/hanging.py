@@ -1,4 +1,4 @@
-"""What hangs in the water and sways: a specimen and its hairs, moved from view to view."""
+"""Sway of hanging objects: a specimen and its root hairs, displaced from view to view."""
 
 from __future__ import annotations
 
@@ -14,55 +14,57 @@ from rhizotwin.sim.specimen import SpecimenSolid
 
 
 @dataclass(frozen=True)
-class Hanging:
-    """A specimen, or its hairs, that hang from the top and sway."""
+class HangingObject:
+    """A specimen, or its root hairs, attached at the top, which sways."""
 
     name: str
-    """Of the shape in the scene."""
+    """Name of the shape in the scene."""
     vertices: NDArray[np.float64]
-    """(V, 3) at rest, mm."""
+    """(V, 3) vertices at rest, mm."""
     share: NDArray[np.float64]
-    """(V,) of the lowest tip's way that each vertex goes."""
+    """(V,) displacement of each vertex relative to that of the lowest tip."""
 
     @staticmethod
-    def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> Hanging:
-        """Return vertices (V, 3) that hang from a solid's highest point: what is deeper goes farther, in proportion.
+    def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> HangingObject:
+        """Create a hanging object with vertices (V, 3), fixed at a solid's highest point.
+
+        The displacement is proportional to the depth below that point.
 
         Parameters
         ----------
         name : str
-            Of the shape in the scene.
+            Name of the shape in the scene.
         vertices : (V, 3) array
-            At rest, mm.
+            Vertices at rest, mm.
         solid : SpecimenSolid
-            What they hang from, with its lowest tip.
+            Solid, whose highest point and lowest tip define the displacement.
 
         Returns
         -------
         Hanging
-            With the share of the tip's way for each vertex.
+            Hanging object with the relative displacement of each vertex.
         """
         low, high = solid.extents_min_mm[2], solid.extents_max_mm[2]
-        return Hanging(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
+        return HangingObject(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
     def at(self, tip_mm: tuple[float, float], twist_deg: float) -> NDArray[np.float64]:
-        """Return the vertices (V, 3) when the lowest tip hangs aside by x, y and is turned about the z axis."""
-        return frames.twisted(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
+        """Return the vertices (V, 3) for a displacement of the lowest tip by x, y and its rotation about the z axis."""
+        return frames.twist(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
 
 
-def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float], twist_deg: float = 0.0) -> None:
-    """Put what hangs where it is in a view.
+def sway(scene: mi.Scene, hanging: Sequence[HangingObject], tip_mm: tuple[float, float], twist_deg: float = 0.0) -> None:
+    """Move hanging objects to their positions in a view.
 
     Parameters
     ----------
     scene : mi.Scene
-        As `optics.build` made it.
-    hanging : sequence of Hanging
-        What hangs, as it is at rest.
+        Scene created by `optics.build`.
+    hanging : sequence of HangingObject
+        Hanging objects at rest.
     tip_mm : tuple of float
-        How far aside the lowest tip is, x and y.
+        Displacement of the lowest tip in x and y.
     twist_deg : float
-        How far it is turned about the z axis.
+        Rotation of the lowest tip about the z axis.
     """
     parameters = mi.traverse(scene)
     for one in hanging:

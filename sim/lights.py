@@ -1,4 +1,4 @@
-"""Backlight panel and front light: area emitters that stand in the rig while the canister turns."""
+"""Backlight panel and front light: area emitters that are static in the rig while the canister rotates."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def lights(scene: Scene, world: World) -> dict[str, Any]:
-    """Return the two lights of a scene, for canister and rig in line.
+    """Return the two lights of a scene, for aligned frames of canister and rig.
 
-    A panel seen directly has the radiance ``backlight_level``.
+    The radiance of the directly visible panel is ``backlight_level``.
     """
     level = scene.lights.backlight_level
     radiance: Any = level
@@ -42,16 +42,16 @@ def lights(scene: Scene, world: World) -> dict[str, Any]:
 
 
 def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
-    """Move panel and front light to where they stand as seen from the canister of this view.
+    """Move panel and front light to their positions in the canister frame of a view.
 
     Parameters
     ----------
     scene : mi.Scene
-        As `sim.optics.build` made it, with lamps.
+        Scene created by `sim.optics.build`, with lamps.
     lights : Lights
-        Where they stand in the rig.
+        Positions of the lights in the rig.
     camera : TrueCamera
-        With the canister's pose in this view.
+        True camera with the canister's pose in this view.
     """
     canister_from_rig = frames.invert(camera.rig_from_canister)
     parameters = mi.traverse(scene)
@@ -61,7 +61,7 @@ def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
 
 
 class Lamps:
-    """The two lights as formulas, for `sim.backlit`: placing them builds nothing anew.
+    """The two lights as formulas, for `sim.backlit`, which can be moved without rebuilding the scene.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Lamps:
     """
 
     SAMPLES = 2
-    """Points of each light from which what it shines on is lit."""
+    """Number of points per direction at which each light is sampled for the irradiance."""
 
     def __init__(self, scene: Scene, world: World) -> None:
         level = scene.lights.backlight_level
@@ -84,16 +84,16 @@ class Lamps:
         self.canister_from_lamp: list[Any] = []
 
     def place(self, camera: TrueCamera) -> None:
-        """Move the lights to where they stand as seen from the canister of a view."""
+        """Move the lights to their positions in the canister frame of a view."""
         to_canister = [frames.invert(camera.rig_from_canister) @ rig_from_lamp for rig_from_lamp in self.rig_from_lamp]
         self.canister_from_lamp = [mi.Matrix4f(matrix) for matrix in to_canister]
         self.lamp_from_canister = [mi.Matrix4f(np.linalg.inv(matrix)) for matrix in to_canister]
         dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister)
 
     def meet(self, ray: Any, t: Any) -> tuple[Any, Any]:
-        """Return which light rays meet before ``t`` (1 the panel, 2 the front light, 0 none) and its radiance.
+        """Return the light that rays meet before ``t`` (1 the panel, 2 the front light, 0 none) and its radiance.
 
-        Their backs are black.
+        The backs of the lights are black.
         """
         lamp, glow = mi.UInt32(0), mi.Spectrum(0.0)
         for number, to_lamp in enumerate(self.lamp_from_canister):
@@ -107,11 +107,11 @@ class Lamps:
         return lamp, glow
 
     def irradiance(self, p: Any, n: Any) -> Any:
-        """Return the irradiance on points with normals, nothing standing between."""
+        """Return the irradiance on points with normals, without occlusion."""
         total = mi.Spectrum(0.0)
         for number, to_canister in enumerate(self.canister_from_lamp):
             across, up = (mi.Vector3f(*(to_canister[row, column] for row in range(3))) for column in (0, 1))
-            area = dr.cross(across, up)  # a quarter of the rectangle's, along its normal
+            area = dr.cross(across, up)  # a quarter of the rectangle's area, along its normal
             for k in range(self.SAMPLES):
                 at = mi.Point2f(2.0 * (k + 0.5) / self.SAMPLES - 1.0, 2.0 * ((0.5 + (k + (1 - number) * self.SAMPLES) * 0.618) % 1.0) - 1.0)
                 towards = _times(to_canister, mi.Point3f(at.x, at.y, 0.0), 1.0) - p
@@ -134,7 +134,7 @@ def _times(matrix: Any, v: Any, w: float) -> Any:
 
 
 def rig_from_panel(lights: Lights) -> NDArray[np.float64]:
-    """Return the 4x4 map of the square [-1, 1]^2 (normal +z) onto the backlight panel, which faces +x."""
+    """Return the 4x4 map of the square [-1, 1]^2 (normal +z) to the backlight panel, which faces +x."""
     width_mm, height_mm = lights.backlight_wh_mm
     matrix = np.eye(4)
     matrix[:3, 0] = [0.0, width_mm / 2.0, 0.0]
@@ -145,7 +145,7 @@ def rig_from_panel(lights: Lights) -> NDArray[np.float64]:
 
 
 def rig_from_front(lights: Lights) -> NDArray[np.float64]:
-    """Return the 4x4 map of the square [-1, 1]^2 (normal +z) onto the front light, which faces the rim's centre."""
+    """Return the 4x4 map of the square [-1, 1]^2 (normal +z) to the front light, which faces the rim's centre."""
     width_mm, height_mm = lights.front_wh_mm
     at = np.array([lights.front_xz_mm[0], 0.0, lights.front_xz_mm[1]])
     normal = -at / np.linalg.norm(at)
@@ -159,12 +159,10 @@ def rig_from_front(lights: Lights) -> NDArray[np.float64]:
 
 
 def front_radiance(scene: Scene) -> float:
-    """Return the radiance of the front light that brings the strip's white paper to ``front_level``.
+    """Return the radiance of the front light for which the strip's white paper, facing the camera, has ``front_level``.
 
-    The paper faces the camera.
-
-    Paper of reflectance rho sends out ``rho / pi * E``; E is the integral of ``L cos cos' / d^2`` over the light (by
-    midpoints).
+    The radiance of paper with reflectance rho is ``rho / pi * E``, where E is the integral of ``L cos cos' / d^2`` over
+    the light (midpoint rule).
     """
     middle_mm = scene.strip.bottom_mm + ((scene.strip.rows - 1) * scene.strip.row_pitch_mm + scene.strip.marker_mm) / 2.0
     paper = np.array([scene.net_pot.outer_radius_mm, 0.0, middle_mm])

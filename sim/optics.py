@@ -1,7 +1,6 @@
-"""The rig as a Mitsuba scene, in the canister's frame and in millimetres: one surface for every optical interface.
+"""Rig as a Mitsuba scene, in the canister frame and in millimetres, with one surface for every optical interface.
 
-The canister stands still; camera and lights move round it, so that turning the table rebuilds nothing but two
-rectangles.
+The canister is static while camera and lights move around it, so that a turn of the table only rebuilds two rectangles.
 """
 
 from __future__ import annotations
@@ -24,23 +23,23 @@ from rhizotwin.sim.world import World, narrowest_mm
 SPECIMEN, HAIRS, SHOOT, OUTER_DIRT = "specimen", "hairs", "shoot", "outer_dirt"
 STRIP = "strip"
 ROOT_REFLECTANCE = 0.35
-"""Wet white roots: a tenth more would brighten them by 0.0065 of full scale (`sim.backlit.AMBIENT`)."""
+"""Reflectance of wet white roots; a tenth more would brighten them by 0.0065 of full scale (`sim.backlit.AMBIENT`)."""
 FELT_REFLECTANCE = 0.02
-"""Black felt; with 0.05 it would still be darker than every root."""
+"""Reflectance of black felt; with 0.05 it would still be darker than all roots."""
 FLOOR_REFLECTANCE = 0.10
-"""What the canister stands on, painted dark; few rays end there."""
+"""Reflectance of the dark surface below the canister, which few rays meet."""
 ALGAE_GAP_MM = 0.05
-"""Films stand this far before the wall: far more than a ray's rounding, far less than a pixel."""
+"""Distance of films from the wall: far more than rounding errors of rays, far less than a pixel."""
 OUTER_GAP_MM = 0.05
-"""The same for what is on the outside."""
+"""The same for objects on the outside."""
 DIRT_TEXEL_MM = 0.1
-"""Half of a pixel on the wall at 800x600."""
+"""Resolution of dirt: half of a pixel on the wall at 800x600."""
 OVAL_SIDES = 1440
-"""Sides of an oval wall: the facets lie within 0.2 um of it, and its normals are the oval's own."""
+"""Number of sides of an oval wall: its facets are within 0.2 um, and its normals are those of the oval."""
 TURBID_ALBEDO = 0.7
-"""Assumed: of the light that turbid water takes, this is scattered, the rest absorbed."""
+"""Albedo of turbid water (assumed): fraction of the extinction by scattering; the rest is absorption."""
 TURBID_FORWARD = 0.9
-"""Mean cosine: particles larger than the wavelength scatter forward."""
+"""Mean cosine of scattering: particles larger than the wavelength scatter forward."""
 
 
 def build(
@@ -59,20 +58,20 @@ def build(
     scene, world : Scene, World
         The nominal rig and its drawn disturbances.
     solid : SpecimenSolid or None
-        Closed surface in the canister's frame, mm; None for an empty canister.
+        Closed surface in the canister frame, mm; None for an empty canister.
     hairs : Sleeve or None
-        What the specimen's hairs reach.
+        Space of the specimen's root hairs.
     lamps : bool
-        With the two lights, which `sim.lights.place` puts where a view has them; without them it is the same scene for
-        all views.
+        Whether to include the two lights, which `sim.lights.place` moves for each view; without them the scene is the
+        same for all views.
     dirt_reach_mm : float or None
-        The outside is opaque this far about all dirt, so that rays at this distance from each other cannot miss any;
-        None: dirt as it is.
+        Distance by which all dirt on the outside is enlarged to an opaque area, so that rays with this spacing cannot
+        miss any; None for the true dirt.
 
     Returns
     -------
     mi.Scene
-        All that a camera can see.
+        Scene without a sensor.
     """
     water, wrong = _water_medium(scene), scene.disturbances
     items: dict[str, Any] = {"type": "scene"}
@@ -102,22 +101,21 @@ def build(
 
 
 def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, slack_mm: float) -> mi.Scene | None:
-    """Return all that can hide between the corners of a pixel, or None where there is nothing.
+    """Return a scene of the fine structures that may lie between the corners of a pixel; None if there are none.
 
-    Specimen, fibres and bubbles.
+    They are specimen, fibres and bubbles.
 
     Parameters
     ----------
     world, solid, hairs : World, SpecimenSolid or None, Sleeve or None
-        As for `build`.
+        See `build`.
     slack_mm : float
-        Fibres and bubbles are this much larger than they are, so that rays at this distance from each other cannot miss
-        one.
+        Enlargement of fibres and bubbles, so that rays with this spacing cannot miss any.
 
     Returns
     -------
     mi.Scene or None
-        For rays that only ask whether there is something.
+        Scene for tests of intersection only.
     """
     items: dict[str, Any] = {"type": "scene"}
     for number, bubble in enumerate(world.bubbles):
@@ -132,24 +130,24 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
     return _load_quietly(items) if len(items) > 1 else None
 
 
-def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
-    """Return the room in the canister that holds the fine things and a margin round them.
+def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
+    """Return a cylinder in the canister that contains the fine structures with a margin.
 
-    It reaches no farther than the canister.
+    It does not extend beyond the canister.
 
     Parameters
     ----------
     world : World
-        Fibres and bubbles.
+        World with fibres and bubbles.
     solid : SpecimenSolid or None
-        The specimen; None for none.
+        Specimen, or None.
     margin_mm : float
-        On every side.
+        Margin on all sides.
 
     Returns
     -------
     Room
-        An upright cylinder.
+        Upright cylinder.
     """
     points = [fibre.points_mm for fibre in world.fibres] + ([solid.vertices] if solid is not None else [])
     points += [
@@ -164,10 +162,7 @@ def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> R
 
 
 def _load_quietly(items: dict[str, Any]) -> mi.Scene:
-    """Load a scene without Mitsuba's warning that a leaning cylinder is not round.
-
-    It sees the rounding of single precision.
-    """
+    """Load a scene without Mitsuba's warning that a tilted cylinder is not round, which is a rounding error."""
     logger = mi.logger()
     level = logger.log_level()
     logger.set_log_level(mi.LogLevel.Error)
@@ -236,7 +231,7 @@ def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
 
 
 def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str, Any]:
-    """Return dust, scratches and seam as a film just outside the canister, or all that is near to them."""
+    """Return dust, scratches and seam as a film just outside the canister, or their surroundings as an opaque film."""
     radius_mm = world.canister.outer_radius_mm + scene.disturbances.canister_out_of_round_mm + OUTER_GAP_MM
     z_range_mm = (scene.canister.floor_z_mm, scene.net_pot.skirt_bottom_mm)
     opacity = dirt.outer_opacity(
@@ -264,7 +259,7 @@ def _specimen(solid: SpecimenSolid, wrong: Disturbances, n_water: float, water: 
 
 
 def _oval(radius_mm: float, oval_mm: float, oval_rad: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
-    """Return an upright wall of the radius ``radius + oval cos(2 (azimuth - oval_rad))`` with its true normals."""
+    """Return an upright wall of radius ``radius + oval cos(2 (azimuth - oval_rad))`` with its exact normals."""
     azimuth = np.arange(OVAL_SIDES) * 2.0 * np.pi / OVAL_SIDES
     radius = radius_mm + oval_mm * np.cos(2.0 * (azimuth - oval_rad))
     slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
@@ -307,7 +302,7 @@ def _mesh(
 
 
 def _tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices and faces of open tubes round the fibres' centrelines."""
+    """Return the vertices and faces of open tubes around the fibres' centre lines."""
     vertices, faces, start = [], [], 0
     turn = np.arange(sides) * 2.0 * np.pi / sides
     for fibre in fibres:
@@ -348,7 +343,7 @@ def _disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any], seat: frames.Arra
 
 
 def _dielectric(n_inside: float, n_outside: float) -> dict[str, Any]:
-    """Return a smooth interface; ``n_outside`` is on the side that the surface's normal points to."""
+    """Return a smooth interface; ``n_outside`` is on the side of the surface's normal."""
     return {"type": "dielectric", "int_ior": n_inside, "ext_ior": n_outside}
 
 

@@ -1,8 +1,8 @@
-"""Pictures of a world: one view at a time, the same whether it is rendered alone or in a set.
+"""Rendering of a world, one view at a time, independent of other views.
 
-Most pixels of a backlit picture are smooth. Rays through the corners of all pixels tell which; only where they went
-different ways, where light bends between them, on the marker strip, and round everything that could hide between them
-are all rays of a pixel traced.
+Most pixels of a backlit picture are smooth, which is determined by rays through the corners of all pixels. All rays of
+a pixel are only traced if the corner rays met different surfaces, if the light varies nonlinearly between them, on the
+marker strip, and around everything that may lie between them.
 """
 
 from __future__ import annotations
@@ -24,66 +24,68 @@ from rhizotwin.sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
 DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
-"""Rays a pixel: a lattice of 4 x 4; of random paths, which are to look at and not to measure, twice as many."""
+"""Rays per pixel: a lattice of 4 x 4, or twice as many random paths, which are for viewing and not for measurements."""
 PATH_DEPTH = 16
-"""Surfaces that a path meets: eight on the straight way through canister or tank, and as many again."""
+"""Maximum number of surfaces on a path: twice the eight of the straight path through canister or tank."""
 MAX_RAYS = 8_000_000
-"""Rays a kernel launch: bounds memory on large sensors."""
+"""Maximum number of rays per kernel launch, which limits memory for large sensors."""
 MAX_PATHS = 32_000_000
-"""The same for path tracing, whose kernels keep nothing but the picture."""
+"""The same for path tracing, whose kernels store only the picture."""
 DIRT_REACH_PX = 3.0
-"""Dirt this many pixels (of those on the farthest wall, blur added) from a ray is looked for: at the flanks, where the
-wall is seen at 70 degrees, a pixel spans three."""
+"""Search distance for dirt about a ray, in pixels on the farthest wall, in addition to blur: at the flanks, where the
+wall is seen at 70 degrees, a pixel spans three of these."""
 MOST_BEND = 1e-3
-"""Second difference of light between pixels' corners, in full scale, up to which a pixel is smooth: the mean of four
-corners is off by a twelfth of it in each direction."""
+"""Maximum second difference of light between pixel corners, in full scale, for a smooth pixel: the error of the mean of
+four corners is a twelfth of it in each direction."""
 BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
-"""Cells of a 4 x 4 lattice, one in each row and column, through which a pixel is searched for fine things."""
+"""Cells of a 4 x 4 lattice, one per row and column, at which a pixel is searched for fine structures."""
 ROOM_MARGIN_MM = 3.0
-"""Margin round the fine things, wider than a pixel: where one corner's ray runs through their room and the next does
-not, nothing is."""
+"""Margin about fine structures, wider than a pixel, so that a pixel with corner rays inside and outside their space
+contains none."""
 SWAYS = 5.0
-"""Standard deviations that a specimen sways at most."""
+"""Maximum sway of a specimen in standard deviations."""
 _TRACING = 21  # key of the path tracer's random stream
 
 Image = NDArray[np.float32]
 
 
-def checked_samples(fidelity: str, samples: int | None) -> int:
-    """Return the rays a pixel to use.
+def check_samples(fidelity: str, samples: int | None) -> int:
+    """Return the number of rays per pixel: ``samples``, or the default of the fidelity for None.
 
-    ``samples``, or the fidelity's default for None; `UserError` where that cannot be.
+    `UserError` is raised for invalid values.
     """
     if fidelity not in DEFAULT_SAMPLES:
         raise UserError(f"fidelity {fidelity!r} is unknown, use one of {', '.join(DEFAULT_SAMPLES)}")
     count = DEFAULT_SAMPLES[fidelity] if samples is None else samples
     if count < 1 or (fidelity == "backlit" and round(count**0.5) ** 2 != count):
-        raise UserError(f"samples {count}: give a positive number of rays a pixel, for the backlit fidelity a square such as 4, 9 or 16")
+        raise UserError(
+            f"samples {count}: must be a positive number of rays per pixel, for the backlit fidelity a square such as 4, 9 or 16"
+        )
     return count
 
 
 class Renderer:
-    """Renders the views of a world.
+    """Renderer for the views of a world.
 
     Parameters
     ----------
     scene : Scene
         The nominal rig.
     world : World
-        Its drawn disturbances.
+        World with its drawn disturbances.
     solid : SpecimenSolid or None
-        The specimen; None renders the empty canister.
+        Specimen; None renders the empty canister.
     fidelity : {"backlit", "path"}
-        ``backlit`` follows the primary refracted path on a regular sub-pixel lattice, without noise; ``path`` is
+        ``backlit`` traces the primary refracted path on a regular sub-pixel lattice, without noise; ``path`` is
         Mitsuba's path tracer.
     samples : int or None
-        Rays a pixel; a square number for ``backlit``. None: the default of the fidelity.
+        Rays per pixel, a square number for ``backlit``; None for the default of the fidelity.
     """
 
     def __init__(
         self, scene: Scene, world: World, solid: SpecimenSolid | None, *, fidelity: Fidelity = "backlit", samples: int | None = None
     ) -> None:
-        self.samples = checked_samples(fidelity, samples)
+        self.samples = check_samples(fidelity, samples)
         self.side = round(self.samples**0.5)
         self.scene = scene
         self.world = world
@@ -92,10 +94,10 @@ class Renderer:
         self.image_wh = scene.camera.image_wh
         wrong = scene.disturbances
         hairs = None if solid is None or wrong.root_hair_mm == 0.0 else sleeve(solid, wrong.root_hair_mm)
-        self.hanging: list[hanging.Hanging] = []
+        self.hanging: list[hanging.HangingObject] = []
         if solid is not None and wrong.sway_mm > 0.0:
             parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
-            self.hanging = [hanging.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
+            self.hanging = [hanging.HangingObject.of(name, vertices, solid) for name, vertices in parts.items()]
         media = wrong.turbidity_per_mm > 0.0 or scene.water.absorption_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
         if fidelity == "path":
             self.lit_scene = optics.build(scene, world, solid, hairs)
@@ -103,7 +105,7 @@ class Renderer:
         farthest_mm = max(np.hypot(ring.distance_mm, ring.height_mm) for ring in scene.plan.rings) + scene.canister.outer_radius_mm
         self.fine = optics.fine_things(world, solid, hairs, slack_mm=farthest_mm / min(scene.camera.focal_px))
         margin_mm = ROOM_MARGIN_MM + SWAYS * wrong.sway_mm + wrong.root_hair_mm
-        room = optics.room_of(world, solid, margin_mm=margin_mm) if self.fine is not None else None
+        room = optics.fine_things_room(world, solid, margin_mm=margin_mm) if self.fine is not None else None
         self.lamps = lights.Lamps(scene, world)
         dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
         self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]
@@ -137,26 +139,25 @@ class Renderer:
         Returns
         -------
         image : (H, W) float32
-            Linear light; 1 is the camera's full scale.
+            Linear light; 1 is full scale.
         coverage : (H, W) float32
-            Fraction of each pixel whose refracted primary rays meet the specimen; in a ring of the shoot, the shoot.
+            Fraction of each pixel whose refracted primary rays meet the specimen, or the shoot in a ring of the shoot.
         """
         return self.look(self.world.cameras[k], ring=self.ring_of_view[k], stream=k)
 
     def look(self, camera: TrueCamera, *, ring: int, stream: int = 0, twist_deg: float | None = None) -> tuple[Image, Image]:
-        """Render what a camera anywhere sees.
+        """Render the view of a camera at any position.
 
         Parameters
         ----------
         camera : TrueCamera
-            Where it is, and where the canister is.
+            Poses of camera and canister.
         ring : int
-            Ring of the plan whose focus the lens has.
+            Ring of the plan that determines the focus of the lens.
         stream : int
-            Number of the path tracer's random stream, and of the view whose sway the specimen has.
+            Number of the path tracer's random stream, and of the view that determines the specimen's sway.
         twist_deg : float or None
-            How far the lowest tips are turned against the pot instead of that sway, in a scene whose specimen
-            sways.
+            Twist of the lowest tips relative to the pot, instead of that sway, in a scene with a swaying specimen.
 
         Returns
         -------
@@ -174,17 +175,17 @@ class Renderer:
             tank.place(built, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)
         self.backlit.aim(self.targets[ring])
         image, coverage, mixed = self._smooth(eye)
-        # leaves on edge are finer than pixels
+        # leaves seen on edge are finer than pixels
         self._refine(eye, image, coverage, mixed | (self.targets[ring] == optics.SHOOT))
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
-            image = self._traced(eye, stream)
+            image = self._path_trace(eye, stream)
         if self.world.highlight is not None:
             image = image + self.world.highlight.astype(np.float32)
         return image, coverage
 
-    def _traced(self, eye: Any, stream: int) -> Image:
-        """Path-trace a view, in as many passes as memory asks for, each with its own seed."""
+    def _path_trace(self, eye: Any, stream: int) -> Image:
+        """Path-trace a view in as many passes as memory requires, each with its own seed."""
         width, height = self.image_wh
         most = max(1, MAX_PATHS // (width * height))
         seeds = np.random.default_rng([self.world.seed, _TRACING, stream])
@@ -197,7 +198,7 @@ class Renderer:
         return total
 
     def _smooth(self, eye: Any) -> tuple[Image, Image, NDArray[np.bool_]]:
-        """Return light and coverage of pixels from their four corners, and which pixels these cannot tell."""
+        """Return light and coverage of pixels from their four corners, and the mask of pixels that need more rays."""
         width, height = self.image_wh
         index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
         u, v = mi.Float(index % (width + 1)) / width, mi.Float(index // (width + 1)) / height
@@ -210,21 +211,21 @@ class Renderer:
         edges = _differ(np.array(way.course).reshape(shape))
         if self.fine is not None:
             found = self._fine_things(self.fine, way)
-            edges |= _of_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
+            edges |= _combine_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
             edges |= (found > 0) & (found < len(BETWEEN))
             edges |= _around(found, 1, cv2.dilate) != _around(found, 1, cv2.erode)
         mixed = _around(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
         if self.near_dirt is not None:
             dirty = self.near_dirt.follow(ray).coverage
-            mixed |= _of_corners(np.array(dirty).reshape(shape), np.maximum) > 0
+            mixed |= _combine_corners(np.array(dirty).reshape(shape), np.maximum) > 0
         if self.fidelity == "backlit":
-            mixed |= _of_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
+            mixed |= _combine_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
 
     def _fine_things(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
-        """Count in each pixel (H, W) the rays between its corners that meet a fine thing.
+        """Count for each pixel (H, W) the rays between its corners that meet a fine structure.
 
-        Their ways are blended from the corners' ways.
+        Their paths are interpolated from those of the corners.
         """
         width, height = self.image_wh
         pixel = dr.arange(mi.UInt32, width * height)
@@ -256,25 +257,25 @@ class Renderer:
             v = (mi.Float(pixel // width) + (mi.Float(ray // side) + 0.5) / side) / height
             primary, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), self._on_lens(ray, side))
             way = self.backlit.follow(primary)
-            dr.eval(way.light, way.coverage)  # one walk for both
+            dr.eval(way.light, way.coverage)  # one evaluation for both
             image.ravel()[pixels] = np.array(dr.block_sum(way.light, side * side)) / side**2
             coverage.ravel()[pixels] = np.array(dr.block_sum(way.coverage, side * side)) / side**2
 
     def _on_lens(self, ray: mi.UInt32, side: int) -> mi.Point2f:
-        """Give every lattice ray of a pixel its place on the lens."""
+        """Return the point on the lens for each lattice ray of a pixel."""
         u, v = ((cell + 0.5) / side for cell in lens_cells(side))
         return mi.Point2f(*(dr.gather(mi.Float, mi.Float(place.astype(np.float32)), ray) for place in (u, v)))
 
 
 def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cell of the lens through which each ray of a pixel's lattice goes, row by row.
+    """Return the cell of the lens for each ray of a pixel's lattice, row by row.
 
-    Column and row, side^2 of each.
+    The result has side^2 columns and rows.
 
-    Every cell is used once, so that the lens as a whole is centred, and the places in the pixel and on the lens form an
-    orthogonal array of strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so that
-    defocus neither shifts nor sharpens an edge. Sides 2, 6, 8 ... have no such array as simple; there a trace of
-    correlation is left.
+    Every cell is used once, so that the lens as a whole is centred, and the positions in the pixel and on the lens form
+    an orthogonal array of strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so
+    that defocus neither displaces nor sharpens an edge. For sides 2, 6, 8 ... there is no such simple array, and a
+    small correlation remains.
 
     Returns
     -------
@@ -289,9 +290,9 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _blur_px(scene: Scene) -> float:
-    """Return how far the lens spreads a point to each side at most.
+    """Return the maximum one-sided blur of a point by the lens, half the larger circle of confusion.
 
-    Half the circle of confusion of the panel or of the near wall.
+    Circles of confusion of the panel and of the near wall are compared.
     """
     wrong, half = scene.disturbances, 0.0
     for ring in scene.plan.rings:
@@ -302,18 +303,18 @@ def _blur_px(scene: Scene) -> float:
     return half
 
 
-def _of_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
+def _combine_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
     """Combine the four corners (H + 1, W + 1) of every pixel (H, W) by a function of two arrays."""
     return np.asarray(combine(combine(corners[:-1, :-1], corners[:-1, 1:]), combine(corners[1:, :-1], corners[1:, 1:])))
 
 
 def _mean_of_corners(corners: NDArray[np.float32]) -> Image:
-    return np.asarray(_of_corners(corners, np.add) * np.float32(0.25), np.float32)
+    return np.asarray(_combine_corners(corners, np.add) * np.float32(0.25), np.float32)
 
 
 def _differ(corners: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Tell which pixels' corners are not all the same."""
-    return np.asarray(_of_corners(corners, np.maximum) != _of_corners(corners, np.minimum))
+    """Return which pixels have different corners."""
+    return np.asarray(_combine_corners(corners, np.maximum) != _combine_corners(corners, np.minimum))
 
 
 def _bend(light: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -324,5 +325,5 @@ def _bend(light: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _around(values: NDArray[np.uint8], reach: int, combine: Any) -> NDArray[np.uint8]:
-    """Dilate or erode over squares that reach so many pixels to each side."""
+    """Dilate or erode over squares that extend ``reach`` pixels to each side."""
     return np.asarray(combine(values, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8), borderType=cv2.BORDER_REPLICATE))

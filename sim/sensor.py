@@ -1,7 +1,6 @@
-"""An OpenCV camera inside Mitsuba: lens distortion, OpenCV's pixel rule and axes, and a thin lens when wanted.
+"""OpenCV camera model as a Mitsuba sensor: distortion, OpenCV's pixel convention and axes, and an optional thin lens.
 
-Mitsuba's film says that pixel i covers [i, i+1]; OpenCV's pixel i covers [i-0.5, i+0.5]. This module is the one place
-where the two meet.
+In Mitsuba, pixel i covers [i, i+1]; in OpenCV, [i-0.5, i+0.5]. The conversion is only done in this module.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from rhizotwin.scenes.model import Camera
 
 PLUGIN = "opencv"
 NEWTON_STEPS = 6
-"""Quadratic convergence: five take a distortion of 0.1 below float32's rounding."""
+"""Number of Newton steps: with quadratic convergence, five reduce a distortion of 0.1 below float32's rounding."""
 
 
 def sensor_dict(
@@ -38,14 +37,14 @@ def sensor_dict(
     distortion : tuple
         k1, k2, p1, p2, k3 of the OpenCV model.
     aperture_mm, focus_mm : float
-        Diameter of the lens opening (0: pinhole) and depth of the plane in focus.
+        Diameter of the lens aperture (0 for a pinhole) and depth of the plane in focus.
     samples : int
-        Samples a pixel of the independent sampler, for Mitsuba's own integrators.
+        Samples per pixel of the independent sampler, for Mitsuba's own integrators.
 
     Returns
     -------
     dict
-        For `mi.load_dict`.
+        Description for `mi.load_dict`.
     """
     register()
     width, height = camera.image_wh
@@ -73,7 +72,7 @@ def sensor_dict(
 
 
 def set_pose(sensor: Any, cam_from_canister: frames.Array) -> None:
-    """Put a sensor where ``cam_from_canister`` (4x4, mm, OpenCV axes) says.
+    """Set the pose of a sensor to ``cam_from_canister`` (4x4, mm, OpenCV axes).
 
     The kernel is compiled once for all poses.
     """
@@ -81,7 +80,7 @@ def set_pose(sensor: Any, cam_from_canister: frames.Array) -> None:
 
 
 def register() -> None:
-    """Make the sensor known to Mitsuba's current variant (again and again does no harm)."""
+    """Register the sensor with Mitsuba's current variant; can be called repeatedly."""
     _register_for(mi.variant())
 
 
@@ -98,7 +97,7 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
     Returns
     -------
     mi.Float, mi.Float
-        Coordinates of the pinhole.
+        Undistorted coordinates.
     """
     k1, k2, p1, p2, k3 = k
     x, y = mi.Float(xd), mi.Float(yd)
@@ -118,19 +117,19 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
 
 
 def _parallel(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
-    """Return origin and direction of a telecentric camera's ray through a place beside the principal point."""
+    """Return origin and direction of a telecentric camera's ray, from a position relative to the principal point."""
     right, down, forward = sensor.rotation
     origin = sensor.centre + right * (x_px * sensor.mm_per_px) + down * (y_px * sensor.mm_per_px)
     if sensor.aperture_radius == 0.0:
         return origin, mi.Vector3f(forward)
-    # a cone about the parallel chief ray, its tip in the plane in focus
+    # a cone about the parallel chief ray, with its apex in the plane in focus
     on_lens = sensor.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
     beside = right * on_lens.x + down * on_lens.y
     return origin + beside, dr.normalize(forward * sensor.focus - beside)
 
 
 def _from_centre(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
-    """Return origin and direction of a ray through a lens, from a place beside the principal point."""
+    """Return origin and direction of a ray through a lens, from a position relative to the principal point."""
     lens = sensor.lens
     right, down, forward = sensor.rotation
     x, y = x_px / lens["fx"], y_px / lens["fy"]
@@ -147,9 +146,9 @@ def _from_centre(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> t
 @cache
 def _register_for(variant: str) -> None:
     class OpenCVSensor(mi.Sensor):
-        """Pinhole or thin lens with OpenCV distortion, or telecentric.
+        """Pinhole or thin lens with OpenCV distortion, or a telecentric camera.
 
-        +z looks forward, +x right, +y down in the image.
+        The axes are +z forward, +x right and +y down in the image.
         """
 
         def __init__(self, props: mi.Properties) -> None:

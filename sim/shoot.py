@@ -1,4 +1,4 @@
-"""From the description of a shoot to one watertight solid above the net pot, with its exact volume and leaf area."""
+"""Conversion of a shoot's description to a watertight solid above the net pot, with its exact volume and leaf area."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from rhizotwin.sim import solids
 from rhizotwin.sim.solids import Array, Faces
 
 ALONG, ACROSS = 32, 12
-"""Cells of a blade along its midrib and from edge to edge: its area is within 0.2 % of that of 64 x 24 cells
-(tests/sim/test_shoot.py)."""
+"""Number of cells of a blade along its midrib and from edge to edge; its area is within 0.2 % of that with 64 x 24
+cells (tests/sim/test_shoot.py)."""
 TIP_SHARE = 0.02
-"""Width of a blade at its two ends, as a share of the widest: a point would have no thickness."""
+"""Width of a blade at its two ends relative to the maximum; a width of 0 would have no thickness."""
 GAP_MM = 0.2
-"""Between the stem's foot and the net pot's top."""
+"""Distance between the stem's foot and the net pot's top."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShootSolid:
-    """One watertight solid in the canister frame."""
+    """A watertight solid in the canister frame."""
 
     vertices: Array
     """(V, 3) float64, mm."""
@@ -36,10 +36,10 @@ class ShootSolid:
     """One-sided area of all blades."""
     leaves: int
     height_mm: float
-    """Of the highest point above the net pot's top."""
+    """Height of the highest point above the net pot's top."""
 
     def truth(self) -> dict[str, float]:
-        """Return what a reconstruction is compared with, as JSON values."""
+        """Return the true values for comparison with a reconstruction, as a JSON object."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         return {
             "volume_mm3": self.volume_mm3,
@@ -52,12 +52,12 @@ class ShootSolid:
 
 
 def build_shoot(scene: Scene) -> ShootSolid | None:
-    """Build the solid of a scene's shoot; None where it has none.
+    """Build the solid of a scene's shoot; return None if it has none.
 
     Raises
     ------
     UserError
-        Where a leaf reaches below the net pot's top, where it would stand in the pot.
+        If a leaf extends below the net pot's top, into the pot.
     """
     if scene.shoot is None:
         return None
@@ -69,15 +69,15 @@ def build_shoot(scene: Scene) -> ShootSolid | None:
     for leaf in range(plant.leaves):
         petiole, middle, left, right = _leaf(plant, leaf, top)
         vertices, faces, area = _blade(middle, left, right, plant.thickness_mm)
-        parts += [_tube(petiole, _share(plant, leaf) * plant.petiole_diameter_mm), _checked(vertices, faces, leaf)]
+        parts += [_tube(petiole, _share(plant, leaf) * plant.petiole_diameter_mm), _to_solid(vertices, faces, leaf)]
         area_mm2 += area
     solid = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add)
-    vertices, faces = solids.surface_of(solid)
+    vertices, faces = solids.to_surface(solid)
     lowest_mm = float(vertices[:, 2].min()) - scene.net_pot.top_mm
     if lowest_mm < 0.0:
         raise UserError(
-            f"The shoot reaches {-lowest_mm:.1f} mm below the net pot's top (z {scene.net_pot.top_mm:g} mm): "
-            "raise shoot.elevation_deg or shoot.stem_mm, or lower shoot.droop_deg or the sizes."
+            f"The shoot extends {-lowest_mm:.1f} mm below the net pot's top (z {scene.net_pot.top_mm:g} mm): "
+            "increase shoot.elevation_deg or shoot.stem_mm, or reduce shoot.droop_deg or the sizes."
         )
     return ShootSolid(
         vertices=vertices,
@@ -90,7 +90,7 @@ def build_shoot(scene: Scene) -> ShootSolid | None:
 
 
 def _share(plant: Shoot, leaf: int) -> float:
-    """Return the size of a leaf over that of the oldest, without its own scatter."""
+    """Return the size of a leaf relative to the oldest, without random variation."""
     age = 0.0 if plant.leaves == 1 else leaf / (plant.leaves - 1)
     return 1.0 + age * (plant.youngest - 1.0)
 
@@ -113,7 +113,7 @@ def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Arr
     bend = rise - np.deg2rad(plant.droop_deg) * 0.5 * (along[:-1] + along[1:])
     steps = size * plant.blade_mm / ALONG * heading(bend)
     middle = end + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    # an ellipse with its widest place a little before the middle
+    # an ellipse with its maximum width a little before the middle
     width = np.maximum(np.sqrt(np.clip(1.0 - (2.0 * along**0.85 - 1.0) ** 2, 0.0, None)), TIP_SHARE) * size * plant.blade_width_mm
     upward = np.cross(heading(rise - np.deg2rad(plant.droop_deg) * along), side)
     fold = np.deg2rad(plant.fold_deg)
@@ -123,12 +123,12 @@ def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Arr
 
 
 def _blade(middle: Array, left: Array, right: Array, thickness_mm: float) -> tuple[Array, Faces, float]:
-    """Return the closed surface of a blade of even thickness, and its one-sided area.
+    """Return the closed surface of a blade of uniform thickness, and its one-sided area.
 
     Parameters
     ----------
     middle, left, right : (N, 3) float64
-        Midrib and edges; between them a blade is straight.
+        Midrib and edges, between which the blade is straight.
     """
     across = np.abs(np.linspace(-1.0, 1.0, ACROSS + 1))[None, :, None]
     edge = np.where(np.linspace(-1.0, 1.0, ACROSS + 1)[None, :, None] < 0.0, left[:, None], right[:, None])
@@ -149,12 +149,14 @@ def _blade(middle: Array, left: Array, right: Array, thickness_mm: float) -> tup
 
 
 def _tube(points_mm: Array, diameter_mm: float) -> manifold3d.Manifold:
-    return solids.manifold_of(*solids.tube(points_mm, np.full(len(points_mm), diameter_mm / 2.0), sides=solids.SIDES))
+    return solids.to_manifold(*solids.tube(points_mm, np.full(len(points_mm), diameter_mm / 2.0), sides=solids.SIDES))
 
 
-def _checked(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
-    """Return a blade as a solid; UserError where its description gives none."""
-    solid = solids.manifold_of(vertices, faces)
+def _to_solid(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
+    """Return a blade as a solid; raise UserError for an invalid description."""
+    solid = solids.to_manifold(vertices, faces)
     if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
-        raise UserError(f"The blade of leaf {leaf + 1} closes to no solid; change shoot.thickness_mm, shoot.fold_deg or shoot.droop_deg.")
+        raise UserError(
+            f"The blade of leaf {leaf + 1} does not form a solid; change shoot.thickness_mm, shoot.fold_deg or shoot.droop_deg."
+        )
     return solid

@@ -1,4 +1,4 @@
-"""From a scene to a dataset folder with its truth; an interrupted set is taken up where it stopped."""
+"""Simulation of a scene to a dataset folder with its truth; an interrupted simulation can be resumed."""
 
 import hashlib
 import json
@@ -12,28 +12,28 @@ import numpy as np
 
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_image, write_json
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import contents, held
+from rhizotwin.scenes.folders import contents, lock_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import save_truth
 from rhizotwin.sim.bands import scene_in_band
 from rhizotwin.sim.exposure import expose, mask_picture
-from rhizotwin.sim.render import Fidelity, Image, Renderer, checked_samples
+from rhizotwin.sim.render import Fidelity, Image, Renderer, check_samples
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
-from rhizotwin.sim.truth import truth_of, write_specimen
-from rhizotwin.sim.world import TrueCamera, World, as_given, draw_world
+from rhizotwin.sim.truth import build_truth, write_specimen
+from rhizotwin.sim.world import TrueCamera, World, draw_world, scene_for_reconstruction
 
 PROGRESS_FILE = "truth/simulate.json"
-"""What the set is made with and which frames are done; it is what a second start compares and continues."""
+"""File with settings and finished frames, from which an interrupted simulation is resumed."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "opencv-python-headless", "manifold3d")
 _NOISE = 31
 
 
 class CannotContinueError(UserError):
-    """A folder holds a set that was made otherwise, or whose record is damaged, so that it cannot be taken up."""
+    """A folder contains a simulation with other settings, or a damaged record, so that it cannot be resumed."""
 
 
 def simulate(
@@ -51,32 +51,32 @@ def simulate(
     Parameters
     ----------
     scene : Scene
-        With the disturbances to draw; the dataset gets the nominal scene without them, but with the lens's calibrated
-        distortion.
+        Scene with the disturbances to draw; the dataset contains the nominal scene without them, but with the
+        calibrated distortion of the lens.
     folder : Path
-        New, empty, or left by an interrupted run with the same settings, whose intact frames are kept.
+        New or empty folder, or that of an interrupted run with the same settings, whose intact frames are kept.
     profile_name : str
-        Written to the dataset as where the disturbances came from.
+        Name of the disturbances' profile, recorded in the dataset.
     seed : int
-        Of all noise and errors; 0 is a seed.
+        Random seed of all noise and errors.
     fidelity, samples : Fidelity, int or None
         See `sim.render.Renderer`.
     monitor : Monitor, type of tqdm, callable or None
-        Hears of every view, and may stop the work; what is finished stays and is taken up by the next run.
+        Receives the progress, and can stop the work; finished frames are kept and used by the next run.
 
     Raises
     ------
     CannotContinueError
-        When the folder holds a set of another scene, other settings, other versions of the program, or a damaged one.
+        If the folder contains a simulation of another scene, settings or version of the program, or a damaged one.
     UserError
-        For a specimen that cannot be used, a folder that holds something else, or a full disk.
+        For an invalid specimen, a folder with other contents, or a full disk.
     Cancelled
         After `Monitor.cancel`.
     """
     folder = Path(folder)
     if seed < 0:
-        raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
-    samples = checked_samples(fidelity, samples)
+        raise UserError(f"seed {seed} is negative; it must be 0 or a positive integer")
+    samples = check_samples(fidelity, samples)
     with (monitor := Monitor.of(monitor)).stage("specimen"):
         solid = build_specimen(scene, monitor=monitor)
     settings = {
@@ -88,14 +88,14 @@ def simulate(
         "variant": mi.variant(),
         "versions": versions(_VERSIONED),
     }
-    with held(folder):
-        done = _take_up(folder, settings)
+    with lock_folder(folder):
+        done = _load_progress(folder, settings)
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
         frames = _render_frames(folder, scene, world, solid, settings, done, monitor=monitor)
-        save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
+        save_truth(folder, build_truth(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
-        return save_dataset(Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin))
+        return save_dataset(Dataset(folder=folder, scene=scene_for_reconstruction(scene), frames=frames, seed=seed, origin=origin))
 
 
 def _render_frames(
@@ -112,7 +112,7 @@ def _render_frames(
     quality = scene.disturbances.jpeg_quality
     suffix = ".png" if quality is None else ".jpg"
     bands = ("", *(band.name for band in scene.camera.bands))
-    taken = [(view, band) for view in plan.views(scene, seed=world.seed) for band in plan.bands_of(scene, view.ring)]
+    taken = [(view, band) for view in plan.views(scene, seed=world.seed) for band in plan.ring_bands(scene, view.ring)]
     pictures = {plan.picture_name(view.index, band) + suffix: (view, band) for view, band in taken}
 
     def paths_of(name: str) -> tuple[Path, Path]:
@@ -127,7 +127,7 @@ def _render_frames(
         done[name] = _hashes(image_path, mask_path)
         write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
 
-    # One picture is exposed and written while the next is rendered.
+    # A picture is exposed and written while the next one is rendered.
     with monitor.stage("render"), monitor.steps("render", len(pictures), "picture") as step, ThreadPoolExecutor(1) as writer:
         kept: Future[None] | None = None
         for name, (view, band) in pictures.items():
@@ -159,14 +159,14 @@ def _render_frames(
 
 
 def _cameras(scene: Scene, world: World) -> list[TrueCamera]:
-    """Return the camera of each picture: those of one view in several bands have the same."""
-    return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.bands_of(scene, view.ring)]
+    """Return the camera of each picture, which is the same for one view in several bands."""
+    return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.ring_bands(scene, view.ring)]
 
 
-def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the frames that an earlier run with the same settings finished, by name.
+def _load_progress(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
+    """Return the finished frames of an earlier run with the same settings, by name.
 
-    Refuse a folder that holds anything else.
+    Raise an error for a folder with other contents.
     """
     progress_path = folder / PROGRESS_FILE
     if progress_path.is_file():
@@ -175,21 +175,21 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
             earlier, done = before["settings"], dict(before["frames"])
         except (ValueError, KeyError, TypeError, RecursionError):
             raise CannotContinueError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
-        different = _different(earlier, settings)
+        different = _name_differences(earlier, settings)
         if different:
             raise CannotContinueError(
-                f"{folder} holds a set made with another {', '.join(different)}: choose a new folder, or delete this one to start afresh"
+                f"{folder} contains a simulation made with another {', '.join(different)}: choose a new folder, or delete it to restart"
             )
         return done
     if any(not path.is_dir() for name in contents(folder) for path in [folder / name, *(folder / name).rglob("*")]):
-        # not only folders, as a run leaves that was stopped before its first file
-        raise UserError(f"{folder} is not empty and holds no interrupted set: choose a new folder for the dataset")
+        # not only folders, as a run leaves if it was stopped before its first file
+        raise UserError(f"{folder} is not empty and contains no interrupted simulation: choose a new folder for the dataset")
     write_json(progress_path, {"settings": settings, "frames": {}})
     return {}
 
 
-def _different(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
-    """Name the settings that differ, a program or library with both versions."""
+def _name_differences(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
+    """Return the names of settings that differ, with both versions of a program or library."""
     named = []
     for key in sorted(settings):
         if key == "versions":
@@ -203,11 +203,11 @@ def _different(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
 
 
 def _scene_hash(scene: Scene, solid: SpecimenSolid) -> str:
-    told = {key: value for key, value in asdict(scene).items() if key != "subject"}  # whose it is changes no picture
+    told = {key: value for key, value in asdict(scene).items() if key != "subject"}  # the subject does not affect any picture
     text = json.dumps(told, sort_keys=True).encode()
     shape = np.ascontiguousarray(solid.vertices, dtype=np.float64).tobytes() + np.ascontiguousarray(solid.faces, dtype=np.int32).tobytes()
     return hashlib.sha256(text + shape).hexdigest()
 
 
 def _hashes(*paths: Path) -> list[str]:
-    return [sha256_of(path) for path in paths]
+    return [file_sha256(path) for path in paths]

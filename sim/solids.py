@@ -1,7 +1,4 @@
-"""Roots as one watertight solid.
-
-Tubes round the centrelines, united by manifold3d, with the exact volume of the result.
-"""
+"""Roots as one watertight solid: the union of tubes around the centre lines, by manifold3d, with its exact volume."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,19 +16,18 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 SIDES = 24
-"""Sides of a tube: a prism of 24 with a circle's area is 0.3 % wider than the circle, one of 16 is 0.6 %, one of 8 is
-2.7 %."""
+"""Number of sides of a tube: a prism with 24 sides and a circle's area is 0.3 % wider than the circle; with 16 sides it
+is 0.6 %, with 8 sides 2.7 %."""
 SPLIT_TURN_RAD = 2.0
-"""A tube that has turned this far goes on as a new one: united, it may then cross itself."""
+"""Turning angle after which a tube is divided, as it may then intersect itself."""
 KINK_RAD = 0.6
-"""A single bend beyond this, or inside the tube's own radius, is a joint of two tubes with round ends."""
+"""Angle beyond which a bend, or one inside the tube's own radius, becomes a joint of two tubes with round ends."""
 
 MOST_AT_ONCE = 250
-"""Tubes that are united in one call, which neither reports progress nor can be stopped: plants of the library have 207
-at most, and so many that all cross each other take 20 s. More are united by twos."""
+"""Maximum number of tubes united in one call, which neither reports progress nor can be stopped: plants of the library
+have at most 207, and as many mutually crossing tubes take 20 s. More are united pairwise."""
 LEAST_MM = 1e-3
-"""Thinner tubes (files may taper to nothing) are given this diameter, far below what a picture or the volume can
-tell."""
+"""Minimum diameter of tubes (files may taper to zero), far below any effect on pictures or volume."""
 
 
 def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces]:
@@ -40,16 +36,16 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
     Parameters
     ----------
     points_mm : (N, 3) float64
-        Centreline, N >= 2, neighbours apart.
+        Centre line, N >= 2, without coincident neighbours.
     radii_mm : (N,) float64
     sides : int
-        Corners of a cross-section. They lie outside the circle, so that the polygon's area is the circle's: the corner
-        radius is r sqrt(2 pi / (n sin(2 pi / n))).
+        Number of corners of a cross-section. The polygon has the area of the circle, so that its corners are outside
+        the circle, at a radius of r sqrt(2 pi / (n sin(2 pi / n))).
 
     Returns
     -------
     vertices (V, 3) float64, faces (F, 3) int32, counter-clockwise seen from outside.
-        Cross-sections stand on rotation-minimising frames (double reflection, Wang et al. 2008, ACM TOG 27:2).
+        Cross-sections follow rotation-minimising frames (double reflection, Wang et al. 2008, ACM TOG 27:2).
     """
     tangents = np.diff(points_mm, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -74,7 +70,7 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
 
 
 def _minimal_frames(points_mm: Array, tangents: Array) -> Array:
-    """Carry a normal along a curve without twist, by two reflections a step (Wang et al. 2008, table I)."""
+    """Transport a normal along a curve without twist, by two reflections per step (Wang et al. 2008, table I)."""
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     normals = np.empty_like(points_mm)
     normals[0] = normal / np.linalg.norm(normal)
@@ -93,7 +89,7 @@ def _minimal_frames(points_mm: Array, tangents: Array) -> Array:
 
 
 def _tube_faces(rings: int, sides: int) -> Faces:
-    """Triangles between consecutive rings, and fans to the two poles (the last two vertices)."""
+    """Return triangles between consecutive rings, and fans to the two poles (the last two vertices)."""
     corner = np.arange(sides)
     after = (corner + 1) % sides
     low = (np.arange(rings - 1) * sides)[:, None]
@@ -110,7 +106,7 @@ def _tube_faces(rings: int, sides: int) -> Faces:
 
 
 def pieces(root: Root) -> list[tuple[Array, Array]]:
-    """Cut a root into tubes of points (N, 3) and radii (N,) that do not cross themselves: at kinks and far turns."""
+    """Divide a root into tubes of points (N, 3) and radii (N,) without self-intersection, at kinks and large turns."""
     apart = np.concatenate([[True], np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) > 1e-6])
     points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.maximum(root.diameters_mm, LEAST_MM)[apart] / 2.0
     if len(points_mm) < 2:
@@ -119,7 +115,7 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
     lengths_mm = np.linalg.norm(steps, axis=1)
     along = steps / lengths_mm[:, None]
     bends_rad = np.arccos(np.clip(np.sum(along[:-1] * along[1:], axis=1), -1.0, 1.0))
-    # the two half tubes of a bend overlap on its inside when r tan(bend / 2) exceeds a segment
+    # the two half tubes of a bend overlap on its inside if r tan(bend / 2) exceeds a segment
     inside_mm = radii_mm[1:-1] * np.tan(np.minimum(bends_rad, 3.0) / 2.0)
     kinks = (bends_rad > KINK_RAD) | (inside_mm > 0.4 * np.minimum(lengths_mm[:-1], lengths_mm[1:]))
     cuts, turned = [0], 0.0
@@ -132,42 +128,42 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
     return [(points_mm[a : b + 1], radii_mm[a : b + 1]) for a, b in pairwise(cuts)]
 
 
-def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
-    """Unite the tubes of roots, all radii times ``scale``, into one solid.
+def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
+    """Unite the tubes of roots, with all radii multiplied by ``scale``, into one solid.
 
     Parameters
     ----------
     roots : sequence of Root
-        With diameters.
+        Roots with diameters.
     scale : float
-        Of all radii.
+        Factor of all radii.
     monitor : Monitor, optional
-        Hears how far it is, where there are many, and may stop it.
+        Receives the progress for many roots, and can stop the work.
     """
     tubes: list[manifold3d.Manifold] = []
     for root in roots:
         for points_mm, radii_mm in pieces(root):
-            tubes.append(manifold_of(*tube(points_mm, scale * radii_mm, sides=SIDES)))
+            tubes.append(to_manifold(*tube(points_mm, scale * radii_mm, sides=SIDES)))
     if not tubes:
-        raise UserError("The specimen has no root with a length: there is nothing to put into the water.")
+        raise UserError("The specimen is empty: it has no root with a length.")
     if len(tubes) > MOST_AT_ONCE:
         with (monitor or Monitor()).steps("specimen", len(tubes) - 1, "tube") as step:
             while len(tubes) > 1:
                 pairs = [manifold3d.Manifold.batch_boolean(tubes[k : k + 2], manifold3d.OpType.Add) for k in range(0, len(tubes), 2)]
                 for pair in pairs[: len(tubes) // 2]:
-                    pair.status()  # until somebody asks, nothing is united
+                    pair.status()  # manifold3d evaluates unions only on request
                     step()
                 tubes = pairs
     return manifold3d.Manifold.batch_boolean(tubes, manifold3d.OpType.Add)
 
 
-def manifold_of(vertices: Array, faces: Faces) -> manifold3d.Manifold:
-    """Hand a closed surface (V, 3) of triangles (F, 3) to manifold3d; the caller looks at its ``status()``."""
+def to_manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
+    """Convert a closed surface (V, 3) of triangles (F, 3) to manifold3d; the caller must check its ``status()``."""
     mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices, np.float64), tri_verts=np.ascontiguousarray(faces, np.uint64))
     return manifold3d.Manifold(mesh)
 
 
-def surface_of(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
+def to_surface(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
     """Return the vertices (V, 3) float64 in mm and faces (F, 3) int32 of a solid."""
     mesh = solid.to_mesh64()
     return np.array(mesh.vert_properties[:, :3], dtype=np.float64), np.array(mesh.tri_verts, dtype=np.int32)
@@ -176,7 +172,7 @@ def surface_of(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
 def scale_to_volume(
     roots: Sequence[Root], volume_mm3: float, *, tolerance: float = 1e-7, rounds: int = 12, monitor: Monitor | None = None
 ) -> tuple[manifold3d.Manifold, list[Root], float]:
-    """Scale all radii by one factor until the union of the tubes has a volume.
+    """Scale all radii by one factor so that the union of the tubes has a given volume.
 
     Parameters
     ----------
@@ -185,11 +181,11 @@ def scale_to_volume(
     volume_mm3 : float
         Volume of the union to reach.
     tolerance : float
-        Relative; the union is exact, so this is all that is left.
+        Relative tolerance, which is the only error, as the union is exact.
     rounds : int
-        Unions to try before giving up.
+        Maximum number of unions.
     monitor : Monitor, optional
-        See `union_of_roots`.
+        See `unite_roots`.
 
     Returns
     -------
@@ -202,12 +198,12 @@ def scale_to_volume(
     Raises
     ------
     UserError
-        The volume cannot be reached with these roots.
+        If the volume cannot be reached with these roots.
     """
     previous: tuple[float, float] | None = None
     log_scale, slope = 0.0, 2.0
     for _ in range(rounds):
-        solid = union_of_roots(roots, scale=float(np.exp(log_scale)), monitor=monitor)
+        solid = unite_roots(roots, scale=float(np.exp(log_scale)), monitor=monitor)
         miss = float(np.log(solid.volume() / volume_mm3))
         if abs(miss) < tolerance:
             scale = float(np.exp(log_scale))

@@ -1,4 +1,4 @@
-"""From the description of a specimen to one watertight solid in the canister's water, with its exact volume."""
+"""Conversion of a specimen's description to one watertight solid in the canister's water, with its exact volume."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,22 +16,22 @@ from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, RsmlFile, read_file
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
-from rhizotwin.scenes.traced import close_gaps, once
+from rhizotwin.scenes.traced_roots import close_gaps, merge_shared_stretches
 from rhizotwin.scenes.traits import measure_traits
-from rhizotwin.sim import growth, meshes, placing, solids
-from rhizotwin.sim.placing import TOUCH_MM, check_in_water
+from rhizotwin.sim import growth, meshes, placement, solids
+from rhizotwin.sim.placement import TOUCH_MM, check_in_water
 from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
-"""81920 faces: 0.0024 % from the ball before it is scaled to the ball's volume."""
+"""Subdivisions of the sphere: 81920 faces deviate by 0.0024 % from the ball, before scaling to its volume."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
-"""Resolutions at which scanners and screens work."""
+"""Common resolutions of scanners and screens."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpecimenSolid:
-    """One watertight solid in the canister frame."""
+    """A watertight solid in the canister frame."""
 
     vertices: Array
     """(V, 3) float64, mm."""
@@ -40,15 +40,16 @@ class SpecimenSolid:
     volume_mm3: float
     """Exact volume of the polyhedron."""
     roots: tuple[Root, ...] = ()
-    """Centrelines with final diameters; empty for spheres and meshes."""
+    """Centre lines with final diameters; empty for spheres and meshes."""
     traits: dict[str, Any] = field(default_factory=dict)
-    """Every field of `scenes.traits.Traits`."""
+    """Fields of `scenes.traits.Traits`."""
     plants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Of several plants, by name: ``volume_mm3`` of each alone and its ``traits``; empty: there is one."""
+    """Volume ``volume_mm3`` of each plant by itself and its ``traits``, by the plant's name; empty for a single plant.
+    """
     notes: tuple[str, ...] = ()
-    """What was repaired or is odd about the specimen, a sentence each, for the user."""
+    """Notes for the user on repairs and peculiarities of the specimen, one sentence each."""
     shoot: ShootSolid | None = None
-    """What grows on it above the net pot."""
+    """Shoot above the net pot."""
 
     @property
     def normals(self) -> Array:
@@ -70,7 +71,7 @@ class SpecimenSolid:
 
 @dataclass(frozen=True, kw_only=True)
 class Sleeve:
-    """What the hairs of roots reach: a closed surface about them, in the canister frame."""
+    """Space of root hairs: a closed surface about the roots, in the canister frame."""
 
     vertices: Array
     """(V, 3) float64, mm."""
@@ -79,11 +80,11 @@ class Sleeve:
 
 
 def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
-    """Return what hairs of some length reach about a specimen's roots; None where it has none."""
+    """Return the space of root hairs of a given length about a specimen's roots; None without roots."""
     if not solid.roots:
         return None
     grown = [replace(root, diameters_mm=root.diameters_mm + 2.0 * hair_mm) for root in solid.roots]
-    vertices, faces = solids.surface_of(solids.union_of_roots(grown))
+    vertices, faces = solids.to_surface(solids.unite_roots(grown))
     return Sleeve(vertices=vertices, faces=faces)
 
 
@@ -93,37 +94,37 @@ def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor
     Parameters
     ----------
     scene : Scene
-        Its specimen, and the canister, water and net pot that hold it.
+        Scene with specimen, canister, water and net pot.
     folder : path or None
-        Where relative paths of specimen files start; None: the working directory.
+        Base folder of relative paths of specimen files; None for the working directory.
     monitor : Monitor, optional
-        Hears how far it is, and may stop it.
+        Receives the progress, and can stop the work.
 
     Returns
     -------
     SpecimenSolid
-        In the canister frame, wholly in the water.
+        Solid in the canister frame, completely inside the water.
 
     Raises
     ------
     UserError
-        A file cannot be used, a volume cannot be reached, or the specimen leaves the water.
+        If a file is invalid, a volume cannot be reached, or the specimen is not inside the water.
     """
     if scene.plants:
-        parts = [_planted(plant, scene, folder, monitor) for plant in scene.plants]
+        parts = [_build_plant(plant, scene, folder, monitor) for plant in scene.plants]
         what = "the plants"
         solid = manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
     else:
         if scene.specimen is None:
-            raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or give one with --specimen FILE")
-        parts = [_one(scene.specimen, scene, folder, monitor)]
+            raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or use --specimen FILE")
+        parts = [_build_one(scene.specimen, scene, folder, monitor)]
         what, solid = parts[0].what, parts[0].solid
-    roots, notes = _together([part.roots for part in parts]), [note for part in parts for note in part.notes]
-    vertices, faces = solids.surface_of(solid)
+    roots, notes = _join_roots([part.roots for part in parts]), [note for part in parts for note in part.notes]
+    vertices, faces = solids.to_surface(solid)
     check_in_water(vertices, scene, what=what)
     hidden_mm = float(vertices[:, 2].max()) - scene.net_pot.grid_z_mm
     if hidden_mm > TOUCH_MM:
-        notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and never seen.")
+        notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and not visible.")
     return SpecimenSolid(
         vertices=vertices,
         faces=faces,
@@ -141,26 +142,26 @@ def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor
 
 @dataclass(frozen=True)
 class _Part:
-    """One specimen as a solid."""
+    """A specimen as a solid."""
 
     what: str
-    """What it is called in messages."""
+    """Name used in messages."""
     solid: manifold3d.Manifold
     roots: tuple[Root, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def _planted(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
-    """Build one of several plants where it hangs."""
+def _build_plant(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
+    """Build one of several plants at its position."""
     specimen = plant.placed()
     if specimen is None:
         raise UserError(f"plant {plant.plant} of scene {scene.name!r} has no specimen: add a [plants.specimen] below its [[plants]]")
-    part = _one(specimen, scene, folder, monitor)
+    part = _build_one(specimen, scene, folder, monitor)
     return replace(part, what=f"plant {plant.plant}", roots=tuple(replace(root, plant=plant.plant) for root in part.roots))
 
 
-def _together(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
-    """Return the roots of several specimens as one list, parents as indices into it."""
+def _join_roots(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
+    """Return the roots of several specimens as one list, with parents as indices into it."""
     roots: list[Root] = []
     for part in parts:
         first = len(roots)
@@ -169,15 +170,15 @@ def _together(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
 
 
 def _traits(solid: manifold3d.Manifold, roots: Sequence[Root]) -> dict[str, Any]:
-    """Measure a solid and its roots, as JSON values."""
-    vertices, _ = solids.surface_of(solid)
+    """Measure the traits of a solid and its roots, as a JSON object."""
+    vertices, _ = solids.to_surface(solid)
     measured: dict[str, Any] = to_plain(
         measure_traits(roots, vertices, volume_mm3=float(solid.volume()), surface_mm2=float(solid.surface_area()))
     )
     return measured
 
 
-def _one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
+def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
     """Build one specimen."""
     if isinstance(specimen, SphereSpecimen):
         return _Part("the sphere", _sphere(specimen))
@@ -189,17 +190,17 @@ def _one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor
     what = str(path)
     if isinstance(specimen, MeshSpecimen):
         solid, notes = meshes.load_solid(path)
-        solid = _placed_mesh(solid, specimen, scene)
+        solid = _place_mesh(solid, specimen, scene)
         if _is_moved(specimen):
-            notes.append(f"{what}: {placing.said_size(solids.surface_of(solid)[0])} mm (x, y, z) as it stands.")
+            notes.append(f"{what}: {placement.format_size(solids.to_surface(solid)[0])} mm (x, y, z) after placement.")
         return _Part(what, solid, (), tuple(notes))
-    roots, notes = _traced(path, specimen, scene)
-    solid = solids.union_of_roots(roots, monitor=monitor)
-    roots, shared_mm = once(roots)
+    roots, notes = _load_traced_roots(path, specimen, scene)
+    solid = solids.unite_roots(roots, monitor=monitor)
+    roots, shared_mm = merge_shared_stretches(roots)
     if shared_mm > 0.0:
-        notes.append(f"{what}: {shared_mm:.0f} mm that several roots share are counted once.")
+        notes.append(f"{what}: {shared_mm:.0f} mm shared by several roots are counted once.")
     if (bodies := len(solid.decompose())) > 1:
-        notes.append(f"{what}: the roots make {bodies} separate bodies; where the file leaves gaps, they are kept.")
+        notes.append(f"{what}: the roots form {bodies} separate bodies; gaps in the file are kept.")
     return _Part(what, solid, tuple(replace(root, plant="") for root in roots), tuple(notes))
 
 
@@ -207,47 +208,47 @@ def _is_moved(specimen: PlacedFile) -> bool:
     return specimen.place != "given" or specimen.flip or specimen.scale != 1.0 or any(specimen.shift_mm)
 
 
-def _placed_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
-    """Put a mesh where it is told to be."""
+def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
+    """Place a mesh as specified."""
     if not _is_moved(specimen):
         return solid
-    vertices, faces = solids.surface_of(solid)
-    return solids.manifold_of(placing.find(specimen, vertices, scene).of(vertices), faces)
+    vertices, faces = solids.to_surface(solid)
+    return solids.to_manifold(placement.find_placement(specimen, vertices, scene).of(vertices), faces)
 
 
-def _traced(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
-    """Read traced roots, put them where they are told to be, and say how they were understood."""
+def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
+    """Read and place traced roots, with notes on their interpretation."""
     file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
     roots, closed = close_gaps(file)
     base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])
-    roots = placing.find(specimen, _reach(roots), scene, base_mm=base_mm).roots(roots)
+    roots = placement.find_placement(specimen, _reach(roots), scene, base_mm=base_mm).roots(roots)
     reach_mm = _reach(roots)
     check_in_water(reach_mm, scene, what=str(path))
     diameters_mm = np.concatenate([root.diameters_mm for root in roots])
     said = "unit given" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
     resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") and not specimen.unit else ""
     notes = [
-        f"{path}: {len(roots)} roots, {placing.said_size(reach_mm)} mm (x, y, z), "
+        f"{path}: {len(roots)} roots, {placement.format_size(reach_mm)} mm (x, y, z), "
         f"{diameters_mm.min():.2g} to {diameters_mm.max():.2g} mm thick; "
         f"one step of the file is {file.step_mm:.4g} mm ({said}{resolution})."
     ]
     if resolution and not specimen.unit and _is_dpi(file):
         notes.append(
-            f"{path}: its resolution of {file.resolution} is taken for steps per {file.unit}; if it is dots per inch, give the unit "
+            f"{path}: its resolution of {file.resolution} is interpreted as steps per {file.unit}; if it is dots per inch, set the unit "
             f"'{25.4 / float(file.resolution):.4g} mm'."
         )
     if closed:
-        notes.append(f"{path}: {closed} roots that begin away from their parent are joined to the node that the file names.")
+        notes.append(f"{path}: {closed} roots that begin at a distance from their parent are connected to the node stated in the file.")
     return roots, notes
 
 
 def _is_dpi(file: RsmlFile) -> bool:
-    """Tell whether a resolution per centimetre or millimetre looks like a scanner's dots per inch."""
+    """Return whether a resolution per centimetre or millimetre is probably the dots per inch of a scanner."""
     return file.unit.lower() in ("cm", "mm") and float(file.resolution) in SCANNERS_DPI
 
 
 def _reach(roots: Sequence[Root]) -> Array:
-    """Return how far roots reach along each axis from each of their nodes (6 N, 3), thickness and all."""
+    """Return the extents of roots along each axis at their nodes (6 N, 3), including thickness."""
     points_mm = np.concatenate([root.points_mm for root in roots])
     radii_mm = np.concatenate([root.diameters_mm for root in roots]) / 2.0
     ways = np.concatenate([np.eye(3), -np.eye(3)])
@@ -261,6 +262,6 @@ def _locate(file: str, folder: Path | None) -> Path:
 
 def _sphere(specimen: SphereSpecimen) -> manifold3d.Manifold:
     ball = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS, radius=1.0)
-    unit = solids.manifold_of(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32))
+    unit = solids.to_manifold(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32))
     grow = (4.0 / 3.0 * np.pi / unit.volume()) ** (1.0 / 3.0) * specimen.diameter_mm / 2.0
-    return solids.manifold_of(grow * np.asarray(ball.vertices) + np.array(specimen.centre_mm), np.asarray(ball.faces, dtype=np.int32))
+    return solids.to_manifold(grow * np.asarray(ball.vertices) + np.array(specimen.centre_mm), np.asarray(ball.faces, dtype=np.int32))

@@ -1,4 +1,4 @@
-"""The marker strip as a picture: black markers on white paper, unrolled round the net pot."""
+"""Picture of the marker strip: black markers on white paper, unrolled around the net pot."""
 
 from typing import Any
 
@@ -9,29 +9,29 @@ from rhizotwin.scenes.markers import marker_cells
 from rhizotwin.scenes.model import MarkerStrip, NetPot
 
 PAPER, INK = 0.85, 0.04
-"""Diffuse reflectance of white office paper and of toner on it."""
+"""Diffuse reflectance of white office paper, and of toner on it."""
 MM_PER_TEXEL = 1.0 / 16.0
-"""A quarter of a bench's pixel (0.23 mm), and what edges cut through is painted by its share."""
+"""Resolution: a quarter of a bench's pixel (0.23 mm); texels at edges are painted by their covered fraction."""
 
 
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
-    """Paint the strip's reflectance on the unrolled net pot, each texel the mean over its area.
+    """Paint the strip's reflectance on the unrolled net pot, averaged over texels.
 
     Parameters
     ----------
     strip : MarkerStrip
-        Markers and gaps.
+        Strip with its markers.
     net_pot : NetPot
-        What it is glued round.
+        Net pot that carries the strip.
     mm_per_texel : float
         Edge of a texel.
 
     Returns
     -------
     (rows, columns) float32 array
-        Row 0 at the net pot's top, column 0 at the seam, azimuth (counter-clockwise from above) growing with the
-        column: seen from outside the picture is not mirrored. Markers lie exactly where
-        `scenes.plan.marker_corners` says.
+        Reflectance, with row 0 at the net pot's top and column 0 at the seam; the azimuth (counter-clockwise from
+        above) increases with the column, so that the picture is not mirrored when seen from outside. Markers are
+        exactly at the positions of `scenes.plan.marker_corners`.
     """
     around_mm = 2.0 * np.pi * net_pot.outer_radius_mm
     high_mm = net_pot.top_mm - net_pot.skirt_bottom_mm
@@ -54,7 +54,7 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
 
 
 def _share(texel_edges: NDArray[Any], cell_edges: NDArray[Any]) -> NDArray[np.float64]:
-    """Return which fraction of each texel (rows) each cell (columns) covers; both edges ascend."""
+    """Return the fraction of each texel (rows) that each cell (columns) covers; both edges ascend."""
     low = np.maximum(texel_edges[:-1, None], cell_edges[None, :-1])
     high = np.minimum(texel_edges[1:, None], cell_edges[None, 1:])
     share: NDArray[np.float64] = np.clip(high - low, 0.0, None) / np.diff(texel_edges)[:, None]

@@ -1,7 +1,4 @@
-"""The tank of liquid about the canister.
-
-Four meshes that stand still in the rig while the canister, whose frame the scene has, turns.
-"""
+"""Tank of liquid about the canister: four meshes that are static in the rig while the canister rotates."""
 
 from __future__ import annotations
 
@@ -19,11 +16,11 @@ Faces = NDArray[np.int64]
 
 OUTSIDE, INSIDE, SURFACE, OPAQUE = "tank_outside", "tank_inside", "tank_surface", "tank_opaque"
 HOLE_SIDES = 720
-"""Corners of the hole that the canister makes in the liquid's surface: 1 um inside a circle of 76 mm."""
+"""Number of corners of the canister's hole in the liquid's surface: 1 um inside a circle of 76 mm."""
 
 
 def _walls(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
-    """Return the four upright faces of a box, normals outward."""
+    """Return the four vertical faces of a box, with outward normals."""
     x, y = tank.front_mm - inset_mm, tank.half_width_mm - inset_mm
     ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
     vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in (low_mm, tank.level_mm)])
@@ -40,12 +37,12 @@ def _opaque(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
 
 
 def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
-    """Return the liquid's surface round the canister.
+    """Return the liquid's surface around the canister.
 
-    The canister's outline on it is ``hole`` (N, 2), counter-clockwise from above.
+    The outline of the canister on it is ``hole`` (N, 2), counter-clockwise from above.
     """
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
-    out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # straight out from the axis to the walls
+    out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # radially from the axis to the walls
     corners = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
     count = len(hole)
     vertices = np.column_stack([np.concatenate([hole, out, corners]), np.full(2 * count + 4, tank.level_mm)])
@@ -53,7 +50,7 @@ def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
     after = (k + 1) % count
     faces = [np.stack([k, k + count, after + count], axis=1), np.stack([k, after + count, after], axis=1)]
     on_x = np.abs(np.abs(out[:, 0]) - x) < 1e-9
-    turns = np.flatnonzero(on_x != on_x[after])  # between these two a corner is left over
+    turns = np.flatnonzero(on_x != on_x[after])  # between these two a corner is missing
     for number in turns:
         corner = int(np.argmin(np.linalg.norm(corners - out[number], axis=1)))
         faces.append(np.array([[number + count, 2 * count + corner, after[number] + count]]))
@@ -77,16 +74,16 @@ def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, 
 
 
 def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm: float) -> None:
-    """Put the tank where it stands as seen from the canister of a view; the hole in its surface goes with the canister.
+    """Move the tank to its position in the canister frame of a view; the hole in its surface follows the canister.
 
     Parameters
     ----------
     built : mitsuba.Scene
-        Made with this scene's tank.
+        Mitsuba scene with the tank.
     scene : Scene
-        The rig.
+        Scene with the rig.
     rig_from_canister : (4, 4) float64
-        Of the view.
+        Pose of the canister in the view.
     radius_mm : float
         Outer radius of the true canister.
     """
@@ -94,7 +91,7 @@ def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm:
         return
     canister_from_rig = frames.invert(rig_from_canister)
     turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
-    # where the canister's wall passes the surface: along its axis, which may lean
+    # intersection of the canister's wall, which may be tilted, with the surface
     circle = np.column_stack([radius_mm * np.cos(turn), radius_mm * np.sin(turn), np.full(HOLE_SIDES, scene.tank.level_mm)])
     axis = rig_from_canister[:3, 2]
     here = frames.apply(rig_from_canister, circle)

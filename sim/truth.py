@@ -1,4 +1,4 @@
-"""The truth of a set of pictures, for whoever renders them: `sim.simulate` and the rig's twin."""
+"""Ground truth of rendered pictures, for `sim.simulate` and the rig's twin."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,7 +17,7 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
-    """Write the solid and its centrelines into the ``truth`` folder of the dataset in ``folder``."""
+    """Write the solid and its centre lines into the ``truth`` folder of the dataset in ``folder``."""
     for name, part in (("specimen", solid), ("shoot", solid.shoot)):
         if part is not None:
             mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
@@ -26,22 +26,22 @@ def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
         write_rsml(folder / "truth" / "skeleton.rsml", solid.roots)
 
 
-def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
-    """Return the truth of pictures, each given by its file in the dataset and the camera that really took it.
+def build_truth(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
+    """Return the truth of pictures, given by their files in the dataset and their true cameras.
 
     Parameters
     ----------
     world : World
-        What was drawn.
+        World with its drawn disturbances.
     solid : SpecimenSolid
-        The specimen.
+        Solid of the specimen.
     taken : Iterable[tuple[str, TrueCamera]]
-        Files with their cameras.
+        Files with their true cameras.
 
     Returns
     -------
     Truth
-        As `scenes.truth.save_truth` writes it.
+        Truth for `scenes.truth.save_truth`.
     """
     low, high = solid.extents_min_mm, solid.extents_max_mm
     return Truth(

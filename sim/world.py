@@ -1,6 +1,6 @@
-"""The world behind the nominal scene: every disturbance drawn, so that pictures can be rendered from it.
+"""World of a scene with all disturbances drawn, from which pictures are rendered.
 
-Each effect has its own random stream, keyed by effect, ring and view: no picture depends on the pictures before it.
+Each effect has its own random stream, keyed by effect, ring and view, so that no picture depends on the others.
 """
 
 from dataclasses import dataclass, replace
@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Canister, Disturbances, Scene
 from rhizotwin.sim.dirt import Bubble, Fibre, OuterDirt, Patch, draw_algae, draw_bubbles, draw_fibres, draw_outer_dirt
-from rhizotwin.sim.exposure import as_taken
+from rhizotwin.sim.exposure import stored_camera
 
-# One number an effect: the second key of its random stream.
+# One number per effect: the second key of its random stream.
 _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8
 _OVAL, _SEAM, _SWAY, _OUTER, _HIGHLIGHT = 12, 13, 14, 15, 16
 
 BACKLIGHT_MAP_WH = (64, 48)
-"""Columns and rows of the panel's unevenness, which is smooth over many of them."""
+"""Number of columns and rows of the panel's unevenness map, which is smooth."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrueCamera:
-    """Where the camera and the canister really were for one picture."""
+    """True poses of camera and canister for one picture."""
 
     cam_from_rig: frames.Array
     rig_from_canister: frames.Array
     table_deg: float
-    """True table angle, before the canister's offset and tilt."""
+    """True table angle, without the canister's offset and tilt."""
 
     @property
     def cam_from_canister(self) -> frames.Array:
@@ -44,30 +44,30 @@ class World:
     scene: Scene
     seed: int
     cameras: tuple[TrueCamera, ...]
-    """One a view, in the plan's order."""
+    """True camera of each view, in the plan's order."""
     n_water: float
     canister: Canister
-    """As it is, where the scene has it as it was drawn."""
+    """True canister, in contrast to the scene's nominal one."""
     oval_rad: float
     """Azimuth of the canister's largest radius."""
     seam_rad: float
     sway_mm: tuple[tuple[float, float], ...]
-    """Where the specimen's lowest tip hangs in each view, x and y of the canister frame."""
+    """Displacement of the specimen's lowest tip in each view, x and y of the canister frame."""
     dirt: OuterDirt
     highlight: NDArray[np.float64] | None
-    """Light (rows, columns of the picture) that a reflection adds; None: none."""
+    """Light (rows, columns of the picture) added by a reflection; None without one."""
     table_from_canister: frames.Array
     canister_from_strip: frames.Array
     distortion: tuple[float, float, float, float, float]
-    """k1, k2, p1, p2, k3 of the lens that took the pictures."""
+    """k1, k2, p1, p2, k3 of the true lens."""
     backlight: NDArray[np.float64] | None
-    """Relative radiance of the panel, at most 1, (rows from its top, columns from its -y side); None: even."""
+    """Relative radiance of the panel, at most 1, (rows from its top, columns from its -y side); None if uniform."""
     algae: tuple[Patch, ...]
     fibres: tuple[Fibre, ...]
     bubbles: tuple[Bubble, ...]
 
     def drawn(self) -> dict[str, Any]:
-        """Return the draws that `scenes.truth.Truth` has no field for, as JSON values."""
+        """Return the random values for which `scenes.truth.Truth` has no field, as a JSON object."""
         return {
             "table_from_canister": self.table_from_canister.tolist(),
             "distortion": list(self.distortion),
@@ -83,20 +83,20 @@ class World:
 
 
 def draw_world(scene: Scene, *, seed: int) -> World:
-    """Realise the disturbances of a scene.
+    """Draw the disturbances of a scene.
 
     Parameters
     ----------
     scene : Scene
-        With its ``disturbances`` as the standard deviations and amounts to draw from.
+        Scene with the standard deviations and amounts of its ``disturbances``.
     seed : int
-        Non-negative; 0 is a seed like any other.
+        Non-negative random seed.
 
     Returns
     -------
     World
         ``cam_from_canister`` of view k is ``arm error(ring) @ commanded(k) @ table(angle + error(k)) @
-        table_from_canister``; the canister's offset is that of its rim's centre and it leans about that point.
+        table_from_canister``; the canister's offset is that of its rim's centre, about which it is tilted.
     """
     wrong = scene.disturbances
     table_from_canister = _seat(wrong.canister_offset_mm, wrong.canister_tilt_deg, _rng(seed, _CANISTER))
@@ -123,7 +123,7 @@ def draw_world(scene: Scene, *, seed: int) -> World:
 
 
 def true_canister(scene: Scene) -> Canister:
-    """Return the canister as it was bought."""
+    """Return the true canister, with its manufacturing errors."""
     drawn, wrong = scene.canister, scene.disturbances
     return replace(
         drawn,
@@ -134,7 +134,7 @@ def true_canister(scene: Scene) -> Canister:
 
 
 def narrowest_mm(scene: Scene) -> float:
-    """Return the least radius of the inside of the canister as it was bought."""
+    """Return the minimum inner radius of the true canister."""
     return true_canister(scene).inner_radius_mm - scene.disturbances.canister_out_of_round_mm
 
 
@@ -144,9 +144,9 @@ def _sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float]:
 
 
 def _highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a soft upright streak, somewhere before the canister.
+    """Return a soft vertical streak at a random position in front of the canister.
 
-    A convex mirror shows a window as a line along its axis.
+    A convex mirror reflects a window as a line along its axis.
     """
     width, height = scene.camera.image_wh
     x, y = np.arange(width) / width, np.arange(height)[:, None] / height
@@ -156,17 +156,17 @@ def _highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
-    """Return k1, k2, p1, p2, k3 of the scene's lens with its profile's distortion added."""
+    """Return k1, k2, p1, p2, k3 of the scene's lens, including the profile's distortion."""
     k1, k2, p1, p2, k3 = (a + b for a, b in zip(scene.camera.distortion, scene.disturbances.distortion, strict=True))
     return k1, k2, p1, p2, k3
 
 
-def as_given(scene: Scene) -> Scene:
-    """Return what the reconstruction may know.
+def scene_for_reconstruction(scene: Scene) -> Scene:
+    """Return the scene as known to the reconstruction.
 
-    The nominal rig, the calibrated lens and where plants hang, not what stands in the canister.
+    It contains the nominal rig, the calibrated lens and the positions of plants, but not the specimen.
     """
-    camera = replace(as_taken(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
+    camera = replace(stored_camera(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
     plants = tuple(replace(plant, specimen=None) for plant in scene.plants)
     return replace(scene, description="", camera=camera, specimen=None, plants=plants, shoot=None, disturbances=Disturbances())
 
@@ -189,7 +189,7 @@ def _true_camera(scene: Scene, view: plan.View, table_from_canister: frames.Arra
 
 
 def _seat(offset_mm: float, tilt_deg: float, rng: np.random.Generator) -> frames.Array:
-    """Return the transform of a part set down off-centre and leaning, both in drawn directions."""
+    """Return the transform of a part that is placed off-centre and tilted, both in random directions."""
     offset_rad, lean_rad = rng.uniform(0.0, 2.0 * np.pi, 2)
     shift_mm = offset_mm * np.array([np.cos(offset_rad), np.sin(offset_rad), 0.0])
     return frames.from_rotvec(np.deg2rad(tilt_deg) * np.array([np.cos(lean_rad), np.sin(lean_rad), 0.0]), shift_mm)

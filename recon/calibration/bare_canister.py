@@ -30,7 +30,7 @@ from rhizotwin.recon.calibration.cameras import BareUncertainty
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 Array = NDArray[np.float64]
 

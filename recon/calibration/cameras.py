@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.optics.cameras import STILL, Sway, View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.pictures import LeftOut
+from rhizotwin.recon.read_pictures import LeftOut
 from rhizotwin.scenes import model
 from rhizotwin.scenes.frames import Array
 

@@ -35,7 +35,7 @@ from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene, Tank
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 LEVELS_MM = 2.5
 """Spacing of the heights at which the edges are measured."""

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from rhizotwin.recon.calibration.markers import Markers, detect_markers
-from rhizotwin.recon.pictures import CurveFound, Pictures, stated_curve
+from rhizotwin.recon.read_pictures import CurveFound, Pictures, stated_curve
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import read_image
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 MOST_BEND = 0.02

@@ -13,7 +13,7 @@ from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibrati
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.strip_to_canister import StripToCanister
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.dataset import Frame

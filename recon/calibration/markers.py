@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, MarkerFit, Scratch, fit_marker
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.markers import dictionary_named, marker_cells
+from rhizotwin.scenes.markers import get_dictionary, marker_cells
 from rhizotwin.scenes.model import MarkerStrip
-from rhizotwin.scenes.reduced import Picture, reduced
+from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 Bytes = NDArray[np.uint8]
 _ALIKE = 0.7, 1.4
@@ -62,7 +62,7 @@ def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
         If OpenCV has no such dictionary, or it has too few markers.
     """
     try:
-        dictionary = dictionary_named(strip.dictionary)
+        dictionary = get_dictionary(strip.dictionary)
     except UserError as error:
         raise UserError(f"strip.dictionary: {error}") from None
     last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
@@ -127,7 +127,7 @@ def _search(
 
     The corners are in the full picture.
     """
-    small, scale = reduced(image)
+    small, scale = reduce_picture(image)
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
     foreign: dict[int, Array] = {}
@@ -197,7 +197,7 @@ def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
         return "the picture is mirrored: its markers are only found in its mirror image"
     for name in OTHER_DICTIONARIES:
         if name != strip.dictionary:
-            ids = _detector(dictionary_named(name)).detectMarkers(picture)[1]
+            ids = _detector(get_dictionary(name)).detectMarkers(picture)[1]
             if ids is not None and len(ids) >= 3:
                 return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
     return others if foreign else "no markers were found"  # one or two may be coincidental in small dictionaries

@@ -14,7 +14,7 @@ from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError

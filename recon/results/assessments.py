@@ -40,10 +40,10 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     for one in () if volume_interval_mm3 is not None else summary.get("estimates") or ():
         low, high = one["interval"]
         found[one["name"]] = _judge(one["trusted"], (low, high), one["verdict"], reasons.reasons_for_estimate(summary, one))
-    found["specific_root_length_m_per_g"] = _derived(
+    found["specific_root_length_m_per_g"] = _derive(
         found["total_length_mm"], traits.total_length_mm, traits.specific_root_length_m_per_g, 1
     )
-    found["tissue_density_g_per_ml"] = _derived(found["volume_mm3"], traits.volume_mm3, traits.tissue_density_g_per_ml, -1)
+    found["tissue_density_g_per_ml"] = _derive(found["volume_mm3"], traits.volume_mm3, traits.tissue_density_g_per_ml, -1)
     return found
 
 
@@ -56,7 +56,7 @@ def _judge(trusted: bool, interval: Pair, reason: str, codes: tuple[str, ...]) -
     )
 
 
-def _derived(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
+def _derive(base: Assessment, value: float | None, derived: float | None, power: int) -> Assessment:
     """Return the assessment of a trait that is proportional to a power of another trait."""
     if value is None or derived is None or base.interval is None or not base.interval[0] > 0.0:
         return replace(base, interval=None, verdict="not reliable" if base.verdict == "not reliable" else "not assessed")

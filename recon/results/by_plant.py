@@ -14,7 +14,7 @@ Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class OfPlant:
+class PlantResult:
     """One of several plants in a result."""
 
     subject: Subject
@@ -35,7 +35,7 @@ class OfPlant:
         return plain
 
 
-def of_summary(summary: Json, where: str) -> tuple[OfPlant, ...]:
+def from_summary(summary: Json, where: str) -> tuple[PlantResult, ...]:
     """Return the plants in a ``result.json``; empty for a single plant and for results of earlier versions.
 
     Raises
@@ -52,4 +52,4 @@ def of_summary(summary: Json, where: str) -> tuple[OfPlant, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Plants:
-    plants: tuple[OfPlant, ...]
+    plants: tuple[PlantResult, ...]

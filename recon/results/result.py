@@ -27,15 +27,15 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import assessments, result_traits
-from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import atomic, rsml, trait_table
+from rhizotwin.scenes.formatting import interval_ml, ml
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import between_ml, ml
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject
@@ -116,7 +116,7 @@ class Result:
     """Plant, as given in the dataset."""
     solution: Solution = field(default_factory=Solution)
     """Nutrient solution, as given in the dataset."""
-    plants: tuple[OfPlant, ...] = ()
+    plants: tuple[PlantResult, ...] = ()
     """Results of each of several plants; empty for a single plant or without roots."""
     strip: MarkerStrip | None = None
     """Marker strip, which defines the canister frame; None in results of earlier versions."""
@@ -179,7 +179,7 @@ class Result:
     def measured(self) -> Traits:
         """Traits as numbers."""
         solid = self.solid
-        return result_traits.of_shape(
+        return result_traits.measure_shape(
             solid.surface,
             solid.roots,
             volume_mm3=solid.volume.mm3,
@@ -204,7 +204,7 @@ class Result:
         used = sum(camera.used for camera in self.cameras)
         rows = [
             ("volume", f"{ml(self.volume_mm3, half_mm3=0.5 * (self.interval_mm3[1] - self.interval_mm3[0]))} ml"),
-            ("90 % interval", between_ml(*self.interval_mm3)),
+            ("90 % interval", interval_ml(*self.interval_mm3)),
             ("usable", "yes" if self.trusted else f"no: {self.verdict}"),
             ("roots", f"{len(self.roots)}, total length {self.solid.length_mm:.0f} mm" if self.roots else "no centre lines"),
             ("views", f"{used} of {len(self.cameras)} used"),
@@ -288,7 +288,7 @@ class Result:
             atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
             atomic.write_image(picture_path(folder / "seen", file), silhouette.usable.astype(np.uint8) * 255)
         summary = self.summary()
-        for name, text in result_traits.as_text(self.measured, summary, mass_g=self.mass_g).items():
+        for name, text in result_traits.trait_files(self.measured, summary, mass_g=self.mass_g).items():
             atomic.write_text(folder / name, text)
         summary["timings_s"] = self.timings_s | {"write": time.perf_counter() - begin}
         atomic.write_json(folder / "result.json", summary | {"traits": to_plain(self.measured)})

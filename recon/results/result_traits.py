@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.results import assessments, by_plant
-from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.scenes import solution, subject, trait_table, tube_surface
 from rhizotwin.scenes.assessment import Assessment
@@ -25,7 +25,7 @@ THICK_CELLS = 3.0
 small (-10 % of the area for roots of 0.3 mm)."""
 
 
-def of_shape(
+def measure_shape(
     surface: Mesh,
     roots: Sequence[Root],
     *,
@@ -55,14 +55,14 @@ def of_shape(
 
 def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     """Return the contents of ``traits.json``."""
-    plants = by_plant.of_summary(summary, "result.json")
+    plants = by_plant.from_summary(summary, "result.json")
     return {
         "scene": summary["scene"],
-        "subject": to_plain(subject.of_summary(summary, "result.json")),
-        **({"ions_mmol_per_l": ions} if (ions := solution.of_summary(summary, "result.json").ions_mmol_per_l) else {}),
+        "subject": to_plain(subject.from_summary(summary, "result.json")),
+        **({"ions_mmol_per_l": ions} if (ions := solution.from_summary(summary, "result.json").ions_mmol_per_l) else {}),
         "volume_interval_mm3": list(summary["volume_interval_mm3"]),
         "mass_g": mass_g,
-        **({"edits": edits} if (edits := edited(summary)) else {}),
+        **({"edits": edits} if (edits := describe_edits(summary)) else {}),
         **trait_table.to_json(traits, assessments.assess(summary, traits)),
         **({"shoot": trait_table.shoot_numbers(summary["shoot"])} if summary.get("shoot") else {}),
         **({"plants": [_plant(one, summary) for one in plants]} if plants else {}),
@@ -70,7 +70,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     }
 
 
-def _plant(one: OfPlant, summary: Json) -> Json:
+def _plant(one: PlantResult, summary: Json) -> Json:
     """Return the entry of one of several plants in ``traits.json``."""
     assessed = assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)
     return {
@@ -81,7 +81,7 @@ def _plant(one: OfPlant, summary: Json) -> Json:
     }
 
 
-def edited(summary: Json) -> str:
+def describe_edits(summary: Json) -> str:
     """Summarise manual corrections of a result; empty if there are none."""
     edits = summary.get("edits")
     if not edits:
@@ -92,7 +92,7 @@ def edited(summary: Json) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Own:
+class PlantTraits:
     """Traits of one plant in a result."""
 
     subject: Subject
@@ -101,7 +101,7 @@ class Own:
     """Assessments by field of `Traits`."""
 
 
-def each(where: str, summary: Json, traits: Traits) -> list[Own]:
+def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTraits]:
     """Return subject, traits and assessments of each plant in a result.
 
     Parameters
@@ -114,23 +114,25 @@ def each(where: str, summary: Json, traits: Traits) -> list[Own]:
         Traits of the whole result.
     """
     plants = [
-        Own(
+        PlantTraits(
             subject=one.subject,
             traits=one.traits,
             assessed=assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3),
         )
-        for one in by_plant.of_summary(summary, where)
+        for one in by_plant.from_summary(summary, where)
     ]
-    return plants or [Own(subject=subject.of_summary(summary, where), traits=traits, assessed=assessments.assess(summary, traits))]
+    return plants or [
+        PlantTraits(subject=subject.from_summary(summary, where), traits=traits, assessed=assessments.assess(summary, traits))
+    ]
 
 
-def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
+def trait_files(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
     """Return the content of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
     table = trait_table.to_csv(traits, whole)
     if summary.get("plants"):
-        plants = [(one.subject.plant, one.traits, one.assessed) for one in each("result.json", summary, traits)]
+        plants = [(one.subject.plant, one.traits, one.assessed) for one in traits_by_plant("result.json", summary, traits)]
         table = trait_table.by_plant_csv([("", traits, whole), *plants])
     return {"traits.csv": table, "traits.json": f"{content}\n"}
 
@@ -145,7 +147,7 @@ def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
     thin, middle = tubes.radius_mm < thick_mm, (a + b + c) / 3.0
     to_thin, to_thick = (height_mm(middle, tubes.centre_mm[chosen], tubes.radius_mm[chosen]) for chosen in (thin, ~thin))
     meshed = (to_thick <= to_thin) | (to_thin > thick_mm)
-    return float(area[meshed].sum() + tube_surface.outside_mm2(tubes)[thin].sum())
+    return float(area[meshed].sum() + tube_surface.exposed_area_mm2(tubes)[thin].sum())
 
 
 def height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:

@@ -139,7 +139,7 @@ def _cut(points_mm: Array, diameters_mm: Array) -> int:
     the angle between the 5 mm chords before and behind it. A root thinner by a factor e counts as much as a right
     angle.
     """
-    way_mm = polyline.way_mm(points_mm)
+    way_mm = polyline.arc_length_mm(points_mm)
     cost = np.empty(len(points_mm) - 1)
     for step in range(len(cost)):
         before = np.flatnonzero(way_mm[: step + 1] >= way_mm[step] - _DIRECTION_MM)

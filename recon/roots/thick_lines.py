@@ -54,6 +54,6 @@ def _trim(root: Root, above: Sequence[Root]) -> Root:
     if first == 0:  # the root begins outside, or lies inside entirely
         return root
     share = out_mm[first - 1] / (out_mm[first - 1] - out_mm[first])
-    way = polyline.way_mm(root.points_mm)
+    way = polyline.arc_length_mm(root.points_mm)
     at = np.append(way[first - 1] + share * (way[first] - way[first - 1]), way[first:])
-    return replace(root, points_mm=polyline.between(root.points_mm, way, at), diameters_mm=np.interp(at, way, root.diameters_mm))
+    return replace(root, points_mm=polyline.interpolate(root.points_mm, way, at), diameters_mm=np.interp(at, way, root.diameters_mm))

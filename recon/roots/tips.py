@@ -91,10 +91,10 @@ def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
 
 def _stretch(line: Array, more_mm: float) -> Array:
     """Return nodes (n, 3) along the same line with the last one displaced by some mm; the first one is fixed."""
-    along = polyline.way_mm(line)
+    along = polyline.arc_length_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:
         return line
     last = line[-1] - line[max(len(line) - 1 - TANGENT_NODES, 0)]
     onward = line[-1] + last * (max(more_mm, 0.0) / max(float(np.linalg.norm(last)), 1e-12))
     longer = np.concatenate([line, onward[None]])
-    return polyline.between(longer, polyline.way_mm(longer), along * max(1.0 + more_mm / along[-1], _LEAST_LENGTH))
+    return polyline.interpolate(longer, polyline.arc_length_mm(longer), along * max(1.0 + more_mm / along[-1], _LEAST_LENGTH))

@@ -71,7 +71,7 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
     """Return the mask (N,) of nodes filled with spheres: wide ones, except the flat end of the first branch."""
     wide = np.asarray(tubes.radius_mm > _WIDE_NODES * node_mm)
     first = tubes.branches[0]
-    wide[first[polyline.way_mm(tubes.centre_mm[first]) < tubes.radius_mm[first]]] = False
+    wide[first[polyline.arc_length_mm(tubes.centre_mm[first]) < tubes.radius_mm[first]]] = False
     return wide
 
 
@@ -90,7 +90,7 @@ def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
     the disc's radius would protrude from a tapering branch. No sphere reaches beyond the rim of another disc.
     """
     nodes = tubes.branches[branch]
-    way, square = polyline.way_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
+    way, square = polyline.arc_length_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
     if branch > 0:
         square[0] = square[1]  # the first node of a branch has its parent's radius
     step, both = np.diff(way), wide[nodes[:-1]] & wide[nodes[1:]]

@@ -53,7 +53,7 @@ class Blades:
         return np.asarray(self.is_blade[cKDTree(self.points_mm).query(points_mm)[1]], np.bool_)
 
 
-def find(mesh: trimesh.Trimesh) -> Blades:
+def find_blades(mesh: trimesh.Trimesh) -> Blades:
     """Classify a closed surface into blades and stalks.
 
     Parameters

@@ -6,7 +6,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.pictures import Pictures, read_pictures
+from rhizotwin.recon.read_pictures import Pictures, read_pictures
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, shoot_hull, shoot_silhouettes
 from rhizotwin.recon.shoots.shoot import Shoot
@@ -37,28 +37,30 @@ def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tup
     if dataset.masks or not any(frame.kind == "shoot" for frame in dataset.frames):
         return None, ()
     try:
-        shoot = _found(dataset, settings, monitor)
+        shoot = _reconstruct(dataset, settings, monitor)
     except UserError as error:
         return None, (f"the shoot is not reconstructed: {error}",)
     return shoot, shoot.warnings
 
 
-def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
+def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
     """Compute cameras, silhouettes and hull."""
     pictures = read_pictures(dataset, kind="shoot", settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     with monitor.stage("shoot"):
         drawn = _silhouettes(pictures, cameras)
         views = cameras.by_frame
-        hull, mesh = shoot_hull.find(list(drawn.values()), [views[k] for k in drawn], dataset.scene, finest_mm=FINEST_MM, monitor=monitor)
-        told = blades.find(mesh)
+        hull, mesh = shoot_hull.carve_shoot(
+            list(drawn.values()), [views[k] for k in drawn], dataset.scene, finest_mm=FINEST_MM, monitor=monitor
+        )
+        told = blades.find_blades(mesh)
         colour = measure_colour(pictures, drawn, views)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
     hidden = sum(float(one.coverage[~one.usable].sum()) for one in drawn.values()) / max(covered, 1e-9)
     enclosed = shoot_hull.enclosed_share(hull, told)
     said = (
-        *(() if hidden <= MUCH_HIDDEN else (_hidden(hidden),)),
-        *(() if enclosed <= MUCH_ENCLOSED else (_enclosed(enclosed),)),
+        *(() if hidden <= MUCH_HIDDEN else (_hidden_warning(hidden),)),
+        *(() if enclosed <= MUCH_ENCLOSED else (_enclosed_warning(enclosed),)),
     )
     return Shoot(
         mesh=mesh,
@@ -77,14 +79,14 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
     )
 
 
-def _hidden(share: float) -> str:
+def _hidden_warning(share: float) -> str:
     return (
         f"{100.0 * share:.0f} % of the visible shoot is in front of the net pot, where its shape cannot be determined: "
         "height and projected areas are valid, the surface is too small; lower the camera or raise the panel"
     )
 
 
-def _enclosed(share: float) -> str:
+def _enclosed_warning(share: float) -> str:
     return (
         f"{100.0 * share:.0f} % of the shoot's hull is thicker than leaves are: they enclose space that no picture shows, so that "
         "leaf area could not be determined and the surface is too small; height and projected areas are valid; add a ring from higher above"
@@ -96,7 +98,9 @@ def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
     views, drawn = cameras.by_frame, dict[int, Silhouette]()
     for ring in sorted({pictures.frames[k].ring for k in views}):
         members = [k for k in views if pictures.frames[k].ring == ring]
-        found = shoot_silhouettes.of_ring([pictures.images[k] for k in members], [views[k] for k in members], pictures.dataset.scene)
+        found = shoot_silhouettes.ring_silhouettes(
+            [pictures.images[k] for k in members], [views[k] for k in members], pictures.dataset.scene
+        )
         drawn |= dict(zip(members, found, strict=True))
     return drawn
 

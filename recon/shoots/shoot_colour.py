@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rhizotwin.recon.coverage.silhouettes import Mask, Silhouette
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.bands import by_range, vegetation_indices
+from rhizotwin.scenes.bands import bands_by_range, vegetation_indices
 from rhizotwin.scenes.dataset import Frame, read_image
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import marker_corners
@@ -66,7 +66,7 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
     others = {(frame.view, frame.band): frame for frame in dataset.frames if frame.kind == "shoot" and frame.band in known}
     dark = [band for band in known.values() if dataset.scene.lights_in(band.name).backlight_level == 0.0]
     reflectances, missing = dict[str, float](), list[str]()
-    for name, band in by_range(dark).items():
+    for name, band in bands_by_range(dark).items():
         ratios = []
         for k, silhouette in drawn.items():
             frame = others.get((pictures.frames[k].view, band))
@@ -82,7 +82,7 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
 
 def _lit_bands(scene: Scene) -> tuple[str, ...]:
     """Return a warning for bands that would give an index if the panel were off."""
-    needed = by_range(scene.camera.bands)
+    needed = bands_by_range(scene.camera.bands)
     lit = [needed[name] for name in ("red", "red_edge", "nir") if name in needed and scene.is_lit(needed[name])]
     if not lit or "nir" not in needed:
         return ()

@@ -32,7 +32,7 @@ _ROOM = 0.8
 """Maximum extent of a shoot, as a fraction of the distance of the nearest camera."""
 
 
-def find(
+def carve_shoot(
     drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene, *, finest_mm: float, monitor: Monitor
 ) -> tuple[Hull, trimesh.Trimesh]:
     """Carve the hull of V silhouettes in the air above the net pot.

@@ -15,7 +15,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import NetPot, Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 _PANEL_ORDER = 4
 """Degree of the polynomial in column and row that is fitted to the light of the diffuse panel."""
@@ -40,7 +40,7 @@ _INSIDE_PX = 2.5
 """Maximum distance from a pixel of the outline to the plant's interior: one pixel, or two across a corner."""
 
 
-def of_ring(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
+def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
     """Measure the coverage of each pixel by the shoot in the pictures of one ring.
 
     Parameters

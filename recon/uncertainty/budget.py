@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
-from rhizotwin.scenes.said import between_ml
+from rhizotwin.scenes.formatting import interval_ml
 
 NINETY = 1.645
 """Half-width of the 90 % interval of a normal distribution, in standard deviations."""
@@ -96,7 +96,7 @@ class Budget:
         if under or over:
             worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))
             found.append(
-                f"the 90 % interval, {between_ml(low, high)}, extends more than {100.0 * trust.widest:.0f} % to one side, "
+                f"the 90 % interval, {interval_ml(low, high)}, extends more than {100.0 * trust.widest:.0f} % to one side, "
                 f"mainly for this reason: {worst.why}"
             )
         return tuple(found)
@@ -107,7 +107,7 @@ class Budget:
         if self.objections:
             return checks.verdict(self.objections)
         low, high = self.interval_mm3
-        return f"with 90 % confidence the true volume is {between_ml(low, high)}"
+        return f"with 90 % confidence the true volume is {interval_ml(low, high)}"
 
     def volume(self, bounds_mm3: tuple[float, float]) -> Volume:
         """Return the volume with its interval and verdict."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.scenes import polyline
+from rhizotwin.scenes.formatting import interval_ml
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import between_ml
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class HiddenTop:
         return (
             f"up to {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) may be hidden behind the net pot, "
             "where too few views look; add a ring that looks down past the rim, such as height_mm = 10, tilt_deg = 8; if the taproot "
-            f"continues with the same thickness, the volume of the hidden part is {between_ml(*self.interval_mm3)}, "
+            f"continues with the same thickness, the volume of the hidden part is {interval_ml(*self.interval_mm3)}, "
             f"{'which is added to the volume' if is_added else 'which hull.extrapolate_taproot = true adds'}"
         )
 
@@ -84,7 +84,7 @@ def _extrapolate(root: Root, gap_mm: float) -> tuple[float, float, float] | None
     """Return length, volume and its standard deviation of the hidden top of a root; None if it has none."""
     if gap_mm <= _LEAST_MM:
         return None
-    way = polyline.way_mm(root.points_mm)
+    way = polyline.arc_length_mm(root.points_mm)
     window = min(_WINDOW * gap_mm, float(way[-1]))
     down = root.points_mm[0] - root.points_mm[int(np.searchsorted(way, min(gap_mm, way[-1])))]
     cosine = float(down[2] / max(np.linalg.norm(down), 1e-9))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.calibration.curve import MOST_BEND
 from rhizotwin.recon.calibration.exposure import Exposures
-from rhizotwin.recon.pictures import CurveFound
+from rhizotwin.recon.read_pictures import CurveFound
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.checks import Check, State, first_problem, judge, make_check, make_unknown
 from rhizotwin.scenes.dataset import Frame

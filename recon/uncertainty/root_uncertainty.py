@@ -28,7 +28,7 @@ from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.traced import once
+from rhizotwin.scenes.traced_roots import merge_shared_stretches
 
 Array = NDArray[np.float64]
 Fixed = NDArray[np.int32]
@@ -107,7 +107,7 @@ def estimates(
     pairs = [(_measure(s.coverage, s.usable), _measure(picture, s.usable)) for s, picture in zip(silhouettes[:count], drawn, strict=True)]
     pairs = [(taken, made) for taken, made in pairs if made.line > 0.0 and made.ends > 0.0 and taken.line > 0.0]
     length_mm = rsml.length_mm(roots)
-    shared = length_mm - rsml.length_mm(once(roots)[0])
+    shared = length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])
     diameter_mm = float(sum(_mean(root) for root in roots)) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     by_line = [_LEVEL * (taken.line / made.line - 1.0) for taken, made in pairs]

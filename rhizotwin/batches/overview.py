@@ -124,10 +124,10 @@ def _row(row: _Row, known: Sequence[str], shown: Sequence[trait_table.Definition
 def _number(row: _Row, field: str) -> str:
     """Return a trait, with its verdict unless it is reliable."""
     value, verdict = getattr(row.traits, field), row.assessed[field].verdict
-    return trait_table.shown(value) if value is None or verdict == "reliable" else f"{trait_table.shown(value)} ({verdict})"
+    return trait_table.format_number(value) if value is None or verdict == "reliable" else f"{trait_table.format_number(value)} ({verdict})"
 
 
 def _subject(row: _Row) -> dict[str, str]:
     """Return the subject of a scan, joined for several plants."""
-    each = [subject.as_text(own.subject) for own in result_traits.each(row.name, row.summary, row.traits)]
+    each = [subject.as_text(own.subject) for own in result_traits.traits_by_plant(row.name, row.summary, row.traits)]
     return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

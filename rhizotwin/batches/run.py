@@ -12,8 +12,8 @@ from rhizotwin.batches import jobs as listed
 from rhizotwin.batches import local, places
 from rhizotwin.batches.jobs import Job
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
-from rhizotwin.scenes.said import printable
+from rhizotwin.scenes.formatting import printable
+from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.terminal import COLOUR
 
 LOCK = ".rhizotwin-batch-lock"
@@ -52,7 +52,7 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
     failed: list[tuple[Job, str]] = []
     with ExitStack() as stack:
         if not places.is_address(folder):
-            stack.enter_context(locked(Path(folder) / LOCK, what=folder))
+            stack.enter_context(lock_file(Path(folder) / LOCK, what=folder))
             _refuse_links(Path(folder), jobs)
         kept = [job for job in jobs if listed.is_done(job)]
         waiting = [job for job in jobs if job not in kept]

@@ -37,7 +37,7 @@ def vary(
     found = {scene.name: scene}
     if treatments is not None:
         found = {
-            f"{name}_{_word(what)}": series.treated(one, what, growth, dict(factors))
+            f"{name}_{_word(what)}": series.apply_treatment(one, what, growth, dict(factors))
             for name, one in found.items()
             for what, growth, factors in treatments
         }
@@ -50,7 +50,7 @@ def vary(
     if days is not None:
         from rhizotwin.sim.growth import grow
 
-        reference = series.grown(scene)
+        reference = series.require_grown(scene)
         found = {
             f"{name}_day{day:04.1f}".removesuffix(".0"): series.at_day(one, day, grow=grow, like=reference)
             for name, one in found.items()

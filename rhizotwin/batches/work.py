@@ -14,10 +14,10 @@ from rhizotwin import engine
 from rhizotwin.arguments import Progress
 from rhizotwin.batches import places
 from rhizotwin.batches.jobs import HEADS, Job, Outcome, State, note
-from rhizotwin.scenes import memory, said
+from rhizotwin.scenes import formatting, memory
 from rhizotwin.scenes.errors import UserError
 
-OF_DISK = (*said.FULL, errno.EIO, errno.ESTALE)
+OF_DISK = (*formatting.FULL, errno.EIO, errno.ESTALE)
 """Errors of a disk or a network, not of a scan."""
 
 
@@ -44,23 +44,23 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
         disk = isinstance(error.__cause__, OSError) and error.__cause__.errno in OF_DISK
         state, sentence = "again" if disk else "failed", str(error)
     except MemoryError as error:
-        state, sentence = "again", said.failure(error)
+        state, sentence = "again", formatting.error_sentence(error)
     except OSError as error:
-        state, sentence = "again" if error.errno in OF_DISK else "failed", said.failure(error)
+        state, sentence = "again" if error.errno in OF_DISK else "failed", formatting.error_sentence(error)
     except Exception as error:  # one scan's fault must not end the others
         logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
-        state, sentence = "failed", said.failure(error)
+        state, sentence = "failed", formatting.error_sentence(error)
     outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=memory.peak_mib())
     try:
         note(job, outcome)
     except (OSError, UserError) as error:
-        outcome = Outcome(name=job.name, state="again", sentence=said.failure(error), seconds=outcome.seconds)
+        outcome = Outcome(name=job.name, state="again", sentence=formatting.error_sentence(error), seconds=outcome.seconds)
     return vars(outcome)
 
 
 def _reconstruct(job: Job) -> None:
+    from rhizotwin.command_steps import reconstruct_whole, settings_of
     from rhizotwin.recon.settings import PictureSettings
-    from rhizotwin.steps import reconstruct_whole, settings_of
 
     options = {key: value for key, value in job.options.items() if key != "device"}
     settings = options.pop("settings", None)

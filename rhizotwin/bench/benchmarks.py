@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile, load_scene
 from rhizotwin.scenes.model import Ring, Scene
-from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.name_suggestion import most_similar
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 HELD_BACK = 1000
@@ -152,6 +152,6 @@ BENCHMARKS = {
 def find(name: str) -> Benchmark:
     """Return a benchmark by name; raise UserError if it is unknown."""
     if name not in BENCHMARKS:
-        near = nearest(name, list(BENCHMARKS))
+        near = most_similar(name, list(BENCHMARKS))
         raise UserError(f"unknown benchmark {name!r}{f'; did you mean {near}?' if near else ''}; available: {', '.join(BENCHMARKS)}")
     return BENCHMARKS[name]

@@ -56,7 +56,7 @@ def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
     from rhizotwin.recon.calibration.curve import verify_curve
     from rhizotwin.recon.calibration.find_cameras import find_cameras
     from rhizotwin.recon.coverage.measure import measure_coverage
-    from rhizotwin.recon.pictures import read_pictures
+    from rhizotwin.recon.read_pictures import read_pictures
 
     dataset = load_dataset(dataset_folder)
     shutil.copytree(dataset_folder, goal, ignore=shutil.ignore_patterns("truth", ".*"))

@@ -12,8 +12,8 @@ from typing import Any
 
 from rhizotwin.bench.run_method import SCHEMA, State
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.reading import read_file
-from rhizotwin.scenes.said import printable
 
 STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable")
 

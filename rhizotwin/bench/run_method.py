@@ -23,8 +23,8 @@ from rhizotwin.bench.benchmarks import Benchmark
 from rhizotwin.bench.offers import CameraSource, offer
 from rhizotwin.bench.outputs import score_outputs
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.reading import read_file
-from rhizotwin.scenes.said import printable
 
 SCHEMA = 1
 BUILT_IN = ("ours", "thesis", "regularised", "hull")

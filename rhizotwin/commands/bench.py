@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, list_of, option, read_number, with_metavar
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -104,7 +104,7 @@ def make(
     from rhizotwin.bench.make import make as render
 
     benchmark = find(name).chosen(cases)
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(render=float(len(benchmark.cases))) as bar:
         found = render(benchmark, output, monitor=bar, say=print)
     wrong = [one.case for one in found if one.largest != float("inf") and not one.same]
@@ -161,7 +161,7 @@ def run(
     benchmark = find(name).chosen(options.cases)
     run_method.command_of(method)  # report an invalid command line first
     check_made(benchmark, folder)
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     _run_cases(benchmark, folder, method, output, options, progress)
     print(results.markdown([results.read(output)]))
     print(f"next: rhizotwin bench table {output} -o results.html")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import (
     Device,
     ImageWh,
@@ -270,7 +270,7 @@ def simulate(
     """
     changed = change_scene(files.load_scene(scene), image_wh=taken.image_wh, profile=taken.profile)
     made = drawn.board()
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     from rhizotwin.sim.board import simulate_board
 
     with progress.bar(render=1.0) as bar:

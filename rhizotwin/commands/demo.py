@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import Device, OutputFolder, Profile, Progress
 
 
@@ -33,5 +33,5 @@ def demo(
     """
     from rhizotwin.demo import demo as run_demo
 
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     run_demo(output, profile=profile, say=print, progress=progress)

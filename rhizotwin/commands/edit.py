@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import OutputResult, Progress, ResultFolder, with_metavar
 from rhizotwin.scenes.errors import UserError
 
@@ -42,7 +42,7 @@ def edit(
     """
     if output.resolve() == result.resolve():
         raise UserError(f"the corrected result cannot overwrite {output}; choose another folder")
-    steps.refuse_place(output, result)
+    command_steps.refuse_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
     from rhizotwin.recon.results import result_traits
@@ -61,7 +61,7 @@ def edit(
             session.replay(made)
         with bar.stage("measure"):
             summary = corrected.write(session, output, dataset=dataset, last=lambda folder: page.write(folder, dataset=dataset))
-    print(f"{result_traits.edited(summary)}: {words.volume_text(summary)[0]}, in {output}")
+    print(f"{result_traits.describe_edits(summary)}: {words.volume_text(summary)[0]}, in {output}")
     if not summary["volume_trusted"]:
         print(f"warning: {summary['volume_verdict']}")
     print(f"next: rhizotwin view {output}")

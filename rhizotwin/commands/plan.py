@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import (
     MAX_SEEDS,
     Device,
@@ -118,7 +118,7 @@ def plan(
 
     changed = change_scene(files.load_scene(scene), profile=profile)
     variants = _variants(grid, changed)
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(**planning.shares(variants, seeds)) as bar:
         rows = planning.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=bar.say, monitor=bar)
     _print_recommended(planning.best(rows, within=within / 100.0), within)
@@ -147,5 +147,5 @@ def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":
         for count in grid.views
     ]
     for variant in found:
-        steps.print_marker_warnings(variant.of(scene))
+        command_steps.print_marker_warnings(variant.of(scene))
     return found

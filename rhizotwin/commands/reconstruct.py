@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, option, with_metavar
 
 if TYPE_CHECKING:
@@ -94,10 +94,10 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --leave-out view_007.png,view_012.png
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
-    steps.start_engine(device, quiet=progress.quiet)
-    settings = steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
+    command_steps.start_engine(device, quiet=progress.quiet)
+    settings = command_steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
     kept: dict[str, Any] = {"keep_stages": study.keep_stages, "method": study.method}
-    written = steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
+    written = command_steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
     _print_summary(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
     if progress.quiet:
         return

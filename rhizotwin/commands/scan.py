@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rhizotwin import rigs, steps
+from rhizotwin import command_steps, rigs
 from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:
-    from rhizotwin.rig.scanning.onlooker import Onlooker
+    from rhizotwin.rig.scanning.observer import Observer
     from rhizotwin.scenes.dataset import Dataset
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
@@ -107,7 +107,7 @@ def scan(
         )
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     scene_of_plant = subject.apply_to(bench.scene)
-    steps.print_marker_warnings(scene_of_plant)
+    command_steps.print_marker_warnings(scene_of_plant)
     made = _take(bench, scene_of_plant, output, options=options, twin=emulated, watching=watching, progress=progress)
     print(f"wrote {len(made.frames)} pictures to {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
@@ -125,13 +125,13 @@ def _take(
     progress: Progress,
 ) -> "Dataset":
     """Take the pictures, and write the ground truth if the emulated rig renders them."""
-    from rhizotwin.rig.scanning.audience import Audience
+    from rhizotwin.rig.scanning.observers import Observers
     from rhizotwin.rig.scanning.scan import scan as take
 
     # the true state at each picture is stored on disk, so that the ground truth of a resumed scan is complete
     rendered = twin is not None and twin.fidelity == "render"
     with ExitStack() as stack:
-        onlooker = _onlooker(bench.scene, watching, stack)
+        observer = _observer(bench.scene, watching, stack)
         devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
         made = take(
@@ -142,10 +142,10 @@ def _take(
             settings={"twin": None if twin is None else _pictures(twin, bench.twin.scene)},
             seed=None if twin is None else twin.seed,
             table_angle_deg=options.table_angle_deg,
-            audience=Audience(
+            observers=Observers(
                 ask=rigs.asker(),
                 say=bar.say,
-                onlooker=onlooker,
+                observer=observer,
                 monitor=bar,
                 begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
             ),
@@ -156,12 +156,12 @@ def _take(
     return made
 
 
-def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
+def _observer(scene: Scene, watching: Watching, stack: ExitStack) -> "Observer":
     """Start the live page if requested."""
     if not watching.watch:
-        from rhizotwin.rig.scanning.onlooker import Onlooker
+        from rhizotwin.rig.scanning.observer import Observer
 
-        return Onlooker()
+        return Observer()
     from rhizotwin.viewer import live_page
     from rhizotwin.viewer.live import Live
 
@@ -169,7 +169,7 @@ def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
     served = live_page.serve(live, host=watching.host, port=watching.port)
     stack.callback(served.stop)
     stack.callback(live.close)
-    steps.open_page(served.address, served.port, watching)
+    command_steps.open_page(served.address, served.port, watching)
     return live
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin.arguments import Flag, SceneName, SolutionName, output, with_metavar
-from rhizotwin.scenes import explained, files
+from rhizotwin.scenes import files, key_descriptions
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.solution import UNIT, Solution
 
@@ -49,7 +49,7 @@ def scenes(
     if keys or solution is not None:
         if name is not None or copy is not None or specimen_stl is not None:
             raise UserError("--keys and --solution cannot be combined with a scene, -o or --specimen-stl")
-        print(explained.page() if solution is None else _solution_table(solution), end="")
+        print(key_descriptions.page() if solution is None else _solution_table(solution), end="")
         return
     if (name is None) != (copy is None and specimen_stl is None):
         raise UserError("give a scene together with -o FILE or --specimen-stl FILE, or no arguments to list the library")

@@ -5,7 +5,7 @@ from typing import Literal
 
 from cyclopts import Parameter
 
-from rhizotwin import front_door, steps
+from rhizotwin import command_steps, front_door
 from rhizotwin.arguments import Device, OutputDataset, Progress, Samples, SceneChanges, SceneName, Seed, SubjectOptions
 
 
@@ -64,8 +64,8 @@ def simulate(
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
     """
     changed = subject.apply_to(front_door.load_scene(scene, **vars(changes)))
-    steps.print_marker_warnings(changed)
-    steps.start_engine(device, quiet=progress.quiet)
+    command_steps.print_marker_warnings(changed)
+    command_steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(render=1.0) as bar:
         dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, **vars(rendering), monitor=bar)
     from rhizotwin.scenes.truth import load_truth

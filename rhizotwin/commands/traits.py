@@ -80,15 +80,15 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     from rhizotwin.scenes import subject, trait_table
     from rhizotwin.stored import result_files
 
-    whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
+    whose = str(subject.from_summary(summary, str(folder))) or summary["scene"]
     print(f"{folder} ({whose}){'' if summary['volume_trusted'] else ': ' + summary['volume_verdict']}")
-    if edits := result_traits.edited(summary):
+    if edits := result_traits.describe_edits(summary):
         print(f"  corrected by hand: {edits}")
     assessed = assessments.assess(summary, one)
     print("\n".join(f"  {line}" for line in trait_table.lines(one, assessed)))
     if summary.get("shoot"):
         print("\n".join(f"  {line}" for line in trait_table.shoot_lines(summary["shoot"])))
-    plants = result_traits.each(str(folder), summary, one)
+    plants = result_traits.traits_by_plant(str(folder), summary, one)
     for own in plants if len(plants) > 1 else ():
         print(f"{folder} ({own.subject})")
         print("\n".join(f"  {line}" for line in trait_table.lines(own.traits, own.assessed)))

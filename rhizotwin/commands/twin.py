@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from rhizotwin import rigs, steps
+from rhizotwin import command_steps, rigs
 from rhizotwin.arguments import Port, SceneName, option, options, output, read_number
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
@@ -74,7 +74,7 @@ def twin(
     if rig_file is not None and rig_file.exists():
         raise UserError(f"{rig_file} already exists; choose another name for the rig file")
     if ports.fidelity == "render":
-        steps.start_engine(ports.device)
+        command_steps.start_engine(ports.device)
     made = Twin(
         emulated,
         seed=ports.seed,

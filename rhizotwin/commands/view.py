@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin import steps
+from rhizotwin import command_steps
 from rhizotwin.arguments import Page, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
@@ -47,7 +47,7 @@ def view(
     from rhizotwin.viewer import guard
 
     served = guard.serve(host=page.host, port=page.port)
-    steps.open_page(served.address, served.port, page)  # the browser starts while the results are read
+    command_steps.open_page(served.address, served.port, page)  # the browser starts while the results are read
     from rhizotwin.viewer import app
 
     viewer = app.show(served, results, datasets[0] if datasets else None)

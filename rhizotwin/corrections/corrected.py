@@ -16,7 +16,7 @@ from rhizotwin.corrections import against_pictures, surface
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.corrections.state import State
-from rhizotwin.recon.results import by_plant, dividing, result_traits
+from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Budget, Term
@@ -79,7 +79,7 @@ def write(
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
         logs.write(building / "corrected.json", session.log)
-        for name, text in result_traits.as_text(traits, summary, mass_g=summary.get("mass_g")).items():
+        for name, text in result_traits.trait_files(traits, summary, mass_g=summary.get("mass_g")).items():
             atomic.write_text(building / name, text)
         summary |= {"traits": to_plain(traits)}
         atomic.write_json(building / "result.json", summary)
@@ -163,20 +163,20 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
     The height of the highest root replaces that of the net pot, which a result does not contain.
     """
     where = str(session.folder / "result.json")
-    known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.of_summary(session.summary, where)]
+    known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.from_summary(session.summary, where)]
     grid_z_mm = max((float(root.points_mm[:, 2].max()) for root in session.roots), default=0.0)
     planted = plants.check_assignment(session.state.roots(), known, grid_z_mm=grid_z_mm)
     if not planted.roots:
         return (), []
     low, high = summary["volume_interval_mm3"]
-    shape = dividing.Shape(
+    shape = divide_by_plant.Shape(
         leaves=voxels,
         surface=mesh,
         finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
         volume_mm3=float(summary["volume_mm3"]),
         interval_mm3=(float(low), float(high)),
     )
-    return planted.roots, [one.plain() for one in dividing.measure(shape, planted, known, subject.of_summary(summary, where))]
+    return planted.roots, [one.plain() for one in divide_by_plant.measure(shape, planted, known, subject.from_summary(summary, where))]
 
 
 def _voxels(measured: Measured) -> Leaves:

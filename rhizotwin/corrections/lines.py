@@ -60,7 +60,7 @@ class Line:
     @property
     def way_mm(self) -> Array:
         """Return the arc length (N,) of each point."""
-        return polyline.way_mm(self.points_mm)
+        return polyline.arc_length_mm(self.points_mm)
 
     @property
     def length_mm(self) -> float:
@@ -81,7 +81,7 @@ class Line:
         way = self.way_mm
         inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
-        points = polyline.between(self.points_mm, way, at)
+        points = polyline.interpolate(self.points_mm, way, at)
         pieces, before = [], 0.0
         for piece in self.pieces:
             low, high = max(begin_mm - before, 0.0), min(end_mm - before, piece.length_mm)

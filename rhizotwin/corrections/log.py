@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import sha256_of
+from rhizotwin.scenes.dataset import file_sha256
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import read_file
 
@@ -81,7 +81,7 @@ def runs(rows: Sequence[int]) -> tuple[tuple[int, int], ...]:
 
 def new(result_folder: Path) -> Log:
     """Return an empty log for a result."""
-    return Log(shape_sha256=sha256_of(result_folder / "shape.npz"))
+    return Log(shape_sha256=file_sha256(result_folder / "shape.npz"))
 
 
 def read(path: Path, result_folder: Path) -> Log:
@@ -101,7 +101,7 @@ def read(path: Path, result_folder: Path) -> Log:
         log = Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise UserError(f"{path} is not a readable log of corrections ({error})") from None
-    if log.shape_sha256 != sha256_of(result_folder / "shape.npz"):
+    if log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
         raise UserError(f"{path} belongs to another result than {result_folder}; a new reconstruction has other voxels and roots")
     return log
 

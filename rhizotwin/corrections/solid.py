@@ -323,7 +323,7 @@ def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
 
 def _dense(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index, Array]:
     """Return closely spaced points on a line, with radius, number and arc length."""
-    way = polyline.way_mm(points_mm)
+    way = polyline.arc_length_mm(points_mm)
     at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.15)) + 1))
-    centre = polyline.between(points_mm, way, at)
+    centre = polyline.interpolate(points_mm, way, at)
     return centre, np.interp(at, way, diameters_mm / 2.0), np.full(len(at), number), at

@@ -45,10 +45,10 @@ class Aligned:
 
 def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
     """Sample points (N, 3) about ``step_mm`` apart along a root, with the unit direction (N, 3) at each."""
-    way = polyline.way_mm(root.points_mm)
+    way = polyline.arc_length_mm(root.points_mm)
     count = max(2, int(np.ceil(way[-1] / step_mm)) + 1)
     at = np.linspace(0.0, way[-1], count)
-    points = polyline.between(root.points_mm, way, at)
+    points = polyline.interpolate(root.points_mm, way, at)
     along = np.gradient(points, axis=0)
     return points, along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
 

@@ -10,7 +10,7 @@ from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, written
+from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, format_exact
 from rhizotwin.stored import result_files
 
 CURVES = ("total_length", "volume", "depth", "tips")
@@ -117,7 +117,7 @@ def _track(days: Sequence[Measured]) -> TrackedPlant | None:
         if file is not None and file.is_file():
             roots = rsml.read_rsml(file)
             if len({root.plant for root in roots}) > 1:
-                roots = rsml.of_plant(roots, one.subject.plant)
+                roots = rsml.plant_roots(roots, one.subject.plant)
             known.append(Day(day=one.subject.day or 0.0, roots=roots))
     return track_roots(known) if len(known) > 1 else None
 
@@ -132,7 +132,7 @@ def neighbours_csv(growth: Growth) -> str:
         if one.folder is not None:
             scans.setdefault(one.folder, []).append(one)
     days = {folder: own[0].subject.day for folder, own in scans.items() if all(one.usable("total_length") for one in own)}
-    rows = [[written(day), *row] for folder, day in days.items() for row in neighbours.rows(result_files.read_neighbours(folder))]
+    rows = [[format_exact(day), *row] for folder, day in days.items() for row in neighbours.rows(result_files.read_neighbours(folder))]
     return csv_text([["day", *neighbours.HEAD], *rows]) if rows else ""
 
 
@@ -160,12 +160,12 @@ def traits_csv(growth: Growth) -> str:
         for plant, one in ((plant, one) for plant, days in growth.plants.items() for one in days if trait in one.traits):
             assessed, day = one.assessment(trait), one.subject.day or 0.0
             low, high = assessed.interval or (None, None)
-            numbers = [written(value) for value in (one.traits[trait], low, high)]
-            doses = [written(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]
+            numbers = [format_exact(value) for value in (one.traits[trait], low, high)]
+            doses = [format_exact(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]
             rows.append(
                 [
                     *(plant, one.subject.treatment, f"{day:g}", _COLUMNS[trait], *numbers),
-                    *(assessed.verdict, ";".join(assessed.codes), written(rates.get((plant, day))), *doses),
+                    *(assessed.verdict, ";".join(assessed.codes), format_exact(rates.get((plant, day))), *doses),
                 ]
             )
     return csv_text(rows)
@@ -184,7 +184,7 @@ def roots_csv(growth: Growth) -> str:
         for track in tracked.tracks:
             rates = {end: rate for _, end, rate in track.rates_mm_per_day}
             for state in track.states:
-                numbers = [written(value) for value in (state.length_mm, rates.get(state.day), state.diameter_mm)]
+                numbers = [format_exact(value) for value in (state.length_mm, rates.get(state.day), state.diameter_mm)]
                 whose = [plant, track.name, track.parent, str(track.order), f"{track.emergence_day:.2f}", f"{state.day:g}"]
                 rows.append([*whose, *numbers, verdicts[state.day]])
     return csv_text(rows)
@@ -198,7 +198,7 @@ def treatments_csv(growth: Growth) -> str:
         for one in compared:
             numbers = (one.size, *one.size_interval, one.size_p, one.rate_per_day, one.rate_p)
             apart = "yes" if one.is_significant else "no"
-            rows.append([_COLUMNS[trait], one.treatment, one.against, *(written(value) for value in numbers), str(one.plants), apart])
+            rows.append([_COLUMNS[trait], one.treatment, one.against, *(format_exact(value) for value in numbers), str(one.plants), apart])
     return csv_text(rows)
 
 
@@ -214,7 +214,7 @@ def doses_csv(growth: Growth) -> str:
                     _COLUMNS[trait],
                     one.ion,
                     " ".join(one.with_ions),
-                    *(written(value) for value in numbers),
+                    *(format_exact(value) for value in numbers),
                     str(one.levels),
                     str(one.plants),
                 ]

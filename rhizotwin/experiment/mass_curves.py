@@ -16,7 +16,7 @@ from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, has_masses, re
 from rhizotwin.scenes import subject
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure, png
-from rhizotwin.scenes.trait_table import csv_text, written
+from rhizotwin.scenes.trait_table import csv_text, format_exact
 
 _PREDICTED = {"plant", "day", "mass", "mass (g)"}
 QUANTITIES = {"fresh": "wet mass (g)", "dry": "dry mass (g)", "water": "water content (%)"}
@@ -97,7 +97,7 @@ def to_csv(curves: Curves) -> str:
     rows: list[list[str]] = [["part", "quantity", "treatment", "day", "mean", "low", "high", "plants"]]
     for (part, quantity), points in curves.items():
         for point in points:
-            numbers = [written(value) for value in (point.day, point.mean, point.low, point.high)]
+            numbers = [format_exact(value) for value in (point.day, point.mean, point.low, point.high)]
             rows.append([part, QUANTITIES[quantity], point.treatment, *numbers, str(point.plants)])
     return csv_text(rows)
 
@@ -140,7 +140,7 @@ def _predicted(path: Path) -> list[Masses]:
         kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
             raise UserError(f"{row.where}: not a row of predicted masses; give the table written by 'rhizotwin biomass predict'")
-        found.append(_of(row.where, subject.of_cells(row.cells, row.where), {kind: grams}))
+        found.append(_of(row.where, subject.from_cells(row.cells, row.where), {kind: grams}))
     merged: dict[tuple[str, float], Masses] = {}
     for one in found:
         before = merged.get((one.plant, one.day))

@@ -93,7 +93,7 @@ def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
 
 
 def _weighed(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance_g: float) -> Weighed:
-    whose = subject.of_cells(row.cells, row.where)
+    whose = subject.from_cells(row.cells, row.where)
     given = {kind: (column, tables.number(row, column), scale) for kind, (column, scale) in columns.items()}
     grams: dict[str, float] = {}
     for kind, (column, value, scale) in given.items():

@@ -131,7 +131,7 @@ def _of_folder(folder: Path) -> list[Measured]:
     """Read a result folder; one entry per plant."""
     summary = result_files.read_summary(folder)
     above = trait_table.shoot_numbers(stored_traits.of_shoot(summary))
-    dissolved = solution.of_summary(summary, str(folder / "result.json")).ions_mmol_per_l
+    dissolved = solution.from_summary(summary, str(folder / "result.json")).ions_mmol_per_l
     return [
         Measured(
             name=folder.resolve().name,
@@ -142,7 +142,7 @@ def _of_folder(folder: Path) -> list[Measured]:
             ions=dissolved,
             folder=folder,
         )
-        for own in result_traits.each(str(folder / "result.json"), summary, stored_traits.read(folder))
+        for own in result_traits.traits_by_plant(str(folder / "result.json"), summary, stored_traits.read(folder))
     ]
 
 
@@ -177,7 +177,7 @@ def _of_row(row: tables.Row) -> Measured:
     traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
     return Measured(
         name=row.cells.get("result") or row.where,
-        subject=subject.of_cells(row.cells, row.where),
+        subject=subject.from_cells(row.cells, row.where),
         ions=_ions(row),
         traits=traits,
         assessed={name: _assessment(row, name, numbers) for name in traits},

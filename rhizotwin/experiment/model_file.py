@@ -11,7 +11,7 @@ from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import read_versioned_json
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
-from rhizotwin.scenes.trait_table import csv_text, written
+from rhizotwin.scenes.trait_table import csv_text, format_exact
 
 SCHEMA_VERSION = 1
 
@@ -80,9 +80,9 @@ def to_csv(found: Sequence[Predicted]) -> str:
         ["result", *subject.NAMES, *dissolved.values(), "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]
     ]
     for one in found:
-        numbers = [written(value) for value in (one.grams, one.low_g, one.high_g)]
+        numbers = [format_exact(value) for value in (one.grams, one.low_g, one.high_g)]
         states = [one.assessment.verdict, "yes" if one.beyond else "no"]
         whose = subject.as_text(one.measured.subject).values()
-        ions = [written(one.measured.ions.get(ion)) for ion in dissolved]
+        ions = [format_exact(one.measured.ions.get(ion)) for ion in dissolved]
         rows.append([one.measured.name, *whose, *ions, one.relation.kind, *numbers, one.relation.trait, *states])
     return csv_text(rows)

@@ -9,7 +9,7 @@ from rhizotwin.publishing.published import Found, Scan
 from rhizotwin.publishing.study import Study
 from rhizotwin.scenes.solution import UNIT
 from rhizotwin.scenes.subject import Subject
-from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, written
+from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, format_exact
 
 _METHOD = "rhizotwin: refraction-aware reconstruction from pictures taken around the canister"
 
@@ -96,7 +96,9 @@ def _units(scans: Sequence[Scan]) -> list[list[str]]:
         for one in subjects(scan):
             factors = "; ".join(filter(None, [one.treatment, str(scan.dataset.scene.solution)]))
             replicate = "" if one.replicate is None else str(one.replicate)
-            rows.append([one.plant or scan.name, "plant", one.species, factors, replicate, written(one.day), one.date, f"{scan.place}/"])
+            rows.append(
+                [one.plant or scan.name, "plant", one.species, factors, replicate, format_exact(one.day), one.date, f"{scan.place}/"]
+            )
     return rows
 
 

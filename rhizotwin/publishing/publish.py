@@ -13,7 +13,7 @@ from rhizotwin.publishing import crate, miappe, published
 from rhizotwin.publishing.published import Found, Scan
 from rhizotwin.publishing.study import LICENCES, Study
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import read_image, sha256_of
+from rhizotwin.scenes.dataset import file_sha256, read_image
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.monitor import Monitor
@@ -77,7 +77,7 @@ def _checksums(folder: Path) -> str:
     """Return one line per file in the format of sha256sum."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     names = {path.relative_to(folder).as_posix(): path for path in files}
-    return "".join(f"{sha256_of(path)}  {name}\n" for name, path in names.items() if name != CHECKSUMS)
+    return "".join(f"{file_sha256(path)}  {name}\n" for name, path in names.items() if name != CHECKSUMS)
 
 
 def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.batches.jobs import named
-from rhizotwin.recon.results.result_traits import Own, each
+from rhizotwin.recon.results.result_traits import PlantTraits, traits_by_plant
 from rhizotwin.scenes import atomic, folders
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -54,9 +54,9 @@ class Found:
         return f"{RESULTS}/{self.name}"
 
     @property
-    def plants(self) -> list[Own]:
+    def plants(self) -> list[PlantTraits]:
         """Return each plant with its traits."""
-        return each(self.name, self.summary, self.traits)
+        return traits_by_plant(self.name, self.summary, self.traits)
 
 
 def find(sources: Sequence[Path]) -> tuple[list[Scan], list[Found]]:

@@ -20,9 +20,9 @@ from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import printable
 from rhizotwin.scoring import surface_distance
 from rhizotwin.stored.result_files import read_grey
 

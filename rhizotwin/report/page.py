@@ -26,8 +26,8 @@ from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
@@ -77,11 +77,11 @@ class _Report:
 
     @property
     def subject(self) -> Subject:
-        return subject.of_summary(self.summary, str(self.folder / "result.json"))
+        return subject.from_summary(self.summary, str(self.folder / "result.json"))
 
     @property
     def solution(self) -> str:
-        return str(solution.of_summary(self.summary, str(self.folder / "result.json")))
+        return str(solution.from_summary(self.summary, str(self.folder / "result.json")))
 
 
 def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
@@ -127,9 +127,9 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
 def _row(place: int, report: _Report, known: Sequence[str]) -> str:
     """Return a result's row in the table of many."""
     length, interval = report.traits.total_length_mm, report.assessed["total_length_mm"]
-    shown = "-" if not length else rounded(length) + ("" if interval.verdict == "reliable" else f" ({interval.verdict})")
+    shown = "-" if not length else round_digits(length) + ("" if interval.verdict == "reliable" else f" ({interval.verdict})")
     link = f'<a href="#result-{place}">{html.escape(report.folder.resolve().name)}</a>'
-    more = [report.name, *(subject.as_text(report.subject)[name] for name in known), shown, result_traits.edited(report.summary)]
+    more = [report.name, *(subject.as_text(report.subject)[name] for name in known), shown, result_traits.describe_edits(report.summary)]
     return (
         f"<tr>{tables.verdict_cells(report.summary)}<td>{link}</td>"
         f"{''.join(f'<td class=more>{html.escape(text)}</td>' for text in more)}</tr>"
@@ -179,7 +179,7 @@ def _head(report: _Report) -> str:
     described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
     headline, beside = words.headline(report.summary)
     state, meaning, advice = words.traffic_light(report.summary)
-    edits = result_traits.edited(report.summary)
+    edits = result_traits.describe_edits(report.summary)
     by_hand = f"<p class=soft>Edited by hand: {html.escape(edits)}.</p>" if edits else ""
     return (
         f"<h1>{html.escape(report.name)}</h1>{described}<p class=volume>{headline}</p><p>{beside}</p>{by_hand}"
@@ -279,13 +279,13 @@ def _plants(report: _Report) -> str:
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
     rows = []
-    for own in result_traits.each(str(report.folder / "result.json"), report.summary, report.traits):
+    for own in result_traits.traits_by_plant(str(report.folder / "result.json"), report.summary, report.traits):
         numbers = [
-            "not reliable" if own.assessed[field].verdict == "not reliable" else trait_table.shown(getattr(own.traits, field))
+            "not reliable" if own.assessed[field].verdict == "not reliable" else trait_table.format_number(getattr(own.traits, field))
             for field in ("total_length_mm", "tips", "depth_mm")
         ]
         volume, (low, high) = own.assessed["volume_mm3"], own.assessed["volume_mm3"].interval or (0.0, 0.0)
-        known = [f"{ml(own.traits.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high)]
+        known = [f"{ml(own.traits.volume_mm3, half_mm3=0.5 * (high - low))} ml", interval_ml(low, high)]
         rows.append([str(own.subject), *(known if volume.verdict == "reliable" else [volume.verdict, ""]), *numbers])
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
     verdict = report.assessed["total_length_mm"].verdict
@@ -332,9 +332,9 @@ def _sizes(summary: dict[str, Any]) -> list[tuple[str, str]]:
     attenuation = "opaque" if mu is None else f"{mu:.2f} per mm" + ("" if sigma is None else f" ± {sigma:.2f}")
     return [
         ("Root extent (x, y, z)", " x ".join(f"{extent:.1f}" for extent in extents) + " mm"),
-        ("Hull before trimming", f"{rounded(summary['hull_mm3'] / 1000.0)} ml"),
-        ("Part of the volume that is untrimmed hull", f"{rounded(summary['untrimmed_mm3'] / 1000.0)} ml"),
-        ("Water covered by too few views", f"{rounded(summary['blind_mm3'] / 1000.0)} ml"),
+        ("Hull before trimming", f"{round_digits(summary['hull_mm3'] / 1000.0)} ml"),
+        ("Part of the volume that is untrimmed hull", f"{round_digits(summary['untrimmed_mm3'] / 1000.0)} ml"),
+        ("Water covered by too few views", f"{round_digits(summary['blind_mm3'] / 1000.0)} ml"),
         ("Attenuation of light in roots", attenuation),
         ("Views used", f"{sum(view['used'] for view in summary['views'])} of {len(summary['views'])}"),
         ("Computing time", f"{sum(summary['timings_s'].values()):.0f} s"),

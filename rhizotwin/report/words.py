@@ -9,7 +9,7 @@ from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset
-from rhizotwin.scenes.said import between_ml, decimals, ml, rounded
+from rhizotwin.scenes.formatting import decimals, interval_ml, ml, round_digits
 from rhizotwin.scenes.trait_table import DEFINITIONS, Definition
 
 Light = Literal["good", "fair", "bad"]
@@ -73,7 +73,7 @@ def volume_text(summary: dict[str, Any]) -> tuple[str, str]:
     """Return the volume in ml and its 90 % interval, rounded to the digits that the interval supports."""
     low, high = summary["volume_interval_mm3"]
     half = 0.5 * (high - low)
-    return f"{ml(summary['volume_mm3'], half_mm3=half)} ml", between_ml(low, high)
+    return f"{ml(summary['volume_mm3'], half_mm3=half)} ml", interval_ml(low, high)
 
 
 def headline(summary: dict[str, Any]) -> tuple[str, str]:
@@ -161,7 +161,7 @@ def _number(definition: Definition, value: float, half: float | None) -> str:
     if definition.field in COUNTS:
         return f"{value:.0f}"
     scale = 1000.0 if definition.field in IN_ML else 1.0
-    return rounded(value / scale) if half is None else f"{value / scale:.{decimals(half / scale)}f}"
+    return round_digits(value / scale) if half is None else f"{value / scale:.{decimals(half / scale)}f}"
 
 
 def root_summary(summary: dict[str, Any]) -> list[str]:
@@ -216,7 +216,7 @@ def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) 
 
 def _deviation(less_mm3: float, more_mm3: float) -> str:
     """Return by how much the volume may be smaller or larger."""
-    less, more = rounded(less_mm3 / 1000.0, 2), rounded(more_mm3 / 1000.0, 2)
+    less, more = round_digits(less_mm3 / 1000.0, 2), round_digits(more_mm3 / 1000.0, 2)
     if less_mm3 < SMALLEST_SHARE * more_mm3:
         return f"{more} ml larger"
     if more_mm3 < SMALLEST_SHARE * less_mm3:

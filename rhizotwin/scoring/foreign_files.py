@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.reading import check_size, read_file
-from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.stored import result_files
 

@@ -290,9 +290,9 @@ class _Known:
 def _of_mesh(mesh: Mesh, known: _Known) -> FileScore:
     import manifold3d
 
-    from rhizotwin.sim.solids import manifold_of
+    from rhizotwin.sim.solids import to_manifold
 
-    solid, true = (manifold_of(one.vertices_mm, one.faces.astype(np.int32)) for one in (mesh, known.solid))
+    solid, true = (to_manifold(one.vertices_mm, one.faces.astype(np.int32)) for one in (mesh, known.solid))
     notes: tuple[str, ...] = ()
     volume_mm3: float | None = None
     if solid.status() == manifold3d.Error.NoError and solid.volume() > 0.0 and true.status() == manifold3d.Error.NoError:

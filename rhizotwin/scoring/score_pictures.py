@@ -16,7 +16,7 @@ from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, signed_distance
-from rhizotwin.recon.pictures import content_of, read_pictures
+from rhizotwin.recon.read_pictures import picture_hash, read_pictures
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.results.result import Result
 from rhizotwin.scenes import frames
@@ -99,7 +99,7 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
     pictures = verify_curve(read_pictures(dataset, monitor=monitor), monitor=monitor)
     used = {camera.sha256: camera for camera in found.cameras if camera.sha256 and camera.used}
     cameras = find_cameras(pictures, monitor=monitor)
-    same = {k: used[sha256] for k, frame in enumerate(pictures.frames) if (sha256 := content_of(dataset, frame)) in used}
+    same = {k: used[sha256] for k, frame in enumerate(pictures.frames) if (sha256 := picture_hash(dataset, frame)) in used}
     cameras = _in_frame_of(found, cameras, same, bare=dataset.scene.strip.rows == 0)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor)
     chosen = [k for k in cameras.order if k not in same]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring.score_roots import NEAR_MM
@@ -42,7 +42,7 @@ class PlantScore:
 
 
 def compare_plants(
-    found: Sequence[OfPlant], roots: Sequence[Root], truth: Mapping[str, Mapping[str, Any]], true: Sequence[Root]
+    found: Sequence[PlantResult], roots: Sequence[Root], truth: Mapping[str, Mapping[str, Any]], true: Sequence[Root]
 ) -> tuple[PlantScore, ...]:
     """Compare each plant that occurs in both result and ground truth.
 
@@ -63,7 +63,7 @@ def compare_plants(
     scores = []
     for one in told:
         name = one.subject.plant
-        own, length_true = rsml.of_plant(roots, name), rsml.length_mm(rsml.of_plant(true, name))
+        own, length_true = rsml.plant_roots(roots, name), rsml.length_mm(rsml.plant_roots(true, name))
         away, nearest = tree.query(_points(own)[0])
         near = away < NEAR_MM
         low, high = one.volume_interval_mm3
@@ -88,8 +88,8 @@ def _points(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_
     """Sample points (N, 3) every fifth of `NEAR_MM` along roots, with the plant (N,) of each."""
     points, plants = [], []
     for root in roots:
-        way = polyline.way_mm(root.points_mm)
+        way = polyline.arc_length_mm(root.points_mm)
         at = polyline.middles(way, _STEP_MM)
-        points.append(polyline.between(root.points_mm, way, at))
+        points.append(polyline.interpolate(root.points_mm, way, at))
         plants += [root.plant] * len(at)
     return np.concatenate([np.zeros((0, 3)), *points]), np.array(plants)

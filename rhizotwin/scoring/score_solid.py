@@ -9,7 +9,7 @@ import numpy as np
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result import Result, Triple, triple
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import between_ml, ml
+from rhizotwin.scenes.formatting import interval_ml, ml
 from rhizotwin.scoring.registration import register
 from rhizotwin.scoring.score_shape import SurfaceScore, compare_surfaces
 from rhizotwin.stored.load import load_result
@@ -125,7 +125,7 @@ def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
     found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (score.volume_mm3, score.volume_true_mm3))
     return [
         ("volume", f"{found_ml} ml, true {true_ml} ml: {percent(score.volume_error)}"),
-        ("  90 % interval", f"{between_ml(low, high)}, {verdict} the truth"),
+        ("  90 % interval", f"{interval_ml(low, high)}, {verdict} the truth"),
         ("  trusted", "yes" if score.volume_trusted else f"no, {score.volume_verdict}"),
     ]
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, shown
+from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, format_number
 from rhizotwin.scenes.traits import Traits
 
 
@@ -54,7 +54,7 @@ def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
             lines.append((f"  {name}", f"{100.0 * score.error:.2f} % of the length in wrong bins"))
         else:
             unit = f" {score.unit}" if score.unit else ""
-            lines.append((f"  {name}", f"{shown(score.found)}{unit}, true {shown(score.true)}{unit}: {score.text()}"))
+            lines.append((f"  {name}", f"{format_number(score.found)}{unit}, true {format_number(score.true)}{unit}: {score.text()}"))
     return lines
 
 

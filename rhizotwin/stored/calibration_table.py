@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhizotwin.recon.results.calibrated import SWAY_AT_MM
+from rhizotwin.recon.results.calibration_summary import SWAY_AT_MM
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.scenes import frames
 

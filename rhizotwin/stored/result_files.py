@@ -14,10 +14,10 @@ from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
+from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.model import MarkerStrip
-from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
-from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.stored import plain_ply, summary_checks
 

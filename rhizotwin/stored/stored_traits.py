@@ -6,7 +6,7 @@ from typing import Any
 
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.reasons import shorten
-from rhizotwin.recon.results.result_traits import each, edited, of_shape
+from rhizotwin.recon.results.result_traits import describe_edits, measure_shape, traits_by_plant
 from rhizotwin.scenes import rsml, solution, subject, trait_table
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import Traits
@@ -44,7 +44,7 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
     Traits
         Traits of all plants together.
     """
-    return of_shape(
+    return measure_shape(
         surface,
         roots,
         volume_mm3=float(summary["volume_mm3"]),
@@ -68,12 +68,12 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     """
     shoots = [shoot for _, summary, _ in rows if (shoot := of_shoot(summary))]
     above = [*trait_table.SHOOT, *(d for d in trait_table.COLOUR if any(d.field in shoot for shoot in shoots))] if shoots else []
-    found = [(name, summary, one) for name, summary, traits in rows for one in each(name, summary, traits)]
+    found = [(name, summary, one) for name, summary, traits in rows for one in traits_by_plant(name, summary, traits)]
     ranged = [d for d in trait_table.DEFINITIONS if d.field in trait_table.WITH_INTERVAL]
     intervals = [f"{d.column}_{end}" for d in ranged for end in ("low", "high")]
     verdicts = [f"{d.column}_verdict" for d in trait_table.DEFINITIONS]
     headings = [d.column for d in (*trait_table.DEFINITIONS, *above)]
-    ions = [solution.of_summary(summary, name).ions_mmol_per_l for name, summary, _ in found]
+    ions = [solution.from_summary(summary, name).ions_mmol_per_l for name, summary, _ in found]
     dissolved = solution.headings(ions)
     head = ["result", "scene", *subject.NAMES, *dissolved.values(), *headings, *intervals, *verdicts, "reasons", "edits", "warnings"]
     table: list[Sequence[Any]] = [head]
@@ -82,12 +82,12 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
         shoot = trait_table.shoot_numbers(of_shoot(summary))
         values += [shoot.get(d.name) for d in above]
         values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
-        numbers = [trait_table.written(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
+        numbers = [trait_table.format_exact(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
         judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]
         codes = ";".join(one.assessed["volume_mm3"].codes)
         warnings = shorten([str(warning) for warning in summary["warnings"]])
         whose = subject.as_text(one.subject).values()
-        table.append([name, summary["scene"], *whose, *numbers, *judged, codes, edited(summary), warnings])
+        table.append([name, summary["scene"], *whose, *numbers, *judged, codes, describe_edits(summary), warnings])
     return trait_table.csv_text(table)
 
 

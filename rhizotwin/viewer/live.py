@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.rig.scanning.onlooker import Look, Onlooker
+from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.viewer.sketch import Sketch
 
 CARVE_EVERY = 4
@@ -27,7 +27,7 @@ FRUSTUM_PX = 90
 """Width of the pictures shown at their cameras."""
 
 
-class Live(Onlooker):
+class Live(Observer):
     """Observer of a scan for browsers.
 
     Parameters

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.rig.scanning import change, preflight
-from rhizotwin.rig.scanning.onlooker import Look
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.rig.scanning import picture_change, preflight
+from rhizotwin.rig.scanning.observer import Look
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.viewer import guard
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.live import FRUSTUM_PX, Live, shrink
@@ -150,9 +150,9 @@ def meters(look: Look | None, panel: tuple[float, float] | None) -> str:
             ("Panel uniformity", text, f"darkest part {100.0 * panel[0]:.0f} % of full scale; good from {100.0 * good:.0f} %", state)
         )
     if look is not None and look.motion is not None:
-        state = "good" if look.motion < change.LEAST_SHARE else "fair"
+        state = "good" if look.motion < picture_change.LEAST_SHARE else "fair"
         text = "at rest" if state == "good" else f"{100.0 * look.motion:.1f} % of the picture moving"
-        rows.append(("Motion after stop", text, f"limit {100.0 * change.LEAST_SHARE:g} %; raise settle_s in the rig file", state))
+        rows.append(("Motion after stop", text, f"limit {100.0 * picture_change.LEAST_SHARE:g} %; raise settle_s in the rig file", state))
     cells = "".join(
         f"<tr><td style='vertical-align:top;padding-right:0.6em'><span style='color:{_STATES[state]}' title='{state}'>&#9679;</span> "
         f"<b>{name}</b></td><td>{html.escape(text)}<br><small>{state}; {html.escape(limit)}</small></td></tr>"

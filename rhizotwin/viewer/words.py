@@ -15,7 +15,7 @@ from rhizotwin.corrections.session import Measured
 from rhizotwin.recon.results import assessments
 from rhizotwin.report import words
 from rhizotwin.root_colours import Key, half_widths, order_name
-from rhizotwin.scenes.said import ml, rounded
+from rhizotwin.scenes.formatting import ml, round_digits
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.scenes.traits import Traits
 
@@ -71,7 +71,7 @@ def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> s
     if roots:
         parts.append(f"{roots} root{'' if roots == 1 else 's'}, {length_mm:.1f} mm")
     if voxels:
-        parts.append(f"{voxels} voxel{'' if voxels == 1 else 's'}, {rounded(volume_mm3 / 1000.0)} ml")
+        parts.append(f"{voxels} voxel{'' if voxels == 1 else 's'}, {round_digits(volume_mm3 / 1000.0)} ml")
     return f"{_PADDED}Selected: <b>{' and '.join(parts)}</b></div>"
 
 

@@ -1,1 +1,1 @@
-"""The arm: servo protocols, kinematics, positioning, and collision checks."""
+"""The robot arm: two servo protocols, kinematics, path planning and collision checks."""

@@ -1,10 +1,9 @@
-"""The arm as five joints in degrees, with either servo protocol.
+"""Driver of the arm as five joints in degrees, for both servo protocols.
 
-Limits, speed, verification, and stopping where something is wrong.
-
-Servos say neither that a move is done nor that it failed. So a move is given a duration that follows from its distance,
-the arm waits for that long without asking anything, and then compares where every joint stands with where it was sent.
-A joint that is blocked, too warm, or has lost its torque shows there.
+It implements limits, speed, verification, and stopping on errors. Servos report neither the end of a move nor its
+failure. Therefore each move has a duration that follows from its distance; the arm waits for that time without
+communication, and then compares the position of every joint with the commanded one. This detects joints that are
+blocked, too warm, or without torque.
 """
 
 import math
@@ -20,30 +19,30 @@ from rhizotwin.rig.serial_line.port import Wire
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 
 _HOLD_S = 1.0
-"""Torque comes on with a move to the present position; if the arm sagged since it was read, it is lifted in this time,
-not in a jerk."""
+"""Duration of the move to the present position that switches the torque on: if the arm sagged since its position was
+read, it is lifted slowly."""
 _STILL_COUNTS = 1
 _STILL_PAUSE_S = 0.1
 _STILL_LIMIT_S = 5.0
 _COMMAND_TRIES = 2
 _UNMOVED_COUNTS = 2
 _DEAD_COUNTS = 4
-"""A joint with a smaller remaining distance may not move, because of dead band and sag."""
+"""Maximum distance, in counts, at which a joint may not move, because of dead band and sag."""
 
 Counts = dict[int, int]
 
 
 def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
-    """Return the arm on an open port, with the protocol that the rig file names; nothing is sent yet.
+    """Return the arm on an open port, with the protocol given in the rig file; nothing is sent.
 
     Parameters
     ----------
     port : Wire
-        Its line.
+        Port of the arm.
     part : ArmPart
         Protocol, joints and limits.
     clock : Clock
-        For the waits.
+        Clock for waiting times.
 
     Returns
     -------
@@ -60,11 +59,11 @@ class ServoArm:
     Parameters
     ----------
     bus
-        The servos.
+        Bus with the servos.
     part
-        The arm's section of the rig file.
+        Section of the rig file that describes the arm.
     clock
-        Where time comes from.
+        Clock for waiting times.
     """
 
     def __init__(self, bus: ServoBus, part: ArmPart, clock: Clock) -> None:
@@ -74,10 +73,10 @@ class ServoArm:
         self._ids = tuple(joint.servo for joint in part.joints)
         self._prepared = False
         self._rests_at: Counts | None = None
-        """End position of the last move; None after anything else."""
+        """Positions at the end of the last move; None after any other command."""
 
     def describe(self) -> str:
-        """Describe the arm: bus, voltage, warmest servo."""
+        """Return a description of the bus, with voltage and warmest servo."""
         words = f"{self._bus.describe()}, {len(self._ids)} servos, {self._bus.voltage_v(self._ids):.1f} V"
         temperatures_c = self._bus.temperatures_c(self._ids)
         if temperatures_c is None:
@@ -86,17 +85,18 @@ class ServoArm:
         return words + f", warmest {self._name(warmest)} {temperatures_c[warmest]} °C"
 
     def prepare(self) -> None:
-        """Find the servos, check them, and switch the torque on where the arm stands.
+        """Find the servos, check them, and switch the torque on in the present position.
 
-        Every servo is commanded to the position that it was read at before its torque comes on, so that nothing jumps.
+        Every servo is commanded to its measured position before its torque is switched on, so that the arm does not
+        jump.
 
         Raises
         ------
         NoAnswerError
-            When a servo does not answer.
+            If a servo does not answer.
         UnsafeError
-            When the supply or a temperature is out of its range, a joint stands where it may not, or the arm moved
-            meanwhile.
+            If the supply or a temperature is out of range, a joint is outside its limits, or the arm moved during the
+            procedure.
         """
         self._prepared = False
         self._rests_at = None
@@ -112,8 +112,8 @@ class ServoArm:
             now = self._still()
             if worst := self._off_target(present, now):
                 raise UnsafeError(
-                    f"arm: the {self._name(worst.servo)} went from {_to_deg(worst, present[worst.servo]):.1f} to"
-                    f" {_to_deg(worst, now[worst.servo]):.1f} deg while its torque came on; support the arm, then try again"
+                    f"arm: the {self._name(worst.servo)} moved from {_to_deg(worst, present[worst.servo]):.1f} to"
+                    f" {_to_deg(worst, now[worst.servo]):.1f} deg while its torque was switched on; support the arm, then try again"
                 )
             self._prepared = True
             self._rests_at = now
@@ -123,34 +123,34 @@ class ServoArm:
             raise
 
     def read_joints(self) -> tuple[float, ...]:
-        """Read the joint angles."""
+        """Return the measured joint angles."""
         return self._joints_deg(self._bus.positions(self._ids))
 
     def holds(self) -> bool:
-        """Whether all joints are powered.
+        """Whether every joint still has its torque on.
 
-        Where the protocol cannot tell, whether the arm still stands where it came to rest: without torque it drops.
+        If the protocol does not report this, whether the arm is still in its last position, as it drops without torque.
         """
         return self._prepared and self._limp() is None
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        """Move all joints at once along a straight line in joint space; wait, verify; return the angles read back.
+        """Move all joints at once along a straight line in joint space; wait, verify, and return the measured angles.
 
-        A command that moved nothing at all may have been lost on the wire and is repeated once. A move that takes
-        longer than the protocols allow is made in parts. On any error the arm is stopped where it is, with its torque
+        A command that caused no motion at all may have been lost in transmission, and is repeated once. Moves longer
+        than the protocols permit are divided. On any error the arm is stopped in its present position, with its torque
         on.
 
         Raises
         ------
         UnsafeError
-            Before anything is sent: for an angle beyond its joint's limits. Afterwards: when a joint does not arrive,
-            is too warm, or the supply is out of its range.
+            Before anything is sent, for an angle beyond its joint's limits; after the move, if a joint does not arrive,
+            is too warm, or the supply is out of range.
         LostError
-            When the arm was not prepared, or a servo has lost its torque.
+            If the arm was not prepared, or a servo has lost its torque.
         """
         target = self._checked_counts(joints_deg)
         if not self._prepared:
-            raise LostError("arm: the servos are unpowered; prepare the arm before moving it")
+            raise LostError("arm: its torque is off; prepare it before it is moved")
         self._check_torque()
         here = start = self._still()
         way_deg = max(abs(target[j.servo] - start[j.servo]) / j.counts_per_deg for j in self._part.joints)
@@ -168,14 +168,14 @@ class ServoArm:
         return self._joints_deg(here)
 
     def turn_filter(self, angle_deg: float) -> None:
-        """Turn the filter wheel before the lens and check that it is there.
+        """Rotate the filter wheel in front of the lens and verify its angle.
 
         Raises
         ------
         UnsafeError
-            For an angle beyond the wheel's limits, before anything is sent, or when the wheel does not arrive.
+            For an angle beyond the wheel's limits, before anything is sent, or if the wheel does not arrive.
         LostError
-            When the arm was not prepared.
+            If the arm was not prepared.
         """
         wheel = self._part.filter
         if wheel is None or not wheel.min_deg <= angle_deg <= wheel.max_deg:
@@ -190,36 +190,36 @@ class ServoArm:
         there = self._bus.positions((wheel.servo,))[wheel.servo]
         if abs(there - goal) / wheel.counts_per_deg > self._part.tolerance_deg:
             raise UnsafeError(
-                f"arm: the filter wheel (servo {wheel.servo}) was sent to {angle_deg:g} deg but stands at {_to_deg(wheel, there):.1f} deg: "
+                f"arm: the filter wheel (servo {wheel.servo}) was commanded to {angle_deg:g} deg, is at {_to_deg(wheel, there):.1f} deg: "
                 "it is blocked, or its cable is loose"
             )
 
     def health(self) -> None:
-        """Check supply and temperatures, and that all servos are powered.
+        """Check the supply, the temperatures, and that no servo has lost its torque.
 
         Raises
         ------
         UnsafeError
-            When a servo is too warm or the voltage out of its range.
+            If a servo is too warm or the voltage is out of range.
         LostError
-            When a servo's torque is off though it was switched on.
+            If the torque of a servo is off although it was switched on.
         """
         self._check_supply_and_warmth()
         self._check_torque()
 
     def relax(self) -> None:
-        """Unpower the servos: the arm drops unless it is supported."""
+        """Switch the torque off; the arm drops unless it is supported."""
         self._prepared = False
         self._rests_at = None
         wheel = self._part.filter
         self._bus.load(self._ids if wheel is None else (*self._ids, wheel.servo), False)
 
     def close(self) -> None:
-        """Close the port; the torque is not changed."""
+        """Close the port; the torque does not change."""
         self._bus.close()
 
     def _move_one(self, start: Counts, to: Counts, duration_s: float) -> Counts:
-        """Execute one move that fits into one command, and return its end position."""
+        """Make one move that fits into one command, and return the positions at its end."""
         tries = 0
         while True:
             self._bus.move(to, duration_s)
@@ -230,7 +230,7 @@ class ServoArm:
             ignored = unmoved and any(abs(to[servo] - start[servo]) > _DEAD_COUNTS for servo in self._ids)
             worst = self._off_target(to, now)
             if worst is not None:
-                # The cause rather than the symptom, where there is one.
+                # report the cause rather than the symptom, if there is one
                 self.health()
             if ignored and tries < _COMMAND_TRIES:
                 continue
@@ -239,7 +239,7 @@ class ServoArm:
             raise UnsafeError(
                 f"arm: the {self._name(worst.servo)} was commanded to {_to_deg(worst, to[worst.servo]):.1f} deg but is at"
                 f" {_to_deg(worst, now[worst.servo]):.1f} deg: it is blocked, overloaded, or its command was damaged;"
-                " the arm was stopped, clear its way before it is moved again"
+                " the arm was stopped; clear its path before moving it again"
             )
 
     def _still(self) -> Counts:
@@ -253,18 +253,20 @@ class ServoArm:
             if not moving:
                 return now
             if self._clock.now_s() > deadline_s:
-                raise UnsafeError(f"arm: the {self._name(moving[0])} does not come to rest; release the arm, or find what moves it")
+                raise UnsafeError(
+                    f"arm: the {self._name(moving[0])} does not come to rest; release the arm, or find the cause of the motion"
+                )
             before = now
 
     def _stop_once(self) -> None:
-        """Try to stop after an error; failures are ignored in favour of that error."""
+        """Try to stop after an error; a failure to stop is ignored in favour of that error."""
         try:
             self._bus.stop(self._ids)
         except RigError:
             return
 
     def _off_target(self, target: Counts, now: Counts) -> Joint | None:
-        """Return the joint with the largest deviation from its target, if it exceeds the tolerance."""
+        """Return the joint that is farthest from its target, if it is beyond the tolerance."""
         off_deg = [abs(now[joint.servo] - target[joint.servo]) / joint.counts_per_deg for joint in self._part.joints]
         worst = max(range(JOINTS), key=off_deg.__getitem__)
         return self._part.joints[worst] if off_deg[worst] > self._part.tolerance_deg else None
@@ -279,12 +281,11 @@ class ServoArm:
         for servo, celsius in (self._bus.temperatures_c(self._ids) or {}).items():
             if celsius > part.max_celsius:
                 raise UnsafeError(
-                    f"arm: the {self._name(servo)} is at {celsius} °C, above {part.max_celsius:g} "
-                    "°C; let it cool down in the parking position"
+                    f"arm: the {self._name(servo)} is at {celsius} °C, above {part.max_celsius:g} °C; let it cool with the arm at rest"
                 )
 
     def _limp(self) -> int | None:
-        """Return an unpowered servo, if this can be read."""
+        """Return a servo whose torque is off, if the protocol reports it."""
         loaded = self._bus.loaded(self._ids)
         if loaded is not None:
             return next((servo for servo, on in loaded.items() if not on), None)
@@ -298,24 +299,24 @@ class ServoArm:
         if limp is not None:
             self._prepared = False
             raise LostError(
-                f"arm: the {self._name(limp)} has lost its torque, as after a voltage drop or self-protection;"
+                f"arm: the {self._name(limp)} has lost its torque, as after a brown-out or its own protection;"
                 " check the supply, then prepare the arm again"
             )
 
     def _check_standing(self, joint: Joint, counts: int) -> None:
-        """Refuse to energise a joint where it must not be commanded to: there its first move could go anywhere."""
+        """Reject a joint outside its range, as the path of its first move would be undefined."""
         angle_deg = _to_deg(joint, counts)
         slack_deg = self._part.tolerance_deg
         if MIN_COUNTS <= counts <= MAX_COUNTS and joint.min_deg - slack_deg <= angle_deg <= joint.max_deg + slack_deg:
             return
         raise UnsafeError(
-            f"arm: the {self._name(joint.servo)} stands at {angle_deg:.1f} deg ({counts} counts), outside its {joint.min_deg:g} to"
+            f"arm: the {self._name(joint.servo)} is at {angle_deg:.1f} deg ({counts} counts), outside its {joint.min_deg:g} to"
             f" {joint.max_deg:g} deg or {MIN_COUNTS} to {MAX_COUNTS} counts; with the torque off, move it by hand into its range"
         )
 
     def _checked_counts(self, joints_deg: tuple[float, ...]) -> Counts:
         if len(joints_deg) != JOINTS:
-            raise UnsafeError(f"arm: {len(joints_deg)} joint angles are given but the arm has {JOINTS} joints; nothing was moved")
+            raise UnsafeError(f"arm: {len(joints_deg)} joint angles were given but it has {JOINTS} joints; nothing was moved")
         counts = {}
         for joint, angle_deg in zip(self._part.joints, joints_deg, strict=True):
             name = self._name(joint.servo)
@@ -341,4 +342,4 @@ class ServoArm:
 
 
 def _to_deg(joint: Joint, counts: int) -> float:
-    return joint.sign * (counts - joint.zero_counts) / joint.counts_per_deg + 0.0  # no -0.0
+    return joint.sign * (counts - joint.zero_counts) / joint.counts_per_deg + 0.0  # avoids -0.0

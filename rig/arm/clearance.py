@@ -1,9 +1,9 @@
-"""Collision checks of paths of the arm against canister, net pot, turntable, tank, floor and bars.
+"""Collision checks of arm paths against canister, net pot, table, tank, floor and bars.
 
-The arm is three capsules and a sphere that holds the camera; what it must not touch are cylinders, boxes and a plane.
-Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
-joint: a piece of the way counts as clear only if its middle is clear by half of that, and is halved until it is. So
-nothing is missed between samples, however long the step.
+The arm is modelled by three capsules, and a sphere around the camera; obstacles are cylinders, boxes and a plane.
+Between two configurations, no point of a link moves farther than the steps of the joints times the lengths beyond each
+joint. A segment of a path is clear if its midpoint keeps a clearance of half of that; otherwise it is bisected. Thus no
+collision between samples can be missed, however long the segment.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.rig.arm.kinematics import places, rig_from_arm
-from rhizotwin.rig.arm.placing import Joints, arm_of
-from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rhizotwin.rig.arm.placement import Joints, require_arm
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, minimum_distance, point_to_segment
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes import frames
@@ -22,31 +22,33 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene, Tank
 
 TABLE_THICKNESS_MM = 20.0
-"""Thickness of the disc of the turntable below the canister."""
+"""Thickness of the table's disc, below the canister."""
 FINE_MM = 0.1
-"""Intervals of a path are subdivided until the arm moves by less than this, which is the accuracy of the margins."""
+"""Resolution of the bisection: segments with less motion of the arm are not divided, and margins are kept to within
+this."""
 START_SLACK_MM = 2.0
-"""An arm that starts inside a margin (sagged or pushed) may come closer by this distance while it moves away."""
+"""Maximum further approach of an arm that starts inside a margin (after sagging or being pushed), while it moves away.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """Pairs of parts of the arm and obstacles, for given joint angles."""
+    """Distances of every part of the arm from every obstacle, for N configurations."""
 
     names: tuple[tuple[str, str], ...]
-    """Names of each pair: part, obstacle."""
+    """Names of the two parts of each pair: part of the arm, obstacle."""
     distance_mm: Array
-    """(N, P)."""
+    """(N, P) distances."""
     margin_mm: Array
-    """(P,) required distance."""
+    """(P,) required clearances."""
     travel_mm: Array
-    """(P, 5) maximum approach of the pair per radian of each joint."""
+    """(P, 5) maximum decrease of each distance per radian of each joint."""
     floor: NDArray[np.bool_]
-    """(P,) whether the obstacle is the floor, on which an unpowered arm may rest."""
+    """(P,) whether the obstacle is the floor, on which an arm without torque may lie."""
 
 
 def solids(rig: RigFile, scene: Scene) -> list[Solid]:
-    """Return the obstacles."""
+    """Return the obstacles of the arm."""
     canister, pot, clearance = scene.canister, scene.net_pot, rig.clearance
     under = -canister.height_mm
     return [
@@ -60,7 +62,7 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 
 
 def _tank(tank: Tank, floor_z_mm: float) -> Box:
-    """Return the bounding box of a tank at any angle, from its rim to the floor, which includes its support."""
+    """Return a box around a tank in any orientation, from its rim to the floor, which includes its stand."""
     turn = np.deg2rad(abs(tank.turn_deg))
     x = tank.front_mm * np.cos(turn) + tank.half_width_mm * np.sin(turn)
     y = tank.half_width_mm * np.cos(turn) + tank.front_mm * np.sin(turn)
@@ -70,24 +72,24 @@ def _tank(tank: Tank, floor_z_mm: float) -> Box:
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     """Compute the distances of all pairs at joint angles (N, 5).
 
-    The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot,
-    table and camera. The arm's own pieces keep no margin to each other: nothing sags between them.
+    The base column is static on the floor or a bar; it is only checked against canister, pot, table and camera. Parts
+    of the arm require no margin to each other, as no sag occurs between them.
 
     Parameters
     ----------
     rig : RigFile
-        Arm, clearances and what stands around.
+        Arm, clearances and obstacles.
     scene : Scene
         Canister, net pot and panel.
     joints_deg : (N, 5) array
-        Places of the arm.
+        Configurations of the arm.
 
     Returns
     -------
     Pairs
         Distances of every pair, and their names.
     """
-    part, clearance = arm_of(rig), rig.clearance
+    part, clearance = require_arm(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
     _, upper, fore, hand = part.links_mm
     width, sphere = clearance.arm_radius_mm, clearance.camera_radius_mm
@@ -101,7 +103,7 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     )
     names, distances, margins, travels, floor = [], [], [], [], []
     for solid in solids(rig, scene):
-        axis_mm = least_distance(solid, at[:, [0, 1, 2, 3, 4]], at[:, [1, 2, 3, 4, 4]])
+        axis_mm = minimum_distance(solid, at[:, [0, 1, 2, 3, 4]], at[:, [1, 2, 3, 4, 4]])
         for k, (piece, radius, travel) in enumerate(pieces):
             if piece == "base" and not isinstance(solid, Cylinder):
                 continue
@@ -126,62 +128,62 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
 
 
 def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) -> None:
-    """Refuse a path, straight in the joint angles between its places, on which the arm comes too near to something.
+    """Raise an error if the arm violates a margin on a path that is piecewise linear in joint angles.
 
-    Where the arm stands at the beginning may be inside a margin, as long as it touches nothing but the floor, where it
-    may lie, and moves away; every other place may not.
+    The first configuration may be inside a margin, if the arm touches nothing but the floor and moves away; all others
+    must keep the margins.
 
     Parameters
     ----------
     rig : RigFile
-        Arm, clearances and what stands around.
+        Arm, clearances and obstacles.
     scene : Scene
         Canister, net pot and panel.
     joints_path_deg : sequence of Joints
-        Places, the first where the arm stands.
+        Configurations, starting with the present one.
 
     Raises
     ------
     UnsafeError
-        With the piece, what it comes near to, the distance and how far along the path.
+        With part, obstacle, distance and position along the path.
     """
     path = np.array(joints_path_deg, dtype=float).reshape(-1, 5)
     here = pairs(rig, scene, path)
     start = here.distance_mm[0]
     least = np.where(here.floor, -rig.clearance.arm_radius_mm, 0.0)
     if (start < least).any():
-        raise _refusal(here, start - least, "where it stands now", least, remedy="move the unpowered arm away by hand")
+        raise _refusal(here, start - least, "in its present position", least, remedy="move it away by hand with the torque off")
     slack = np.minimum(here.margin_mm, np.maximum(start - START_SLACK_MM, least))
     for k in range(1, len(path)):
         if (here.distance_mm[k] < here.margin_mm).any():
-            where = "at the end of the way" if k == len(path) - 1 else f"at place {k} of the way"
+            where = "at the end of the path" if k == len(path) - 1 else f"at configuration {k} of the path"
             raise _refusal(here, here.distance_mm[k] - here.margin_mm, where, here.margin_mm)
         _check_between(rig, scene, path[k - 1], path[k], slack if k == 1 else here.margin_mm, (k - 1, len(path) - 1))
 
 
 def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -> list[Joints]:
-    """Return the places to go to one after the other, the goal last.
+    """Plan a path: return the configurations to move to in order, with the goal last.
 
-    Straight there if that is clear, or else by way of a drawn-in arm.
+    The path is direct if that is clear, otherwise it passes through retracted configurations.
 
     Parameters
     ----------
     rig : RigFile
-        Arm, clearances and what stands around.
+        Arm, clearances and obstacles.
     scene : Scene
         Canister, net pot and panel.
     start_deg, goal_deg : Joints
-        Where the arm stands, and where it shall.
+        Present and final configuration.
 
     Returns
     -------
     list of Joints
-        The places after the start.
+        Configurations after the start.
 
     Raises
     ------
     UnsafeError
-        When none of these ways is clear: what is in the straight one's way.
+        If none of these paths is clear; the message states the obstacle of the direct one.
     """
     try:
         check_path(rig, scene, [start_deg, goal_deg])
@@ -190,13 +192,13 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
             path = [*between, tuple(goal_deg)]
             if _is_clear(rig, scene, [start_deg, *path]):
                 return path
-        raise UnsafeError(f"{error}; a path with a retracted arm is not free either") from error
+        raise UnsafeError(f"{error}; there is no clear path with the arm retracted either") from error
     return [tuple(goal_deg)]
 
 
 def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
-    """Return paths through the parking position, and with the arm retracted or extended upwards."""
-    part = arm_of(rig)
+    """Return paths through the parking position, and with a retracted or raised arm while the base rotates."""
+    part = require_arm(rig)
     rest = tuple(part.park_deg)
     found: list[list[Joints]] = [[rest]]
     for shape in (rest[1:4], (0.0, 0.0, 0.0)):
@@ -214,7 +216,7 @@ def _is_clear(rig: RigFile, scene: Scene, path_deg: Sequence[Joints]) -> bool:
 
 
 def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array, keep_mm: Array, leg: tuple[int, int]) -> None:
-    """Subdivide the path between two positions until all distances are decided."""
+    """Bisect the segment between two configurations until every part of it is known to keep the distances."""
     step_deg = end_deg - begin_deg
     middles, half = np.array([0.5]), 0.5
     while len(middles):
@@ -242,5 +244,5 @@ def _refusal(
     piece, other = here.names[k]
     keep = float(np.broadcast_to(keep_mm, spare_mm.shape)[k])
     distance = float(spare_mm[k]) + keep
-    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} ({keep:.0f} mm required)"
+    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} (minimum {keep:.0f} mm)"
     return UnsafeError(f"arm: the {piece} {how} {where}; {remedy}")

@@ -1,13 +1,13 @@
-"""Inverse kinematics: joint angles for a camera pose.
+"""Inverse kinematics: joint angles for a given camera pose.
 
-In closed form (thesis section 3.3), and by Newton's method (appendix C.3).
+The solution is in closed form (thesis section 3.3), or by Newton's method (appendix C.3).
 
-Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and
-the camera. The closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left
-over. Newton's method takes the least squares of both or, where the target may turn about an axis, meets it exactly:
-then there are six unknowns for six equations.
+Five joints can place the camera's centre anywhere in reach, but its optical axis remains in the plane of the base's
+axis and the camera. The closed form keeps the centre exactly, uses the nearest orientation, and returns the remaining
+angle. Newton's method minimises the squares of both or, if the target may rotate about an axis, meets it exactly, with
+six unknowns for six equations.
 
-Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
+All functions accept any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
 """
 
 from dataclasses import dataclass
@@ -20,42 +20,42 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Tolerance of lengths for rounding errors."""
+"""Lengths below this are rounding errors."""
 NEAR_AXIS_MM = 1.0
-"""Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical
-axis."""
+"""Distance from the base's axis below which the camera's direction from the axis is less certain than that of its
+optical axis."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
-"""Newton's method ends if the camera is within these distances, or the joints move by less than CLOSE_RAD."""
+"""Convergence of Newton's method: error of the camera in mm and rad, or step of the joints below CLOSE_RAD."""
 DAMPING = 0.1
-"""Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are
-Newton's own."""
+"""Damping of the normal equations, relative to the squared size of the remaining twist: it limits the steps far from
+the target, and vanishes near it."""
 UNIT_MM = 100.0
-"""Length equivalent to one radian, about the length of a link, so that millimetres and angles have similar weight."""
+"""Length equivalent to one radian, about that of a link, so that millimetres do not dominate angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
-    """Solutions of the closed form: base forward or backward, times elbow positive or negative."""
+    """Solutions of the closed form: base forward or backward, combined with elbow positive or negative."""
 
     joints_rad: Array
-    """(..., 4, 5), within -pi to pi; NaN where out of reach."""
+    """(..., 4, 5), within -pi to pi; NaN if out of reach."""
     left_over_rad: Array
-    """(...,) smallest angle between the required orientation and one that five joints can reach at that position."""
+    """(...,) minimum angle between the target orientation and one that five joints can reach at that position."""
     wrist_mm: Array
-    """(...,) required distance between wrist and shoulder."""
+    """(...,) required distance of the wrist from the shoulder."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class NewtonSolution:
     """Solutions of Newton's method."""
 
     joints_rad: Array
-    """(..., 5)."""
+    """(..., 5) joint angles."""
     steps: NDArray[np.int64]
     """(...,) number of steps."""
     converged: NDArray[np.bool_]
-    """(...,) whether the iteration converged."""
+    """(...,) whether the method converged."""
     left_over: Array
     """(..., 6) remaining twist between camera and target: mm, rad."""
     turned_rad: Array
@@ -63,18 +63,18 @@ class Found:
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm from its end (x, y) and the direction theta of its last link.
+    """Return q1, q2, q3 (..., 3) of a planar arm for an end position (x, y) and a direction theta of the last link.
 
-    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
-    digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
+    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which is
+    accurate for a stretched arm. ``elbow`` is the sign of q2: -1 is the thesis's branch. The result is NaN if the wrist
     is out of reach.
 
     Parameters
     ----------
     links_mm : tuple of float
-        From shoulder to elbow, wrist and end.
+        Lengths from shoulder to elbow, to wrist, and to end.
     x_mm, y_mm : (...) array
-        Place of the end, x upwards as the angles are 0.
+        Position of the end; the arm points along x at angles 0.
     theta_rad : (...) array
         Direction of the last link.
     elbow : int
@@ -99,21 +99,21 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles for a position of the camera.
+    """Return all joint angles with the camera's centre at the target.
 
-    Its orientation is the nearest to the wanted one.
+    Its orientation is the nearest to that of the target.
 
     Parameters
     ----------
     part : ArmPart
-        Its links.
+        Arm with its links.
     arm_from_cam : (..., 4, 4) array
-        Wanted.
+        Target poses.
 
     Returns
     -------
     Branches
-        Joint angles (..., 4, 5) of two bases by two elbows, and what they leave over.
+        Joint angles (..., 4, 5) for two base and two elbow configurations, and the remaining angle.
     """
     base, *links = part.links_mm
     l1, l2, l3 = links
@@ -124,8 +124,8 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
     for base_rad in (azimuth, azimuth + np.pi):
         out = np.cos(base_rad) * at[..., 0] + np.sin(base_rad) * at[..., 1]
         lean = np.arctan2(np.cos(base_rad) * ahead[..., 0] + np.sin(base_rad) * ahead[..., 1], ahead[..., 2])
-        # At roll 0 the camera's x leads to the arm's right; turning the optical axis into the plane scales both of
-        # these alike.
+        # At roll 0 the camera's x points to the arm's right; rotating the optical axis into the plane scales both of
+        # these equally.
         right = np.stack([np.sin(base_rad), -np.cos(base_rad), np.zeros_like(base_rad)], axis=-1)
         x_cam, y_cam = (np.sum(right * rotation[..., k], axis=-1) for k in (0, 1))
         roll = np.arctan2(-y_cam, x_cam)
@@ -133,33 +133,33 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
             pitch = three_link((l1, l2, l3), at[..., 2] - base, out, lean, elbow=elbow)
             answers.append(np.concatenate([base_rad[..., None], pitch, roll[..., None]], axis=-1))
     joints = np.stack(answers, axis=-2)
-    joints = np.where(np.isnan(joints).any(axis=-1, keepdims=True), np.nan, _wrapped(joints))
+    joints = np.where(np.isnan(joints).any(axis=-1, keepdims=True), np.nan, _wrap_angle(joints))
     wrist = at - l3 * ahead - np.array([0.0, 0.0, base])
     return Branches(joints_rad=joints, left_over_rad=left_over, wrist_mm=np.linalg.norm(wrist, axis=-1))
 
 
-def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
-    """Find joint angles iteratively, with the pseudo-inverse of the body Jacobian.
+def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> NewtonSolution:
+    """Compute joint angles iteratively by the pseudo-inverse of the body Jacobian.
 
     Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
     0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
-    fades with |V|^2.
+    decreases with |V|^2.
 
     Parameters
     ----------
     part : ArmPart
-        Its links.
+        Arm with its links.
     arm_from_cam : (..., 4, 4) float64 array
-        Wanted.
+        Target poses.
     start_rad : (..., 5) float64 array
-        Or (5,) for all targets.
+        Initial joint angles, or (5,) for all targets.
     arm_from_axis : float64 array or None
-        A frame about whose z axis the target may be turned at no cost.
+        Frame about whose z axis the target may rotate freely.
 
     Returns
     -------
-    Found
-        Angles, and how near they come.
+    NewtonSolution
+        Joint angles and remaining errors.
     """
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)
@@ -176,8 +176,8 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
         jacobian = body_jacobian(part, joints)
         wanted = goal[running]
         if arm_from_axis is not None:
-            wanted = _turned(arm_from_axis, unknowns[running, 5]) @ wanted
-            jacobian = np.concatenate([jacobian, -_turning(arm_from_axis, camera)[..., None]], axis=-1)
+            wanted = _rotation_about_axis(arm_from_axis, unknowns[running, 5]) @ wanted
+            jacobian = np.concatenate([jacobian, -_twist_about_axis(arm_from_axis, camera)[..., None]], axis=-1)
         twist = log_se3(np.linalg.inv(camera) @ wanted)
         left[running], steps[running] = twist, step
         there = (np.linalg.norm(twist[:, :3], axis=1) < CLOSE_MM) & (np.linalg.norm(twist[:, 3:], axis=1) < CLOSE_RAD)
@@ -188,19 +188,19 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
         if not len(running) or step == MOST_STEPS:
             break
         unknowns[running] += move
-    return Found(
-        joints_rad=_wrapped(unknowns[:, :5]).reshape(*shape, 5),
+    return NewtonSolution(
+        joints_rad=_wrap_angle(unknowns[:, :5]).reshape(*shape, 5),
         steps=steps.reshape(shape),
         converged=converged.reshape(shape),
         left_over=left.reshape(*shape, 6),
-        turned_rad=(np.zeros(count) if arm_from_axis is None else _wrapped(unknowns[:, 5])).reshape(shape),
+        turned_rad=(np.zeros(count) if arm_from_axis is None else _wrap_angle(unknowns[:, 5])).reshape(shape),
     )
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the plane through the axis of the base and the camera.
+    """Return the direction (...,) of the plane through the base's axis and the camera.
 
-    On that axis, of the one with the optical axis.
+    For a camera on that axis, it is the plane of the optical axis.
     """
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
@@ -225,13 +225,13 @@ def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
 def _step(jacobian: Array, twist: Array) -> Array:
     """Return the damped step (N, n) of the normal equations."""
     transposed = np.swapaxes(jacobian, -1, -2)
-    damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the least keeps singular poses solvable
+    damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the constant keeps singular poses solvable
     normal = transposed @ jacobian + damping[:, None, None] * np.eye(jacobian.shape[-1])
     return np.linalg.solve(normal, transposed @ twist[..., None])[..., 0]
 
 
-def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
-    """Return rotations (N, 4, 4) about the axis in the frame of the arm."""
+def _rotation_about_axis(arm_from_axis: Array, angle_rad: Array) -> Array:
+    """Return the rotations (N, 4, 4) of the arm's space about the axis."""
     turn = np.zeros((len(angle_rad), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
     turn[:, 1, 0] = np.sin(angle_rad)
@@ -240,13 +240,13 @@ def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
     return arm_from_axis @ turn @ np.linalg.inv(arm_from_axis)
 
 
-def _turning(arm_from_axis: Array, camera: Array) -> Array:
-    """Return the twist (N, 6), in the camera frame, of a rotation about the axis."""
+def _twist_about_axis(arm_from_axis: Array, camera: Array) -> Array:
+    """Return the twist (N, 6), in the camera's frame, of a camera that rotates about the axis."""
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)
 
 
-def _wrapped(angle_rad: Array) -> Array:
-    """Wrap angles to -pi to pi."""
+def _wrap_angle(angle_rad: Array) -> Array:
+    """Return angles within -pi to pi."""
     return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))

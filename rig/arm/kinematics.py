@@ -1,18 +1,18 @@
-"""Forward kinematics: camera pose and its derivatives for given joint angles.
+"""Forward kinematics of the arm: pose of the camera for given joint angles, and its derivative.
 
 Thesis section 3.3 and appendix C.1.
 
 Frames
 ------
-arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links stand in
-line along +z;
-      positive shoulder, elbow and wrist angles lean toward +x; base and roll turn counter-clockwise about +z.
-cam : OpenCV axes at the camera's centre, which is the end of the last link; z along that link. At joint angles 0 x is
-the arm's -y and
-      y the arm's +x, so that leaning forward by a right angle gives a level camera with an upright picture.
+arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links are
+aligned along +z; positive shoulder, elbow and wrist angles lean toward +x; base and roll turn counter-clockwise about
++z.
+cam : OpenCV axes at the camera's centre, which is the end of the last link, with z along that link. At joint angles 0,
+x is the arm's -y and y the arm's +x, so that leaning forward by a right angle gives a level camera with an upright
+picture.
 
-Everything works on any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity
-mm, rotation rad) seen in the camera's frame.
+All functions accept any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity
+mm, rotation rad) in the camera's frame.
 """
 
 import numpy as np
@@ -26,21 +26,21 @@ from rhizotwin.scenes.frames import Array
 LINK_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation of the camera on the last link at roll 0."""
 _SERIES_BELOW_RAD = 1e-3
-"""Angle below which the closed form of the logarithm's last factor loses digits."""
+"""Angle below which the closed form of the logarithm's last factor loses precision."""
 
 
 def rig_from_arm(part: ArmPart) -> Array:
-    """Return the 4x4 transform from the arm frame to the rig frame."""
+    """Return the 4x4 transform from the arm's frame to the rig's."""
     return frames.from_rotvec(np.deg2rad(part.rotation_deg), np.array(part.position_mm))
 
 
 def arm_from_cam(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return the camera pose in the arm frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
+    """Return the pose of the camera in the arm's frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
     return forward(part.links_mm, np.deg2rad(np.asarray(joints_deg, dtype=float)))
 
 
 def cam_from_rig(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return the camera pose in the rig frame, 4x4, at joint angles (5,) in degrees."""
+    """Return the camera's pose in the rig, 4x4, at joint angles (5,) in degrees."""
     return frames.invert(rig_from_arm(part) @ arm_from_cam(part, joints_deg))
 
 
@@ -54,7 +54,7 @@ def forward(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
-    """Return base plate, shoulder, elbow, wrist and camera in the arm frame, (..., 5, 3) mm."""
+    """Return the base plate, shoulder, elbow, wrist and camera in the arm's frame, (..., 5, 3) mm."""
     pitch = np.cumsum(joints_rad[..., 1:4], axis=-1)
     out = _heading(joints_rad[..., 0])
     steps = np.sin(pitch)[..., None] * out[..., None, :] + np.cos(pitch)[..., None] * np.array([0.0, 0.0, 1.0])
@@ -65,9 +65,7 @@ def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
-    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``.
-
-    The camera's twist in its own frame, mm and rad per rad of each joint.
+    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``: the camera's twist in its frame, mm and rad per rad.
 
     V_b is the vee of ``g^-1 g_dot`` with g = ``arm_from_cam`` (Lynch and Park, Modern Robotics, section 5.1.2).
     """
@@ -96,7 +94,7 @@ def log_se3(a_from_b: Array) -> Array:
 
 
 def _heading(base_rad: Array) -> Array:
-    """Return the horizontal direction (..., 3) of positive shoulder angles."""
+    """Return the horizontal direction (..., 3) in which the arm leans."""
     return np.stack([np.cos(base_rad), np.sin(base_rad), np.zeros_like(base_rad)], axis=-1)
 
 

@@ -1,18 +1,17 @@
-"""The servo controller board (LSC, as in the xArm 1S).
+"""Servo controller board (LSC, as in the xArm 1S): 9600 Bd, without checksums or acknowledgements.
 
-9600 Bd, no checksum, no answer to commands, frames of its own at any time.
+Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The
+board may send unsolicited frames at any time.
 
-Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol).
-
-What a missing checksum means. *Readings*: a damaged one may look whole, so a reading counts only when a second one
-agrees with it, and only with exactly the servos that were asked for. *Commands*: the board obeys a damaged frame whose
-header and length survived, and nothing in the protocol lets the host ask what it understood before the servos move;
-sending twice would not help, since the second copy can be the damaged one. What is done about it: a frame goes out in
-one piece right after a reading of the same line agreed with itself; no move is commanded to be shorter than
-`LscBoard.least_move_s`, so that a wrong target is at least not reached in one swing; `rig.arm.arm` compares every
-position with the commanded one as soon as the move's time is over, stops there and says so. What remains: the way to a
-wrong place, until that moment, and a damaged time that makes the joints run faster. For unattended work prefer the
-servo bus (protocol "lx"), which has checksums.
+Consequences of the missing checksum. *Readings*: a damaged reading may appear valid, so a reading is accepted only if a
+second one agrees, and if it contains exactly the requested servos. *Commands*: the board executes a damaged frame with
+a valid header and length, and the protocol offers no way to verify a command before the servos move; sending it twice
+does not help, since the second copy may be the damaged one. Countermeasures: a frame is sent in one piece immediately
+after a reading on the same line agreed with its repetition; no move is shorter than `LscBoard.least_move_s`, so that a
+wrong target is not reached at full speed; `rig.arm.arm` compares every position with the commanded one at the end of
+each move, and stops with an error if they differ. Remaining risks: motion toward a wrong position until then, and a
+damaged duration that makes the joints move faster. For unattended work prefer the servo bus (protocol "lx"), which has
+checksums.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -29,10 +28,10 @@ MULT_SERVO_UNLOAD = 20
 MULT_SERVO_POS_READ = 21
 
 _PATIENCE_S = (0.6, 0.6, 0.8, 1.0)
-"""A reading of all positions takes up to 450 ms on some boards."""
+"""Time-outs of successive attempts; reading all positions takes up to 450 ms on some boards."""
 _AGREE_TRIES = 8
 _REST = bytes(100)
-"""Zeros for a silent board: it may wait for the rest of a frame whose length was damaged on the way."""
+"""Zeros for a silent board, which may be waiting for the rest of a frame with a damaged length."""
 _AGREE_COUNTS = 1
 _AGREE_V = 0.2
 _HOLD_S = 1.0
@@ -46,7 +45,7 @@ def frame(command: int, params: bytes = b"") -> bytes:
 def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
     """Yield the parameters of every complete frame with this command, newest first.
 
-    The board's own frames and garbage are passed over.
+    Unsolicited frames and garbage are skipped.
     """
     at = heard.rfind(HEADER)
     while at >= 0:
@@ -57,7 +56,7 @@ def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
 
 
 def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
-    """Return the newest reading with exactly these servos: a board may omit one that does not reply."""
+    """Return the newest reading with exactly these servos; a board may omit a servo that does not answer it."""
     for params in find_frames(heard, MULT_SERVO_POS_READ):
         positions = _positions(params)
         if positions is not None and positions.keys() == set(ids):
@@ -66,9 +65,9 @@ def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
 
 
 class LscBoard:
-    """The controller board on its TTL serial header.
+    """Driver of the controller board on its TTL serial header.
 
-    Never ask it anything while the arm moves: the motion gets jerky.
+    Do not request anything while the arm moves, as this makes the motion jerky.
     """
 
     least_move_s = 2.0
@@ -77,9 +76,9 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all servos simultaneously with one frame; return immediately.
+        """Start all these servos together with one frame; return immediately.
 
-        It cannot be verified before its time is over.
+        The move cannot be verified before its end.
 
         Raises
         ------
@@ -93,12 +92,12 @@ class LscBoard:
         self._wire.write(frame(SERVO_MOVE, params))
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions, signed, until two consecutive readings agree.
+        """Read signed positions until two successive readings agree.
 
         Raises
         ------
         NoAnswerError
-            When the board is silent, leaves a servo out, or no two readings agree.
+            If the board does not answer, omits a servo, or no two readings agree.
         """
         before = self._positions_once(ids)
         for _ in range(_AGREE_TRIES):
@@ -107,52 +106,48 @@ class LscBoard:
                 return now
             before = now
         raise NoAnswerError(
-            "arm: repeated readings of the positions differ; the arm is pushed or falls "
-            "unpowered, or the connection to its board is disturbed"
+            "arm: no two readings of the positions agree; the arm is pushed, falls without torque, or the line to its board is disturbed"
         )
 
     def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002
-        """Read the supply voltage of the board, common to all servos, until two consecutive readings agree."""
+        """Read the board's supply voltage, shared by all servos, until two successive readings agree."""
         before_v = self._voltage_once()
         for _ in range(_AGREE_TRIES):
             now_v = self._voltage_once()
             if abs(now_v - before_v) <= _AGREE_V:
                 return now_v
             before_v = now_v
-        raise NoAnswerError(
-            "arm: repeated readings of the voltage differ; the supply is unstable, or the connection to the board is disturbed"
-        )
+        raise NoAnswerError("arm: no two readings of the voltage agree; the supply is unsteady, or the line to the board is disturbed")
 
     def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None: the board does not report it."""
+        """Return None, as the board does not report temperatures."""
         return
 
     def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None: the board does not report it."""
+        """Return None, as the board does not report torque."""
         return
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch torque off; or on, by a move to the current positions."""
+        """Switch the torque off, or on by a move to the present positions."""
         if on:
             self.move(self.positions(ids), _HOLD_S)
             return
         unload = frame(MULT_SERVO_UNLOAD, bytes((len(ids), *ids)))
-        # Nothing tells whether it arrived, and twice does no harm.
+        # the result is not reported, and repeating it is harmless
         for _ in range(2):
             self._wire.write(unload)
 
     def stop(self, ids: Collection[int]) -> None:
-        """Command the servos to their current positions, because there is no stop command.
+        """Stop the servos by commanding their present positions, as there is no stop command.
 
-        The median of three readings is a place on the way that the servo came, even while it moves and one reading is
-        damaged.
+        The median of three readings is a position on the path, even during motion and with one damaged reading.
         """
         readings = [self._positions_once(ids) for _ in range(3)]
         places = {servo: median(reading[servo] for reading in readings) for servo in ids}
         self.move({servo: min(max(round(place), MIN_COUNTS), MAX_COUNTS) for servo, place in places.items()}, _HOLD_S)
 
     def describe(self) -> str:
-        """Name the controller board."""
+        """Return the name of the board."""
         return "LSC servo board"
 
     def close(self) -> None:
@@ -182,7 +177,7 @@ class LscBoard:
         return millivolts / 1000.0
 
     def _ask(self, request: bytes, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-        """Repeat a request until a valid reply is found; return it with all received data."""
+        """Send a request until a reply is found; return the reply and all received bytes."""
         heard_all = b""
         for patience_s in _PATIENCE_S:
             self._wire.discard_input()
@@ -197,7 +192,7 @@ class LscBoard:
 
 
 def _positions(params: bytes) -> dict[int, int] | None:
-    """Parse ``n, n x (id, position)``; None if the numbers are inconsistent."""
+    """Read ``n, n x (id, position)``; None if the numbers are inconsistent."""
     if not params or len(params) != 1 + 3 * params[0]:
         return None
     triples = [params[at : at + 3] for at in range(1, len(params), 3)]
@@ -207,5 +202,5 @@ def _positions(params: bytes) -> dict[int, int] | None:
 
 def _silence(heard: bytes) -> NoAnswerError:
     if heard:
-        return NoAnswerError(f"arm: the replies of the board are invalid; check the baud rate of {BAUD} Bd, and the cable")
-    return NoAnswerError("arm: the board does not reply; check that it is switched on and that TX and RX are not swapped")
+        return NoAnswerError(f"arm: the board's answers cannot be understood; check that the line runs at {BAUD} Bd, and the cable")
+    return NoAnswerError("arm: the board does not answer; check that it is switched on and that TX and RX are not swapped")

@@ -1,10 +1,8 @@
-"""LX bus servos (LX-15D, LX-225, LX-16A ...) on their half-duplex wire.
-
-115200 Bd, a checksum in each frame, no answer to writes.
+"""LX bus servos (LX-15D, LX-225, LX-16A ...) on a half-duplex line: 115200 Bd, with checksums, writes without reply.
 
 Frame: ``55 55 | id | length | command | parameters | checksum``, length = parameters + 3, checksum = ~(sum from id on)
-& 0xFF (LewanSoul Bus Servo Communication Protocol). A damaged frame is dropped by whoever receives it, so that a wrong
-position cannot be commanded; a lost write is noticed because everything written is read back.
+& 0xFF (LewanSoul Bus Servo Communication Protocol). Receivers discard damaged frames, so that no wrong position can be
+commanded; lost writes are detected by reading all written values back.
 """
 
 from collections.abc import Collection, Mapping
@@ -27,7 +25,8 @@ LOAD_WRITE = 31
 LOAD_READ = 32
 
 _PATIENCE_S = (0.06, 0.06, 0.12, 0.25, 0.5)
-"""A servo needs 20 to 30 ms for a reply, and a USB adapter holds data for up to 16 ms; retries allow more."""
+"""Time-outs of successive attempts: a servo takes 20 to 30 ms to reply, and a USB adapter delays bytes by up to 16 ms.
+"""
 _WRITE_TRIES = 4
 
 
@@ -37,16 +36,16 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
     Parameters
     ----------
     servo : int
-        Its number on the bus.
+        Number of the servo on the bus.
     command : int
         Number of the command.
     params : bytes
-        Its bytes.
+        Parameters of the command.
 
     Returns
     -------
     bytes
-        With head, length and checksum.
+        Frame with header, length and checksum.
     """
     body = bytes((servo, len(params) + 3, command)) + params
     return HEADER + body + bytes((~sum(body) & 0xFF,))
@@ -55,25 +54,25 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
 def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | None:
     """Return the ``size`` parameters of the newest complete, undamaged reply of this servo to this command.
 
-    Whatever else was heard is passed over: garbage, other servos, cut frames, and the echo of the request, whose length
-    differs from its reply's. The search looks behind every header, so a cut frame never swallows the whole one that
-    follows it.
+    Everything else is skipped: garbage, other servos, truncated frames, and the echo of the request, whose length
+    differs from that of the reply. The search continues behind every header, so that a truncated frame does not hide
+    the complete one after it.
 
     Parameters
     ----------
     heard : bytes
-        All bytes since the question.
+        All bytes received since the request.
     servo : int
-        Its number on the bus.
+        Number of the servo on the bus.
     command : int
-        Number of the command that was asked.
+        Number of the requested command.
     size : int
         Number of parameters.
 
     Returns
     -------
     bytes or None
-        None while there is none.
+        Parameters; None if there is no reply yet.
     """
     head = HEADER + bytes((servo, size + 3, command))
     at = heard.rfind(head)
@@ -86,10 +85,10 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 
 
 class LxBus:
-    """Servo bus.
+    """Driver of the servo bus.
 
-    Whether the adapter echoes what is sent never matters to the reading, see `find_reply`; it is detected, unless
-    given, from the first answer, and tells a dead adapter (not even the echo) from a dead servo.
+    An echo of the adapter does not affect the replies, see `find_reply`. Unless it is given, it is detected from the
+    first answer, and distinguishes a dead adapter (without echo) from a dead servo.
     """
 
     least_move_s = 0.2
@@ -99,19 +98,19 @@ class LxBus:
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all servos simultaneously; return immediately.
+        """Start all these servos together; return immediately.
 
-        Every servo gets its target to wait with, all are read back, and only then one broadcast starts them: a servo
-        that cannot be reached is found before anything moves. The broadcast reaches every servo that waits, so
-        ``targets`` should always name all servos of the arm. Servos that after it do not report the new command are
-        started again by number.
+        Each servo receives its target as a waiting command, all targets are read back, and then one broadcast starts
+        them, so that an unreachable servo is detected before any motion. The broadcast starts every servo with a
+        waiting command; therefore ``targets`` should include all servos of the arm. Servos that do not report the new
+        command afterwards are started individually.
 
         Raises
         ------
         UnsafeError
             For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
         NoAnswerError
-            When a servo does not take its target, or does not start while others do.
+            If a servo does not accept its target, or does not start while others do.
         """
         check_move(targets, duration_s)
         time_ms = round(duration_s * 1000.0)
@@ -125,17 +124,17 @@ class LxBus:
             receivers = late = [servo for servo in late if self._ask(servo, MOVE_TIME_READ, 4) != orders[servo]]
             if not late:
                 return
-        # The manual does not say whether a move that waited shows here. When no servo shows it, their positions will
-        # tell the arm.
+        # The manual does not state whether a waiting move is reported here. If no servo reports it, the arm verifies
+        # their positions.
         if len(late) < len(orders):
-            raise NoAnswerError(f"arm: {_named(late)} did not start moving with the others; check the bus cable")
+            raise NoAnswerError(f"arm: {_servo_names(late)} did not start with the others; check the bus cable")
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions, signed."""
+        """Read signed positions."""
         return {servo: int.from_bytes(self._ask(servo, POS_READ, 2), "little", signed=True) for servo in ids}
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Read the lowest supply voltage among these servos, which shows a weak supply first."""
+        """Return the lowest supply voltage among these servos: a weak supply is visible first at the cable's end."""
         return min(int.from_bytes(self._ask(servo, VIN_READ, 2), "little") for servo in ids) / 1000.0
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int]:
@@ -145,12 +144,12 @@ class LxBus:
     def loaded(self, ids: Collection[int]) -> dict[int, bool]:
         """Read whether torque is on.
 
-        Off where it should be on: a brown-out (power-up switches it off) or the servo protects itself.
+        Unexpectedly off means a brown-out (torque is off after power-up) or the servo's own protection.
         """
         return {servo: self._ask(servo, LOAD_READ, 1) != b"\x00" for servo in ids}
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch torque on or off and read it back; every servo is tried before an error is raised."""
+        """Switch torque on or off and read it back; all servos are tried before an error is raised."""
         failure: NoAnswerError | None = None
         for servo in ids:
             try:
@@ -161,12 +160,12 @@ class LxBus:
             raise failure
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop the servos. There is no reply, so that the command is sent twice."""
+        """Stop the servos in their present positions; the command is sent twice, as it cannot be verified."""
         for servo in (*ids, *ids):
             self._wire.write(frame(servo, MOVE_STOP))
 
     def describe(self) -> str:
-        """Name the servo bus, and whether it echoes."""
+        """Return the kind of bus, and whether it echoes."""
         return "LX servo bus" + {None: "", True: " with echo", False: " without echo"}[self._echo]
 
     def close(self) -> None:
@@ -188,27 +187,29 @@ class LxBus:
         raise _silence(servo, request, heard_any, echo=self._echo)
 
     def _write_verified(self, servo: int, command: int, params: bytes, read_command: int) -> None:
-        """Write, read back, and repeat until the values agree."""
+        """Write a value and read it back, repeating until both agree."""
         for _ in range(_WRITE_TRIES):
             self._wire.write(frame(servo, command, params))
             if self._ask(servo, read_command, len(params)) == params:
                 return
-        raise NoAnswerError(f"arm: servo {servo} replies but ignores commands; switch the supply of the servos off and on, then try again")
+        raise NoAnswerError(
+            f"arm: servo {servo} answers but does not accept commands; switch the servos' supply off and on, then try again"
+        )
 
 
 def _silence(servo: int, request: bytes, heard: bytes, *, echo: bool | None) -> RigError:
-    """Describe the kind of missing reply."""
+    """Return an error that describes the kind of missing reply."""
     if heard.replace(request, b""):
         return NoAnswerError(
-            f"arm: servo {servo} does not reply; only invalid bytes are received; check the baud rate and the bus cable,"
+            f"arm: servo {servo} does not answer, only damaged or foreign bytes come back; check the baud rate and the bus cable,"
             " and connect long chains of servos as two short ones"
         )
     if echo and not heard:
         return NoAnswerError(
-            f"arm: servo {servo} does not reply, and the adapter sends no echo; check the adapter, or the key echo in the rig file"
+            f"arm: servo {servo} does not answer, and not even the adapter's echo comes back; check the adapter, or echo in the rig file"
         )
-    return NoAnswerError(f"arm: servo {servo} does not reply; check the supply of the servos, the bus cable and the servo number")
+    return NoAnswerError(f"arm: servo {servo} does not answer; check the servos' supply, the bus cable and the servo's number")
 
 
-def _named(servos: Collection[int]) -> str:
+def _servo_names(servos: Collection[int]) -> str:
     return ("servo " if len(servos) == 1 else "servos ") + ", ".join(str(servo) for servo in servos)

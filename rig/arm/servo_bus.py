@@ -20,14 +20,16 @@ Found = TypeVar("Found")
 class ServoBus(Protocol):
     """Servos by number, positions in counts of 0.24 degrees.
 
-    Every method raises `NoAnswerError` when its retries are used up.
+    All methods raise `NoAnswerError` when their retries are exhausted.
     """
 
     least_move_s: float
-    """Minimum duration of commanded moves."""
+    """Minimum recommended duration of a move."""
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all servos simultaneously at uniform speed; return immediately. Torque is switched on.
+        """Start all these servos together, each at a uniform speed; return immediately.
+
+        Torque is switched on if it was off.
 
         Raises
         ------
@@ -36,10 +38,10 @@ class ServoBus(Protocol):
         """
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions: signed, and beyond 0 to 1000 if a servo was rotated by hand."""
+        """Read positions: signed, and possibly beyond 0 to 1000 if a servo was rotated by hand."""
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Read the lowest supply voltage among these servos."""
+        """Return the lowest supply voltage measured by these servos."""
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int] | None:
         """Read temperatures; None if the protocol does not report them."""
@@ -48,22 +50,22 @@ class ServoBus(Protocol):
         """Read whether torque is on; None if the protocol does not report it."""
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch torque on or off; every servo is tried before an error is raised."""
+        """Switch torque on or off; all servos are tried before an error is raised."""
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop at the current positions, with torque on."""
+        """Stop the servos in their present positions, with torque on."""
 
     def describe(self) -> str:
-        """Describe the bus."""
+        """Return a short description of the bus."""
 
     def close(self) -> None:
         """Close the line."""
 
 
 def check_move(targets: Mapping[int, int], duration_s: float) -> None:
-    """Refuse a command that must never reach a servo."""
+    """Raise an error for a command beyond the limits of the servos."""
     if not 0.0 <= duration_s <= MAX_MOVE_S:
-        raise UnsafeError(f"arm: a move of {duration_s:g} s is outside 0 to {MAX_MOVE_S:g} s and was not sent; divide the move")
+        raise UnsafeError(f"arm: a move of {duration_s:g} s is outside 0 to {MAX_MOVE_S:g} s and was not sent; split it")
     for servo, counts in targets.items():
         if not 0 <= servo <= _LAST_ID:
             raise UnsafeError(f"arm: servo number {servo} is outside 0 to {_LAST_ID} and was not commanded; correct the rig file")
@@ -75,23 +77,23 @@ def check_move(targets: Mapping[int, int], duration_s: float) -> None:
 
 
 def listen(wire: Wire, patience_s: float, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-    """Collect bytes until ``find`` finds something in them or patience ends; return that and all that was heard.
+    """Collect bytes until ``find`` succeeds or the time is over; return its result and all received bytes.
 
-    A line that babbles without end is left after a few thousand bytes, so that this returns whatever comes.
+    Reading also ends after a few thousand bytes, so that it returns on a line that never stops sending.
 
     Parameters
     ----------
     wire : Wire
-        The line.
+        Line to read from.
     patience_s : float
-        How long without a finding.
+        Time-out.
     find : callable
-        Looks at all bytes so far; None: go on.
+        Function of all bytes received so far; returns None to continue.
 
     Returns
     -------
     (Found or None), bytes
-        What was found, and everything heard.
+        Result of ``find``, and all received bytes.
     """
     clock = wire.clock
     deadline_s = clock.now_s() + patience_s

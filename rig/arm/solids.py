@@ -1,6 +1,6 @@
-"""Convex shapes that the arm must not touch, and how far links are from them.
+"""Convex obstacles of the arm, and distances of links from them.
 
-A signed distance to something convex is a convex function, so the least one along a straight link is found by a
+The signed distance to a convex body is a convex function, so that its minimum along a straight link is found by a
 golden-section search.
 """
 
@@ -16,11 +16,11 @@ _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 class Solid(Protocol):
-    """Something convex in the rig frame, with a name for messages."""
+    """A convex body in the rig frame, with a name for messages."""
 
     @property
     def name(self) -> str:
-        """What it is."""
+        """Name of the body."""
 
     def distance_mm(self, points_mm: Array) -> Array:
         """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
@@ -28,7 +28,7 @@ class Solid(Protocol):
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Upright, about the table's axis."""
+    """An upright cylinder about the table's axis."""
 
     name: str
     radius_mm: float
@@ -39,12 +39,12 @@ class Cylinder:
         """Return the signed distance (...) of points (..., 3)."""
         z = points_mm[..., 2]
         beside = np.hypot(points_mm[..., 0], points_mm[..., 1]) - self.radius_mm
-        return _joined(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
+        return _intersection_distance(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
 
 
 @dataclass(frozen=True)
 class Box:
-    """Along the rig's axes."""
+    """A box with edges along the rig's axes."""
 
     name: str
     low_mm: tuple[float, float, float]
@@ -52,12 +52,12 @@ class Box:
 
     def distance_mm(self, points_mm: Array) -> Array:
         """Return the signed distance (...) of points (..., 3)."""
-        return _joined(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
+        return _intersection_distance(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
 
 
 @dataclass(frozen=True)
 class Floor:
-    """Everything below a plane."""
+    """The half-space below a horizontal plane."""
 
     name: str
     z_mm: float
@@ -67,20 +67,20 @@ class Floor:
         return points_mm[..., 2] - self.z_mm
 
 
-def least_distance(solid: Solid, begin: Array, end: Array) -> Array:
-    """Return the least signed distance (...,) of segments (..., 3) to a convex solid, by golden section.
+def minimum_distance(solid: Solid, begin: Array, end: Array) -> Array:
+    """Return the minimum signed distance (...,) of segments (..., 3) to a convex solid, by golden-section search.
 
     Parameters
     ----------
     solid : Solid
-        Convex.
+        Convex body.
     begin, end : (..., 3) array
         Ends of the segments, mm.
 
     Returns
     -------
     (...) array
-        mm, negative within.
+        Distances in mm, negative inside.
     """
     low, high = np.zeros(begin.shape[:-1]), np.ones(begin.shape[:-1])
 
@@ -112,7 +112,7 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
     Returns
     -------
     (...) array
-        mm.
+        Distances in mm.
     """
     along = end - begin
     length2 = np.maximum(np.sum(along**2, axis=-1), 1e-12)
@@ -120,9 +120,9 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
     return np.linalg.norm(point - begin - t[..., None] * along, axis=-1)
 
 
-def _joined(outside_mm: Array) -> Array:
-    """Return the signed distance to what slabs at right angles to each other have in common.
+def _intersection_distance(outside_mm: Array) -> Array:
+    """Return the signed distance to the intersection of slabs at right angles.
 
-    It follows from the distances (..., k) to each.
+    It follows from the distances (..., k) to each slab.
     """
     return np.linalg.norm(np.maximum(outside_mm, 0.0), axis=-1) + np.minimum(outside_mm.max(axis=-1), 0.0)

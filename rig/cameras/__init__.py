@@ -1,8 +1,8 @@
-"""Cameras behind one interface: on this Raspberry Pi, on USB, or on another computer."""
+"""Cameras with a common interface: on this Raspberry Pi, on USB, or on another computer."""
 
 from rhizotwin.rig.cameras.http import HttpCamera
 from rhizotwin.rig.cameras.pi import PiCamera
-from rhizotwin.rig.cameras.settings import CameraSettings, settings_of
+from rhizotwin.rig.cameras.settings import CameraSettings, combine_settings
 from rhizotwin.rig.cameras.v4l2 import V4l2Camera
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import Camera
@@ -10,28 +10,28 @@ from rhizotwin.rig.rig_file import CameraPart
 
 
 def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock: Clock) -> Camera:
-    """Return the camera of a rig file; `Camera.prepare` opens it.
+    """Return the camera described in a rig file; `Camera.prepare` opens it.
 
     Parameters
     ----------
     part : CameraPart
-        What the rig file says of it.
+        Section of the rig file.
     image_wh, bits : tuple of int, int
-        Size and depth of the pictures, as the scene's camera has them.
+        Size and bit depth of the pictures, as in the scene's camera.
     clock : Clock
-        For the pauses between attempts over the network.
+        Clock for pauses between attempts over the network.
 
     Returns
     -------
     Camera
-        Not open yet.
+        Camera, not yet open.
 
     Raises
     ------
     RigError
-        When the address cannot be one of this kind, or picamera2 is missing.
+        If the address is invalid for this kind, or picamera2 is missing.
     """
-    settings = settings_of(part, image_wh=image_wh, bits=bits)
+    settings = combine_settings(part, image_wh=image_wh, bits=bits)
     if part.kind == "http":
         return HttpCamera(part.address, settings, clock=clock)
     return local_camera(part, settings)

@@ -1,14 +1,14 @@
-"""From the raw numbers of a colour sensor to grey, linear in light."""
+"""Conversion of raw values of a colour sensor to grey, linear in light."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 COLOURS = ("R", "Gr", "Gb", "B")
-"""The order in which black levels are given; Gr is the green in the rows of red."""
+"""Order of the black levels; Gr is green in the rows of red."""
 FULL = 0.999
-"""Fraction of ``white`` from which a pixel counts as full: converters stop a few numbers short."""
+"""Fraction of ``white`` above which a pixel counts as saturated, as converters saturate slightly earlier."""
 
 
 def grey_from_bayer(
@@ -21,33 +21,33 @@ def grey_from_bayer(
     block: int,
     bits: int,
 ) -> Grey:
-    """Average each block of raw pixels, black level taken off and colours balanced.
+    """Average each block of raw pixels, after subtracting the black level and balancing the colours.
 
-    With gains that make a grey surface equal in all colours, the four pixels of a quad weigh the same, so that the mean
-    sits in the quad's middle, and no edge is moved or coloured as by interpolation.
+    With gains that make a grey surface equal in all colours, the four pixels of a quad have equal weights, so that
+    their mean belongs to the quad's centre, and edges are not displaced or coloured as by interpolation.
 
     Parameters
     ----------
     raw : (H, W) uint16 array
-        Numbers of the sensor.
+        Raw values of the sensor.
     order : str
         Colours of the upper left quad by rows, such as "RGGB".
     black : tuple of float
-        Numbers without light for `COLOURS`.
+        Black levels for `COLOURS`.
     white : float
-        Number at which a pixel is full.
+        Value at which a pixel is saturated.
     colour_gains : tuple of float
         Factors of red and blue.
     block : int
-        Pixels of a side that become one; even.
+        Side of a block in pixels; even.
     bits : int
-        Depth of the result: up to 8 in uint8, more left-aligned in uint16.
+        Bit depth of the result: up to 8 in uint8, more left-aligned in uint16.
 
     Returns
     -------
     ndarray
-        (H / block, W / block). Proportional to the light; the raw range above black is full scale. A block with a full
-        pixel is at full scale too: its light is not known.
+        (H / block, W / block) values proportional to light; the raw range above black is full scale. Blocks with a
+        saturated pixel are set to full scale, as their light is unknown.
     """
     gains = {"R": colour_gains[0], "Gr": 1.0, "Gb": 1.0, "B": colour_gains[1]}
     floors = dict(zip(COLOURS, black, strict=True))

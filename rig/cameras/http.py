@@ -1,4 +1,4 @@
-"""A camera on another computer that runs `rhizotwin camera`; nothing but Python's own HTTP."""
+"""Client of a camera on another computer that runs `rhizotwin camera`, with Python's own HTTP library."""
 
 import hashlib
 import http.client
@@ -20,21 +20,21 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.schema import to_plain
 
 RETRIES = 3
 PAUSE_S = 0.5
-"""Between attempts."""
+"""Pause between attempts."""
 ANSWER_S = 10.0
-"""Time for an answer, beyond the exposure."""
+"""Time-out of an answer, in addition to the exposure."""
 OPENING_S = 30.0
-"""Time to open a camera, beyond some exposures."""
+"""Time to open a camera, in addition to some exposures."""
 MAX_TEXT_BYTES = 65536
 MOST_SAID = 500
-"""Letters of another computer that are shown."""
+"""Maximum length of text from another computer that is shown."""
 TOLERANCE, TOLERANCE_S = 0.05, 1e-4
-"""Of exposure and gain; the server's own driver checks them closer."""
+"""Tolerance of exposure and gain; the server's own driver checks them more closely."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +44,13 @@ class _Answer:
 
 
 class _DamagedError(Exception):
-    """An answer that did not arrive whole; the request may be repeated."""
+    """An answer that did not arrive completely; the request may be repeated."""
 
 
 class HttpCamera:
     """Client of a `rig.cameras.server.CameraServer`.
 
-    A request is repeated under the same name until its answer arrives whole.
+    A request is repeated under the same name until its answer is complete.
     """
 
     def __init__(self, address: str, settings: CameraSettings, *, clock: Clock) -> None:
@@ -59,7 +59,7 @@ class HttpCamera:
         Raises
         ------
         RigError
-            When the address is no http://host:port.
+            If the address is not of the form http://host:port.
         """
         self._host, self._port = _host_port(address)
         self._name = f"camera at {address.rstrip('/')}"
@@ -69,15 +69,15 @@ class HttpCamera:
         self._said = "not open"
 
     def describe(self) -> str:
-        """Say what the server says of its camera."""
+        """Return the server's description of its camera."""
         return f"{self._said}, {self._name.removeprefix('camera ')}" if self._session else f"{self._name}, not open"
 
     def prepare(self) -> None:
-        """Have the server open its camera with these settings, and take a picture to prove them."""
+        """Let the server open its camera with these settings, and verify them with a picture."""
         greeting = self._json(self._ask("GET", "/describe", None, timeout_s=ANSWER_S))
         if greeting.get("program") != protocol.PROGRAM or greeting.get("protocol") != protocol.PROTOCOL:
             raise RigError(
-                f"{self._name}: what answers is no rhizotwin camera of this version; start the same version's rhizotwin camera there"
+                f"{self._name}: the answer is not from a rhizotwin camera of this version; start rhizotwin camera of the same version there"
             )
         session = uuid.uuid4().hex
         body = {"session": session, "settings": to_plain(self._settings)}
@@ -96,13 +96,13 @@ class HttpCamera:
         return self._shot(self._ask("POST", "/capture", body, timeout_s=timeout_s, picture=picture))
 
     def close(self) -> None:
-        """End the session on this side; the server keeps its camera for the next."""
+        """End the session on this side; the server keeps its camera open for the next client."""
         self._session = ""
 
     def _ask(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str = "") -> _Answer:
-        """Send a request until its answer arrives whole; answers that say what is wrong are raised at once."""
+        """Send a request until its answer is complete; answers that report an error are raised immediately."""
         reason = ""
-        until_s = time.monotonic() + timeout_s  # one deadline for all attempts: the lamps burn meanwhile
+        until_s = time.monotonic() + timeout_s  # one deadline for all attempts, as the lamps remain on
         attempts = 0
         while attempts <= RETRIES and time.monotonic() < until_s:
             if attempts:
@@ -113,7 +113,7 @@ class HttpCamera:
             except (OSError, ValueError, http.client.HTTPException, _DamagedError) as error:
                 reason = plain_text(str(error) or type(error).__name__)
         raise NoAnswerError(
-            f"{self._name}: no whole answer after {attempts} attempt{'s' if attempts > 1 else ''} in {timeout_s:.3g} s at most ({reason}); "
+            f"{self._name}: no complete answer after {attempts} attempt{'s' if attempts > 1 else ''} in {timeout_s:.3g} s ({reason}); "
             "check the network, and that rhizotwin camera runs there with --host 0.0.0.0 or behind an ssh tunnel"
         )
 
@@ -141,14 +141,14 @@ class HttpCamera:
         return answer
 
     def _read(self, response: http.client.HTTPResponse, most: int) -> bytes:
-        """Read as much as was announced, and no more than can be right."""
+        """Read the announced number of bytes, up to a plausible maximum."""
         announced = response.getheader("Content-Length", "")
         if not (announced.isascii() and announced.isdigit()):
             raise _DamagedError("an answer without its length")
         if len(announced) > 12 or int(announced) > most:
             length = announced if len(announced) <= 12 else f"{announced[:12]}..."
             raise RigError(
-                f"{self._name}: announces an answer of {length} bytes, at most {most} can be right; start the same version there"
+                f"{self._name}: announces an answer of {length} bytes, more than the maximum of {most}; start the same version there"
             )
         data = response.read(int(announced))
         if len(data) != int(announced):
@@ -156,9 +156,9 @@ class HttpCamera:
         return data
 
     def _most_bytes(self) -> int:
-        """Return how long a picture's PNG can be.
+        """Return the maximum size of a picture's PNG.
 
-        Noise cannot be compressed, each row has a byte more, and there are headers.
+        Noise cannot be compressed; each row has one additional byte, and there are headers.
         """
         width, height = self._settings.image_wh
         return (2 * width + 1) * height * 101 // 100 + MAX_TEXT_BYTES
@@ -197,18 +197,18 @@ class HttpCamera:
             number = math.nan
         if not math.isfinite(number):
             raise RigError(
-                f"{self._name}: says {header} {text[:40]!r}, which is no number; start the same version of rhizotwin camera there"
+                f"{self._name}: sent {header} {text[:40]!r}, which is not a number; start the same version of rhizotwin camera there"
             )
         return number
 
 
 def plain_text(text: str) -> str:
-    """Return what another computer says without what would steer the terminal, and not endlessly long."""
+    """Return text from another computer without terminal control codes, and shortened."""
     return "".join(letter if letter.isprintable() else " " for letter in text[:MOST_SAID])
 
 
 def _cut_off(connection: http.client.HTTPConnection | socket.socket) -> None:
-    """End an exchange that goes on for too long, by whatever trickle: whoever waits for bytes gets none."""
+    """Shut down a connection at its deadline, so that a slow sender cannot block the reader."""
     if isinstance(connection, socket.socket):
         with suppress(OSError):
             connection.shutdown(socket.SHUT_RDWR)
@@ -222,7 +222,9 @@ def _host_port(address: str) -> tuple[str, int]:
     except ValueError:
         host, port, parts = None, None, urlsplit("")
     if parts.scheme != "http" or not host or parts.path not in ("", "/") or parts.query or parts.fragment or "@" in parts.netloc:
-        raise RigError(f"camera: address {address!r} is no http://HOST:PORT; give that of the computer that runs rhizotwin camera")
+        raise RigError(
+            f"camera: address {address!r} is not of the form http://HOST:PORT; use that of the computer that runs rhizotwin camera"
+        )
     return host, protocol.DEFAULT_PORT if port is None else port
 
 
@@ -230,18 +232,18 @@ def _parse(data: bytes) -> dict[str, Any]:
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise _DamagedError("an answer that is no JSON") from error
+        raise _DamagedError("an answer that is not JSON") from error
     if not isinstance(value, dict):
-        raise _DamagedError("an answer that is no JSON object")
+        raise _DamagedError("an answer that is not a JSON object")
     return value
 
 
 def _complaint(status: int, data: bytes) -> str:
-    """Return the sentence of a failure's answer."""
+    """Return the message of an error answer."""
     try:
         sentence = _parse(data).get("error")
     except _DamagedError:
         sentence = None
     if isinstance(sentence, str):
         return plain_text(sentence)
-    return f"what answers is no rhizotwin camera (HTTP status {status}); check the address"
+    return f"the answer is not from a rhizotwin camera (HTTP status {status}); check the address"

@@ -1,11 +1,11 @@
-"""A camera on this Raspberry Pi, by picamera2, which is imported when the camera is opened and not before.
+"""Camera on this Raspberry Pi, by picamera2, which is only imported when the camera is opened.
 
-Pictures are made of the sensor's raw numbers, not of the processed stream. What the processor does by default is
-neither linear nor the same from one picture to the next (contrast stretch, gamma, lens shading, noise reduction,
-sharpening); a linear tuning file can stop that, but leaves 8 bits, of which the dark marker strip beside a bright panel
-gets few. The raw numbers are 12 bits, linear, and need no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels
-becomes one grey pixel (`rig.cameras.bayer`), so that the HQ camera's 4056x3040 raw pixels give 2028x1520, with the
-noise of the four averaged. Pixels are left-aligned in 16 bits; the converter's range above black is full scale.
+Pictures are computed from the sensor's raw values instead of the processed stream. The default processing is neither
+linear nor constant between pictures (contrast stretch, gamma, lens shading, noise reduction, sharpening); a linear
+tuning file can avoid this, but leaves 8 bits, too few for the dark marker strip beside a bright panel. The raw values
+have 12 bits, are linear, and need no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels becomes one grey pixel
+(`rig.cameras.bayer`), so that the HQ camera's 4056x3040 raw pixels give 2028x1520, with the averaged noise of four
+pixels. Pixels are left-aligned in 16 bits; the converter's range above black is full scale.
 """
 
 import importlib
@@ -18,18 +18,20 @@ from rhizotwin.rig.cameras.settings import CameraSettings, check_picture
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
 
-INSTALL = "sudo apt install python3-picamera2, and a Python that sees it (the system's own, or a venv made with --system-site-packages)"
+INSTALL = (
+    "sudo apt install python3-picamera2, and a Python that can import it (the system's own, or a venv made with --system-site-packages)"
+)
 TRIES = 8
-"""Frames that may pass before the settings hold: more than a change takes while running (buffers + 4)."""
+"""Maximum number of frames until the settings are effective, more than the delay of a change (buffers + 4)."""
 BUFFERS = 2
 PATIENCE_S = 10.0
-"""Beyond the exposures that a picture waits for; then the camera counts as stopped."""
+"""Time-out in addition to the exposures of a picture; afterwards the camera counts as stopped."""
 
 _TROUBLE = (RuntimeError, OSError, ValueError, IndexError, KeyError, TypeError)
 
 
 class PiCamera:
-    """Camera by picamera2: everything automatic off, settings proved by each picture's own metadata."""
+    """Camera by picamera2 with all automatic functions off; settings are verified with each picture's metadata."""
 
     def __init__(self, address: str, settings: CameraSettings) -> None:
         """Find picamera2; the camera is opened by `prepare`.
@@ -37,11 +39,11 @@ class PiCamera:
         Raises
         ------
         RigError
-            When picamera2 cannot be imported, or the address is no number.
+            If picamera2 cannot be imported, or the address is not a number.
         """
         if not (address.isascii() and address.isdigit()):
             raise RigError(
-                f"camera: address {address!r} is no number of a camera; with kind picamera2 it is 0 for the first, 1 for the second"
+                f"camera: address {address!r} is not the number of a camera; with kind picamera2 it is 0 for the first, 1 for the second"
             )
         self._number = int(address)
         self._name = f"camera {address}"
@@ -52,7 +54,7 @@ class PiCamera:
         self._last_ns = -1
 
     def describe(self) -> str:
-        """Say which sensor it is and how it is read."""
+        """Return a description of the sensor and its mode."""
         if self._camera is None or self._mode is None:
             return f"Raspberry Pi {self._name}, not open"
         model = self._camera.camera_properties.get("Model", "unknown sensor")
@@ -63,7 +65,7 @@ class PiCamera:
         )
 
     def prepare(self) -> None:
-        """Open the camera anew with its settings given before it starts, and take a picture to prove them."""
+        """Open the camera with its settings, and verify them with a picture."""
         self.close()
         try:
             self._open()
@@ -73,7 +75,7 @@ class PiCamera:
         except _TROUBLE as error:
             self.close()
             raise RigError(
-                f"{self._name}: cannot be opened ({_reason(error)}); look for it with rpicam-hello --list-cameras, check its cable, and "
+                f"{self._name}: cannot be opened ({_reason(error)}); search for it with rpicam-hello --list-cameras, check its cable, and "
                 "stop other programs that use it"
             ) from error
         self.capture()
@@ -81,7 +83,7 @@ class PiCamera:
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call.
 
-        Frames with other settings or of an earlier time are passed over.
+        Frames with other settings or from before the call are skipped.
         """
         if self._camera is None or self._mode is None:
             raise RigError(f"{self._name}: is not open; prepare it first")
@@ -98,12 +100,12 @@ class PiCamera:
                 check_picture(image, self._settings, name=self._name)
                 return Shot(image=image, exposure_s=1e-6 * float(metadata["ExposureTime"]), gain=float(metadata["AnalogueGain"]))
         raise RigError(
-            f"{self._name}: its settings do not hold: {', '.join(faults)}, after {TRIES} frames; ask for an exposure and a gain that the "
-            "sensor can"
+            f"{self._name}: its settings do not hold: {', '.join(faults)}, after {TRIES} frames; choose an exposure and a gain that the "
+            "sensor supports"
         )
 
     def close(self) -> None:
-        """Stop the camera and give it back."""
+        """Stop and release the camera."""
         camera, self._camera, self._mode, self._last_ns = self._camera, None, None, -1
         if camera is not None:
             with suppress(*_TROUBLE):
@@ -115,7 +117,7 @@ class PiCamera:
         mode = choose_mode(camera.sensor_modes, settings.image_wh, name=self._name)
         camera.configure(
             camera.create_still_configuration(
-                main={"size": (640, 480)},  # must be there, is not used
+                main={"size": (640, 480)},  # required, but not used
                 raw={"size": mode.size, "format": mode.format},
                 buffer_count=BUFFERS,
                 queue=False,
@@ -135,9 +137,9 @@ class PiCamera:
         camera.start()
 
     def _frame(self) -> tuple[Any, Mapping[str, Any]]:
-        """Fetch the raw numbers and the metadata of one request."""
+        """Return the raw values and the metadata of one request."""
         try:
-            # Drops the frames that wait, and the one whose exposure has begun.
+            # drops waiting frames, and the one whose exposure has begun
             request = self._camera.capture_request(wait=4.0 * self._settings.exposure_s + PATIENCE_S, flush=True)
             try:
                 return request.make_array("raw"), request.get_metadata()
@@ -145,9 +147,9 @@ class PiCamera:
                 request.release()
         except TimeoutError as error:
             with suppress(*_TROUBLE):
-                self._camera.cancel_all_and_flush()  # else closing it waits for ever
+                self._camera.cancel_all_and_flush()  # otherwise closing it blocks forever
             self.close()
-            raise RigError(f"{self._name}: gives no frames any more; check its cable, and start the program again") from error
+            raise RigError(f"{self._name}: no longer delivers frames; check its cable, and start the program again") from error
         except _TROUBLE as error:
             self.close()
             raise RigError(
@@ -160,24 +162,24 @@ def _picamera2(name: str) -> Any:
         return importlib.import_module("picamera2")
     except ImportError as error:
         raise RigError(f"{name}: picamera2 cannot be imported here ({error}); on a Raspberry Pi: {INSTALL}") from error
-    except (ValueError, AttributeError) as error:  # compiled for another numpy
+    except (ValueError, AttributeError) as error:  # compiled for another version of numpy
         raise RigError(
-            f"{name}: picamera2 does not fit the numpy beside it ({error}); use Raspberry Pi OS of Debian 13 or newer, and its own "
+            f"{name}: picamera2 is incompatible with the installed numpy ({error}); use Raspberry Pi OS of Debian 13 or newer, and its own "
             "python3-numpy"
         ) from error
 
 
 def _check_range(controls: Mapping[str, Any], key: str, value: float, unit: str, name: str) -> None:
-    """Refuse what the sensor says it cannot; its upper limit may be 0 for none."""
+    """Raise an error for a value outside the sensor's range; an upper limit of 0 means no limit."""
     low, high = controls[key][:2]
     if value < low * (1.0 - RELATIVE) or (high > low and value > high * (1.0 + RELATIVE)):
         raise RigError(
-            f"{name}: {key} {value:g} {unit}".rstrip() + f" is beyond what the sensor can, {low:g} to {high:g}; change the rig file"
+            f"{name}: {key} {value:g} {unit}".rstrip() + f" is outside the sensor's range, {low:g} to {high:g}; change the rig file"
         )
 
 
 def _reason(error: BaseException) -> str:
-    """Tell an error with its cause: picamera2 wraps what libcamera says."""
+    """Return an error's text with its cause, as picamera2 wraps messages of libcamera."""
     texts = []
     at: BaseException | None = error
     while at is not None:

@@ -1,4 +1,4 @@
-"""What libcamera says of the ways to read a sensor, and of a frame; and the picture that comes of a frame."""
+"""Sensor modes, frame metadata and conversion of frames to pictures for libcamera."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,31 +11,31 @@ from numpy.typing import NDArray
 from rhizotwin.rig.cameras.bayer import grey_from_bayer
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.errors import RigError
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 LARGEST_BLOCK = 8
 STEP_US = 50.0
-"""More than the time of a row, in whose multiples the sensor exposes."""
+"""Tolerance of the exposure, more than the time of one row, by whose multiples the sensor exposes."""
 RELATIVE = 0.02
-"""Tolerance of exposure and gains, which have steps."""
+"""Relative tolerance of exposure and gains, which are quantised."""
 _RAW_FORMAT = re.compile(r"S(RGGB|GRBG|GBRG|BGGR)(10|12|14|16)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RawMode:
-    """How the sensor is read for a size of picture."""
+    """Mode in which the sensor is read for a picture size."""
 
     size: tuple[int, int]
     bits: int
-    """Of the converter."""
+    """Bit depth of the converter."""
     format: str
-    """libcamera's name of the unpacked raw pixels, asked for; the stream may have another."""
+    """libcamera's name of the requested unpacked raw format; the stream may have another."""
     block: int
-    """Raw pixels of a side that become one."""
+    """Side of a block of raw pixels that becomes one pixel."""
 
 
 def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *, name: str) -> RawMode:
-    """Choose the finest way of reading the sensor whose pixels make whole blocks of the wanted picture.
+    """Choose the sensor mode with the highest resolution whose pixels form whole blocks of the required picture.
 
     Parameters
     ----------
@@ -44,17 +44,17 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *
     image_wh : tuple of int
         Size of the picture.
     name : str
-        The camera's, for messages.
+        Name of the camera, used in messages.
 
     Returns
     -------
     RawMode
-        Size, depth and format of the raw pictures, and how many pixels make one of the wanted.
+        Size, bit depth and format of the raw pictures, and the size of blocks.
 
     Raises
     ------
     RigError
-        With the sizes that can be had.
+        With the available sizes.
     """
     raw = [mode for mode in modes if "size" in mode and _RAW_FORMAT.fullmatch(str(mode.get("unpacked")))]
     found = [
@@ -68,14 +68,14 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *
         sizes = sorted({(mode["size"][0] // 2, mode["size"][1] // 2) for mode in raw}, reverse=True)
         offer = ", ".join(f"{width}x{height}" for width, height in sizes) or "nothing: it has no Bayer colour sensor"
         raise RigError(
-            f"{name}: cannot make pictures of {image_wh[0]}x{image_wh[1]}, but of {offer} (a pixel of each 2x2 raw ones); set image_wh of "
+            f"{name}: cannot take pictures of {image_wh[0]}x{image_wh[1]}, only of {offer} (one pixel for 2x2 raw pixels); set image_wh of "
             "the scene's camera, and calibrate at that size"
         )
     return max(found, key=lambda mode: (mode.size, mode.bits))
 
 
 def metadata_faults(metadata: Mapping[str, Any], settings: CameraSettings) -> list[str]:
-    """Return what a frame's metadata say against the settings, with numbers; nothing when they hold."""
+    """Return the differences between a frame's metadata and the settings, with numbers; empty if they agree."""
     exposure_us = 1e6 * settings.exposure_s
     red, blue = settings.colour_gains
     gains = metadata.get("ColourGains") or (None, None)
@@ -84,7 +84,7 @@ def metadata_faults(metadata: Mapping[str, Any], settings: CameraSettings) -> li
         ("AnalogueGain", metadata.get("AnalogueGain"), settings.gain, RELATIVE * settings.gain),
         ("ColourGains red", gains[0], red, RELATIVE * red),
         ("ColourGains blue", gains[1], blue, RELATIVE * blue),
-        # It makes up for the steps of exposure and gain; anything more is an automatic at work.
+        # it compensates for the steps of exposure and gain; larger values indicate an automatic function
         ("DigitalGain", metadata.get("DigitalGain"), 1.0, 2.0 * RELATIVE + STEP_US / exposure_us),
     ]
     return [
@@ -97,43 +97,43 @@ def metadata_faults(metadata: Mapping[str, Any], settings: CameraSettings) -> li
 def grey_of_frame(
     raw: NDArray[np.uint8], stream: Mapping[str, Any], metadata: Mapping[str, Any], *, mode: RawMode, settings: CameraSettings, name: str
 ) -> Grey:
-    """Make the picture of a frame.
+    """Convert a frame to a picture.
 
     Parameters
     ----------
     raw : (H, stride) uint8 array
         Bytes of the raw stream.
     stream : mapping of object
-        Its ``format`` and ``size``, as configured.
+        Configured ``format`` and ``size``.
     metadata : mapping of object
-        The frame's; ``SensorBlackLevels`` are R, Gr, Gb, B in 16 bits whatever the format.
+        Metadata of the frame; ``SensorBlackLevels`` are R, Gr, Gb, B in 16 bits for any format.
     mode, settings : RawMode, CameraSettings
-        What was asked for.
+        Requested mode and settings.
     name : str
-        The camera's, for messages.
+        Name of the camera, used in messages.
 
     Returns
     -------
     (H, W) uint16 array
-        Each pixel the mean of a block, its black level taken away, as many bits as the settings say.
+        Mean of each block minus its black level, with the bit depth of the settings.
 
     Raises
     ------
     RigError
-        For a format that is not known, or no black level.
+        For an unknown format, or a missing black level.
     """
     found = _RAW_FORMAT.fullmatch(str(stream["format"]))
     if found is None or tuple(stream["size"]) != mode.size:
         size = "x".join(str(n) for n in stream["size"])
         raise RigError(
-            f"{name}: gives raw pixels as {stream['format']} {size}, not {mode.format} {mode.size[0]}x{mode.size[1]}, which alone can be "
-            "read; update python3-picamera2 and libcamera"
+            f"{name}: delivers raw pixels as {stream['format']} {size} instead of {mode.format} {mode.size[0]}x{mode.size[1]}, the only "
+            "supported format; update python3-picamera2 and libcamera"
         )
     levels = metadata.get("SensorBlackLevels")
     if levels is None or len(levels) != 4:
         raise RigError(f"{name}: does not report its black level; update python3-picamera2 and libcamera")
-    # Unpacked numbers are aligned to the right in the format's bits: 12 of a Pi 4, 16 of a Pi 5, which puts the
-    # converter's own on top.
+    # Unpacked values are right-aligned in the format's bits: 12 on a Pi 4, and 16 on a Pi 5, where the converter's own
+    # bits are the upper ones.
     below = 2 ** (16 - int(found[2]))
     width, height = mode.size
     return grey_from_bayer(

@@ -1,12 +1,12 @@
-"""What the camera server and its client say to each other, over HTTP.
+"""Protocol of the camera server and its client, over HTTP.
 
     GET  /describe                                       -> JSON {program, protocol, camera}
     POST /prepare  JSON {session, settings}              -> JSON {camera}
     POST /capture  JSON {session, picture}               -> PNG, headers `SHA256`, `PICTURE`, `EXPOSURE_S`, `GAIN`
     any failure                                          -> JSON {error: one sentence}
 
-The client draws the names of session and picture, so that a request may be repeated when its answer was lost: the same
-session is not prepared twice, and the same picture is not taken twice. A session ends when another one begins.
+The client chooses random names of session and picture, so that a request can be repeated after its answer was lost: a
+session is not prepared twice, and a picture is not taken twice. A session ends when another one begins.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The camera server's answers to requests, and what it refuses (see `rig.cameras.protocol`)."""
+"""Request handling and input checks of the camera server (see `rig.cameras.protocol`)."""
 
 import ipaddress
 import json
@@ -23,9 +23,9 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 MAX_BODY_BYTES = 4096
 IDLE_S = 30.0
-"""A connection on which nothing comes or goes for so long is dropped, and one whose request takes so long to arrive."""
+"""Time-out of a connection without traffic, and of the arrival of a request."""
 MOST_CONNECTIONS = 16
-"""Open at once; a scan uses one."""
+"""Maximum number of open connections; a scan uses one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class _Refusal(Exception):  # noqa: N818 - an answer, not an error of the progra
 
 
 class RequestServer(ThreadingHTTPServer):
-    """Listens, and answers each request in a thread of its own."""
+    """Server that answers each request in its own thread."""
 
     daemon_threads = True
 
@@ -61,30 +61,30 @@ class RequestServer(ThreadingHTTPServer):
         self.say = say
         own = socket.gethostname().lower()
         self.names = {"localhost", own, f"{own}.local", host.lower()} - {""}
-        """What this computer is called."""
+        """Host names of this computer."""
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__((host, port), _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own while there are few; more connections are closed at once."""
+        """Answer in a separate thread up to the maximum number of connections; close further ones immediately."""
         if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
             return
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Make room for the next when it is done."""
+        """Free the connection's place when the request is done."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def server_bind(self) -> None:
-        """Bind without asking a name server for this computer's name, which can take long."""
+        """Bind without resolving this computer's name, which can take long."""
         socketserver.TCPServer.server_bind(self)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Pass over clients that went away; anything else is a mistake of the program."""
+        """Ignore clients that disconnected; other errors are bugs."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -96,14 +96,14 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = IDLE_S
 
     def setup(self) -> None:
-        """Give the request a deadline: a byte now and then must not hold a connection for ever."""
+        """Set a deadline for the request, so that a slow sender cannot hold a connection forever."""
         super().setup()
         self._late = threading.Timer(IDLE_S, self._cut_off)
         self._late.daemon = True
         self._late.start()
 
     def finish(self) -> None:
-        """Let go."""
+        """Release the connection."""
         self._late.cancel()
         super().finish()
 
@@ -120,7 +120,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._post)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
-        """Keep quiet: what is worth a line goes to ``say``."""
+        """Log nothing; relevant lines are passed to ``say``."""
 
     def _answer(self, act: Callable[[], None]) -> None:
         try:
@@ -137,7 +137,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._late.cancel()
         self._check_host()
         if self.path != "/describe":
-            raise _Refusal(HTTPStatus.NOT_FOUND, "this is a rhizotwin camera, to be named in the rig file of another computer")
+            raise _Refusal(HTTPStatus.NOT_FOUND, "this is a rhizotwin camera; enter its address in the rig file of another computer")
         said = self.server.service.describe()
         self._send_json(HTTPStatus.OK, {"program": protocol.PROGRAM, "protocol": protocol.PROTOCOL, "camera": said})
 
@@ -146,18 +146,18 @@ class _Handler(BaseHTTPRequestHandler):
         self._late.cancel()
         self._check_host()
         if self.path == "/prepare":
-            wanted = self._parsed(body, _Prepare)
+            wanted = self._parse(body, _Prepare)
             _check_name(wanted.session)
             said = self.server.service.prepare(wanted.session, wanted.settings)
             self.server.say(f"for {self.client_address[0]}: {said}")
             self._send_json(HTTPStatus.OK, {"camera": said})
         elif self.path == "/capture":
-            asked = self._parsed(body, _Capture)
+            asked = self._parse(body, _Capture)
             _check_name(asked.session)
             _check_name(asked.picture)
             self._send_picture(asked)
         else:
-            raise _Refusal(HTTPStatus.NOT_FOUND, "there is only /describe, /prepare and /capture here")
+            raise _Refusal(HTTPStatus.NOT_FOUND, "available paths are /describe, /prepare and /capture")
 
     def _send_picture(self, asked: _Capture) -> None:
         picture = self.server.service.capture(asked.session, asked.picture)
@@ -169,31 +169,31 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, headers, picture.png)
 
     def _body(self) -> bytes:
-        """Read a request's body, also of one that will be refused.
+        """Read a request's body, even if the request will be rejected.
 
-        A connection closed before that may lose the answer.
+        If the connection were closed before, the answer could be lost.
         """
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
-            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "requests must say their length")
+            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "requests must state their length")
         body = self.rfile.read(min(int(length[:9]), 16 * MAX_BODY_BYTES))
         if len(length) > 9 or int(length) > MAX_BODY_BYTES:
-            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"requests may have {MAX_BODY_BYTES} bytes")
+            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"requests may have at most {MAX_BODY_BYTES} bytes")
         return body
 
-    def _parsed(self, body: bytes, kind: type[Any]) -> Any:
+    def _parse(self, body: bytes, kind: type[Any]) -> Any:
         """Check a request's JSON."""
         if self.headers.get_content_type() != "application/json":
             raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "requests must be of type application/json")
         try:
             return from_plain(kind, json.loads(body), Place("request"))
         except (ValueError, RecursionError) as error:
-            raise _Refusal(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
+            raise _Refusal(HTTPStatus.BAD_REQUEST, "the request is not JSON") from error
         except UserError as error:
             raise _Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
 
     def _check_host(self) -> None:
-        """Refuse requests that a browser was led here with by another site's name; addresses cannot be led anywhere."""
+        """Reject requests addressed to another host name, as from a redirected browser; IP addresses are accepted."""
         try:
             name = (urlsplit(f"//{self.headers.get('Host', '')}").hostname or "").rstrip(".").lower()
         except ValueError:
@@ -205,7 +205,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         raise _Refusal(
             HTTPStatus.FORBIDDEN,
-            f"this computer is not called {name[:80]!r}; write its IP address, or its own name {socket.gethostname()}, into the rig file",
+            f"{name[:80]!r} is not a name of this computer; write its IP address, or its name {socket.gethostname()}, into the rig file",
         )
 
     def _send_json(self, status: HTTPStatus, value: dict[str, Any]) -> None:

@@ -1,8 +1,8 @@
-"""Serve a camera of this computer to another one, over HTTP (see `rig.cameras.protocol`).
+"""HTTP server for a camera of this computer (see `rig.cameras.protocol`).
 
-Meant for a laboratory's own network: there are no passwords. Listens on this computer alone unless told otherwise. Web
-pages that a browser shows on the same network cannot use it: requests must name this computer (no DNS rebinding) and
-carry JSON (no forms of other sites).
+It is intended for a laboratory's own network, without passwords. By default it accepts connections from this computer
+only. Web pages in a browser on the same network cannot use it: requests must address this computer by name (no DNS
+rebinding) and contain JSON (no forms of other sites).
 """
 
 import ipaddress
@@ -14,7 +14,7 @@ from contextlib import suppress
 from rhizotwin.rig.cameras import local_camera, protocol
 from rhizotwin.rig.cameras.requests import RequestServer
 from rhizotwin.rig.cameras.service import CameraService
-from rhizotwin.rig.cameras.settings import CameraSettings, settings_of
+from rhizotwin.rig.cameras.settings import CameraSettings, combine_settings
 from rhizotwin.rig.devices import Camera
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart
@@ -31,29 +31,29 @@ def serve_camera(
     port: int = protocol.DEFAULT_PORT,
     say: Callable[[str], None],
 ) -> None:
-    """Serve the camera of a rig file until stopped by an exception such as Ctrl-C's.
+    """Serve the camera of a rig file until an exception such as Ctrl-C.
 
-    The camera is given back on the way out.
+    The camera is released at the end.
 
     Parameters
     ----------
     part : CameraPart
-        A camera on this computer. Whoever takes pictures brings size, depth, exposure, gain and white balance along.
+        A camera on this computer. Size, bit depth, exposure, gain and white balance are set by the client.
     image_wh, bits : tuple of int, int
-        What is used until then.
+        Size and bit depth until a client sets them.
     host, port : str, int
-        Where to listen; 0.0.0.0 is every network.
+        Address to listen on; 0.0.0.0 is every network.
     say : callable
-        Gets lines for the person at this computer.
+        Receives lines for the user at this computer.
 
     Raises
     ------
     RigError
-        For a camera of kind http, no picamera2, or an address that cannot be listened on.
+        For a camera of kind http, a missing picamera2, or an address that is not available.
     """
     if part.kind == "http":
         raise RigError("camera: kind is http in this rig file, but a served camera must be at this computer; set kind to picamera2 or v4l2")
-    camera = local_camera(part, settings_of(part, image_wh=image_wh, bits=bits))
+    camera = local_camera(part, combine_settings(part, image_wh=image_wh, bits=bits))
     server = CameraServer(camera, host=host, port=port, reopen=lambda settings: local_camera(part, settings), say=say)
     try:
         say(f"{camera.describe()}; serving it at {server.url}, Ctrl-C stops")
@@ -65,7 +65,7 @@ def serve_camera(
 
 
 class CameraServer:
-    """An HTTP server for one camera, which it takes over."""
+    """HTTP server for one camera, which it controls exclusively."""
 
     def __init__(
         self,
@@ -76,24 +76,24 @@ class CameraServer:
         reopen: Callable[[CameraSettings], Camera] | None = None,
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Listen; requests are answered from `start` or `serve_forever` on.
+        """Listen for connections; requests are answered after `start` or `serve_forever`.
 
         Parameters
         ----------
         camera : Camera
-            The camera, not open yet.
+            Camera, not yet open.
         host, port : str, int
-            Where to listen; port 0 takes a free one.
+            Address to listen on; port 0 selects a free one.
         reopen : callable or None
-            Makes the camera for the settings of a client; without it the camera keeps its own settings, and a client
-            that wants others refuses the pictures.
+            Function that creates the camera for a client's settings. Without it the camera keeps its own settings, and
+            clients with other settings reject the pictures.
         say : callable
-            Gets a line when a client comes, and when something fails.
+            Receives a line when a client connects, and for errors.
 
         Raises
         ------
         RigError
-            When the address cannot be listened on.
+            If the address is not available.
         """
         self._service = CameraService(camera, reopen=reopen)
         try:
@@ -106,7 +106,7 @@ class CameraServer:
 
     @property
     def url(self) -> str:
-        """The address for the rig file of the other computer."""
+        """Address for the rig file of the other computer."""
         host = socket.gethostname() if self._host in _EVERYWHERE else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._server.server_address[1]}"
 
@@ -116,11 +116,11 @@ class CameraServer:
         self._thread.start()
 
     def serve_forever(self) -> None:
-        """Answer requests until an exception such as Ctrl-C's; call `stop` then."""
+        """Answer requests until an exception such as Ctrl-C; then call `stop`."""
         self._server.serve_forever()
 
     def stop(self) -> None:
-        """Stop listening and give the camera back; again does no harm."""
+        """Stop listening and release the camera; can be called repeatedly."""
         if self._thread is not None:
             self._server.shutdown()
             self._thread.join()

@@ -1,4 +1,4 @@
-"""What the camera server does, without HTTP: one camera, one session at a time, the last pictures kept."""
+"""Camera service without HTTP: one camera, one session at a time, with the last pictures kept."""
 
 import hashlib
 import threading
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.devices import Camera
 from rhizotwin.rig.errors import LostError, RigError
-from rhizotwin.scenes.pictures import encode_png
+from rhizotwin.scenes.picture_codec import encode_png
 
 KEPT = 4
-"""Pictures kept for repeated requests; a client asks for one after the other."""
+"""Number of pictures kept for repeated requests; a client requests one at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture ready to be sent."""
+    """Encoded picture with its exposure data."""
 
     png: bytes
     sha256: str
@@ -26,18 +26,18 @@ class Picture:
 
 
 class CameraService:
-    """A camera that several requests at once may ask; each waits for its turn."""
+    """A camera for several concurrent requests, which are processed sequentially."""
 
     def __init__(self, camera: Camera, *, reopen: Callable[[CameraSettings], Camera] | None = None) -> None:
-        """Take a camera over.
+        """Create the service for a camera.
 
         Parameters
         ----------
         camera : Camera
-            The camera; not open yet.
+            Camera, not yet open.
         reopen : callable or None
-            Makes the camera that a session's settings ask for, in place of the one before. Without it the camera keeps
-            its own.
+            Function that creates the camera for a session's settings, replacing the previous one. Without it the camera
+            keeps its own settings.
         """
         self._camera = camera
         self._reopen = reopen
@@ -47,12 +47,12 @@ class CameraService:
         self._closed = False
 
     def describe(self) -> str:
-        """Say what the camera is."""
+        """Return a description of the camera."""
         with self._turn:
             return self._camera.describe()
 
     def prepare(self, session: str, settings: CameraSettings) -> str:
-        """Begin a session and open the camera with its settings; the same session again does nothing."""
+        """Begin a session and open the camera with its settings; repeating it for the same session has no effect."""
         with self._turn:
             self._refuse_closed()
             if session != self._session:
@@ -66,14 +66,14 @@ class CameraService:
             return self._camera.describe()
 
     def capture(self, session: str, name: str) -> Picture:
-        """Take a picture; the same name again gives the same picture again.
+        """Take a picture; a repeated name returns the same picture.
 
         Raises
         ------
         LostError
-            When the session is not the present one.
+            If the session is not the current one.
         RigError
-            When the camera fails; the name is then free, and a repeated request tries again.
+            If the camera fails; a repeated request then tries again.
         """
         with self._turn:
             self._refuse_closed()
@@ -89,7 +89,7 @@ class CameraService:
             return picture
 
     def close(self) -> None:
-        """Give the camera back, once the request at work is done; later ones are refused."""
+        """Release the camera after the current request; later requests are rejected."""
         with self._turn:
             self._closed = True
             self._session = ""

@@ -1,40 +1,40 @@
-"""What every camera is told, whichever way it is connected, and how close a camera must come to it."""
+"""Settings common to all cameras, and tolerances for their verification."""
 
 from dataclasses import dataclass
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import CameraPart
 from rhizotwin.scenes.limits import bounded
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """The fixed settings of a camera; limits as in the rig and scene files."""
+    """Fixed settings of a camera, with the limits of the rig and scene files."""
 
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
     bits: int = bounded(12, 8, 16)
-    """Of a pixel: 8 in a byte, more left-aligned in 16 bits."""
+    """Bit depth: up to 8 in a byte, more left-aligned in 16 bits."""
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
 
 
-def settings_of(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
-    """Join what the rig file says of the camera with the size and depth that the scene wants.
+def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
+    """Combine the camera settings of the rig file with size and bit depth of the scene's camera.
 
     Parameters
     ----------
     part : CameraPart
-        What the rig file says.
+        Section of the rig file.
     image_wh, bits : tuple of int, int
-        Size and depth of the scene's camera.
+        Size and bit depth of the scene's camera.
 
     Returns
     -------
     CameraSettings
-        What the camera is to be set to.
+        Settings of the camera.
     """
     return CameraSettings(
         image_wh=image_wh,
@@ -47,33 +47,31 @@ def settings_of(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> Ca
 
 
 def check_picture(image: Grey, settings: CameraSettings, *, name: str) -> None:
-    """Refuse a picture of another size or depth than was asked for.
+    """Raise an error if a picture differs from the settings in size or bit depth.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        The picture.
+        Picture to check.
     settings : CameraSettings
-        What it should be.
+        Required settings.
     name : str
-        The camera's, for messages.
+        Name of the camera, used in messages.
 
     Raises
     ------
     RigError
-        With both sizes, or both depths.
+        With both sizes, or both bit depths.
     """
     height, width = image.shape
     if (width, height) != settings.image_wh:
         wanted = f"{settings.image_wh[0]}x{settings.image_wh[1]}"
-        raise RigError(
-            f"{name}: gives pictures of {width}x{height} pixels, not {wanted}; set image_wh of the scene's camera to what it gives"
-        )
+        raise RigError(f"{name}: gives pictures of {width}x{height} pixels, not {wanted}; set image_wh of the scene's camera to this size")
     stored = 8 * image.dtype.itemsize
     if stored != stored_bits(settings.bits):
-        raise RigError(f"{name}: gives pictures of {stored} bits, though {settings.bits} were asked for; set bits of the scene's camera")
+        raise RigError(f"{name}: gives pictures of {stored} bits instead of {settings.bits}; set bits of the scene's camera")
 
 
 def stored_bits(bits: int) -> int:
-    """Return how many bits a pixel takes in a file."""
+    """Return the number of bits of a pixel in a file."""
     return 8 if bits <= 8 else 16

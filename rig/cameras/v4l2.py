@@ -1,8 +1,8 @@
-"""A USB camera by OpenCV and Video4Linux.
+"""USB camera by OpenCV and Video4Linux.
 
-A driver may say that it set something and not have done it, so that everything is read back, after the second frame
-again and after each picture. Pictures have 8 bits. They are linear in light only as far as the camera's gamma can be
-set to 1 (`describe` says when it cannot).
+A driver may report settings that it has not applied. Therefore all settings are read back, again after the second
+frame, and after each picture. Pictures have 8 bits. They are only linear in light if the camera's gamma can be set to 1
+(`describe` reports otherwise).
 """
 
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ import numpy as np
 from rhizotwin.rig.cameras.settings import CameraSettings, check_picture
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 UNIT_S = 1e-4
-"""Of V4L2's absolute exposure time."""
+"""Unit of V4L2's absolute exposure time."""
 MANUAL = 1
 """V4L2_EXPOSURE_MANUAL."""
 LINEAR_GAMMA = 100
-"""USB video class: gamma times 100."""
+"""Gamma of 1 in units of the USB video class (gamma times 100)."""
 STALE = 5
-"""Frames that may have been exposed before a call: four in OpenCV's buffers, one in the sensor."""
+"""Number of frames that may have been exposed before a call: four in OpenCV's buffers, one in the sensor."""
 WARM_UP = 10
-"""Frames after which settings have reached the sensor."""
+"""Number of frames after which settings are effective."""
 ABSENT = -1.0
-"""What OpenCV reads of a control that the camera does not have."""
+"""Value that OpenCV returns for a missing control."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Control:
     value: float
     tolerance: float = 0.5
     needed: bool = False
-    """Whether the camera must have it."""
+    """Whether the camera must have this control."""
 
 
 class V4l2Camera:
@@ -51,7 +51,7 @@ class V4l2Camera:
         Raises
         ------
         RigError
-            When the address is neither a number nor a device file.
+            If the address is neither a number nor a device file.
         """
         is_number = address.isascii() and address.isdigit()
         if not is_number and not address.startswith("/dev/"):
@@ -64,7 +64,7 @@ class V4l2Camera:
         self._gamma = ABSENT
 
     def describe(self) -> str:
-        """Say what it is, and whether its pictures are linear."""
+        """Return a description of the camera, and whether its pictures are linear."""
         if self._capture is None:
             return f"USB {self._name}, not open"
         width, height = self._settings.image_wh
@@ -75,7 +75,7 @@ class V4l2Camera:
         return f"USB {self._name}, {width}x{height}, 8 bits, {format_name}, {1000.0 * self._settings.exposure_s:g} ms{linear}"
 
     def prepare(self) -> None:
-        """Open the camera anew, set everything, and look whether it held after the second frame."""
+        """Open the camera, apply all settings, and verify them after the second frame."""
         self.close()
         if self._settings.bits != 8:
             raise RigError(f"{self._name}: cameras of kind v4l2 give 8 bits, not {self._settings.bits}; set bits = 8 of the scene's camera")
@@ -83,7 +83,7 @@ class V4l2Camera:
         if not capture.isOpened():
             capture.release()
             raise RigError(
-                f"{self._name}: cannot be opened; look for it with ls /dev/video*, check its cable and that you are in the group video, "
+                f"{self._name}: cannot be opened; search for it with ls /dev/video*, check its cable and that you are in the group video, "
                 "and stop other programs that use it (a Raspberry Pi's own camera is kind picamera2)"
             )
         self._capture = capture
@@ -98,7 +98,7 @@ class V4l2Camera:
             raise
 
     def capture(self) -> Shot:
-        """Take a picture whose exposure begins after this call: frames that wait in buffers are thrown away."""
+        """Take a picture whose exposure begins after this call; buffered frames are discarded."""
         if self._capture is None:
             raise RigError(f"{self._name}: is not open; prepare it first")
         self._drop(STALE)
@@ -109,14 +109,14 @@ class V4l2Camera:
         return Shot(image=image, exposure_s=exposure_s, gain=None if gain == ABSENT else gain)
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Release the camera."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None
 
     def _set_up(self) -> None:
         capture, (width, height) = self._capture, self._settings.image_wh
-        # Format and size restart the stream, so that they come before the controls. Uncompressed, if the camera can.
+        # Format and size restart the stream, so they are set before the controls; uncompressed, if supported.
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"YUYV"))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
@@ -134,7 +134,7 @@ class V4l2Camera:
             if abs(found - control.value) > control.tolerance and (control.needed or found != ABSENT):
                 faults.append(f"{control.name} {'is missing' if found == ABSENT else f'is {found:g}'} instead of {control.value:g}")
         if faults:
-            raise RigError(f"{self._name}: its settings do not hold: {', '.join(faults)}; v4l2-ctl --list-ctrls shows what it can")
+            raise RigError(f"{self._name}: its settings do not hold: {', '.join(faults)}; v4l2-ctl --list-ctrls shows its controls")
 
     def _drop(self, frames: int) -> None:
         for _ in range(frames):
@@ -150,11 +150,11 @@ class V4l2Camera:
         return picture
 
     def _silent(self) -> RigError:
-        return RigError(f"{self._name}: gives no pictures any more; check its cable")
+        return RigError(f"{self._name}: no longer delivers pictures; check its cable")
 
 
 def _controls(settings: CameraSettings) -> tuple[Control, ...]:
-    """Return what is set, in this order: automatics off before the values that they would govern."""
+    """Return the controls in the order of setting: automatic functions are switched off before dependent values."""
     units = settings.exposure_s / UNIT_S
     return (
         Control(name="automatic exposure", prop=cv2.CAP_PROP_AUTO_EXPOSURE, value=MANUAL, needed=True),

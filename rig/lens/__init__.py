@@ -1,1 +1,1 @@
-"""The camera's lens, from pictures of a printed board."""
+"""Calibration of the camera's lens from pictures of a printed board."""

@@ -1,4 +1,4 @@
-"""Detection of the calibration board: OpenCV identifies its corners, `rig.lens.saddle_fit` measures them."""
+"""Detection of the calibration board: corners are identified by OpenCV, and measured by `rig.lens.saddle_fit`."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from rhizotwin.rig.lens.saddle_fit import Saddle, fit_saddle
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.markers import dictionary_named
-from rhizotwin.scenes.reduced import Picture, reduced
+from rhizotwin.scenes.markers import get_dictionary
+from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
-"""Minimum fraction of the identified corners that must be measurable."""
+"""Minimum fraction of the detected corners that must be measurable."""
 CLEAR: Final = 0.9
-"""Fraction of the white area between a corner and the nearest marker that is used in the fit."""
+"""Fraction of the white margin between a corner and the nearest marker that is used in the fit."""
 MOST_BENT: Final = 0.2
-"""Maximum median deviation of corners from a flat board, in squares; more indicates wrong identification."""
+"""Maximum median distance, in squares, of the corners from those of a flat board; beyond it, corners were identified
+wrongly."""
 OTHER_DICTIONARIES: Final = (
     "APRILTAG_36h11",
     "4X4_250",
@@ -37,13 +38,13 @@ class BoardView:
     """Corners of the board in one picture."""
 
     ids: NDArray[np.int64]
-    """(N,) ascending, indices into `CharucoBoard.corners_mm`."""
+    """(N,) indices into `CharucoBoard.corners_mm`, ascending."""
     corners_px: Array
-    """(N, 2) pixel centres at integers."""
+    """(N, 2) corners; pixel centres have integer coordinates."""
     sigma_px: float
-    """Median standard deviation of a coordinate, estimated by the fits."""
+    """Median standard deviation of a coordinate, from the fits."""
     blur_px: float
-    """Median standard deviation of the blur, including the pixel itself."""
+    """Median standard deviation of the blur, including that of the pixel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,23 +62,23 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
     image : (H, W) uint8 or uint16 array
         Grey levels.
     board : CharucoBoard
-        Board.
+        The printed board.
 
     Returns
     -------
     BoardView or NoBoard
-        At least `LEAST_CORNERS` corners, not all in one row; or the reason for failure.
+        At least `LEAST_CORNERS` corners, not all in one row; or the reason for a failure.
     """
     ids, start_px, markers = _search(image, board)
     if len(ids) < LEAST_CORNERS:
         return NoBoard(reason=_why_few(image, board, corners=len(ids), markers=markers))
     flat, at_mm = _flat(board, ids, start_px)
     if flat is None:
-        return NoBoard(reason=f"its {len(ids)} corners are in one row; show more of the board")
+        return NoBoard(reason=f"its {len(ids)} corners lie in one row; show more of the board")
     near_px = np.median(np.linalg.norm(start_px - _map(flat, at_mm), axis=1))
     if near_px > MOST_BENT * _square_px(board, flat, at_mm):
         return NoBoard(
-            reason=f"its corners do not agree with a flat board of {_size(board)} squares; check --squares, and that the board is flat"
+            reason=f"its corners do not lie as on a flat board of {_size(board)} squares; check --squares, and that the board is flat"
         )
     found: dict[int, Saddle] = {}
     for corner, p_px, q_mm in zip(ids.tolist(), start_px, at_mm, strict=True):
@@ -86,11 +87,11 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
             found[corner] = fit
     if len(found) < max(LEAST_CORNERS, LEAST_MEASURED * len(ids)):
         return NoBoard(
-            reason=f"only {len(found)} of its {len(ids)} corners can be measured; it is blurred or noisy, or the board is too small in it"
+            reason=f"only {len(found)} of its {len(ids)} corners can be measured: too blurred, too noisy, or the board too small in it"
         )
     chosen = np.array(sorted(found))
     if _flat(board, chosen, np.array([found[k].at_px for k in chosen]))[0] is None:
-        return NoBoard(reason=f"its {len(found)} measurable corners are in one row; show more of the board")
+        return NoBoard(reason=f"its {len(found)} measurable corners lie in one row; show more of the board")
     return BoardView(
         ids=chosen,
         corners_px=np.array([found[k].at_px for k in chosen]),
@@ -101,12 +102,12 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
     """Return ids (N,) and approximate corners (N, 2) in the full picture, and the number of detected markers."""
-    small, scale = reduced(image)
+    small, scale = reduce_picture(image)
     parameters = cv2.aruco.CharucoParameters()
-    parameters.minMarkers = 1  # one adjacent marker identifies a corner; it is measured later
+    parameters.minMarkers = 1  # one marker beside a corner identifies it; corners are measured later
     detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)
     best: tuple[NDArray[np.int64], Array, int] = (np.zeros(0, np.int64), np.zeros((0, 2)), 0)
-    for power in (1.0, 0.5):  # the square root brightens dark regions
+    for power in (1.0, 0.5):  # the square root raises the contrast of dark parts
         corners, ids, _, marker_ids = detector.detectBoard(_tone(small, power))
         markers = 0 if marker_ids is None else len(marker_ids)
         if ids is not None and len(ids) > len(best[0]):
@@ -121,7 +122,7 @@ def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Arr
 
 
 def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
-    """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
+    """Scale to 8 bits, clipping only the brightest 0.5 %."""
     top = max(float(np.percentile(image[::3, ::3], 99.5)), 1.0)
     return np.asarray(255.0 * np.clip(image.astype(np.float32) / top, 0.0, 1.0) ** power, np.uint8)
 
@@ -129,7 +130,7 @@ def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
 def _flat(board: CharucoBoard, ids: NDArray[np.int64], corners_px: Array) -> tuple[Array | None, Array]:
     """Return the homography (3, 3) from board to picture, and the corners (N, 2) on the board.
 
-    None where the corners lie in one row.
+    None if the corners are in one row.
     """
     at_mm = board.corners_mm[ids, :2]
     if np.linalg.svd(at_mm - at_mm.mean(axis=0), compute_uv=False)[1] < 0.5 * board.square_mm:
@@ -151,7 +152,7 @@ def _sides(board: CharucoBoard, flat: Array, at_mm: Array) -> Array:
 
 
 def _square_px(board: CharucoBoard, flat: Array, at_mm: Array) -> float:
-    """Return the geometric mean of a square's sides in the middle of what is seen."""
+    """Return the geometric mean of a square's sides in the middle of the visible part."""
     here, right, down = _map(flat, at_mm.mean(axis=0) + board.square_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return float(np.sqrt(np.linalg.norm(right - here) * np.linalg.norm(down - here)))
 
@@ -161,24 +162,24 @@ def _size(board: CharucoBoard) -> str:
 
 
 def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int) -> str:
-    """Return the reason why too few corners were found."""
+    """Return the reason why few corners were found in a picture."""
     if corners:
-        return f"it shows only {corners} corners of the board, but {LEAST_CORNERS} are required; show more of the board"
+        return f"only {corners} corners of the board are in it, {LEAST_CORNERS} are needed; show more of the board"
     if markers >= 3:
         return (
-            f"it shows {markers} markers of {board.dictionary}, but not in the arrangement of a board of {_size(board)} squares; "
+            f"it shows {markers} markers of {board.dictionary}, but not as they stand on a board of {_size(board)} squares; "
             "check --squares, and that the board is flat"
         )
     picture = _tone(image, 1.0)
     if _count(np.ascontiguousarray(picture[:, ::-1]), board.dictionary) >= 3:
-        return "it is mirrored: the board is detected in its mirror image only"
+        return "it is mirrored: the board is only found in its mirror image"
     for name in OTHER_DICTIONARIES:
         if name != board.dictionary and _count(picture, name) >= 3:
-            return f"it shows markers of {name}, but the board has {board.dictionary}; show only the board, or check --dictionary"
-    return "no board was detected; it may be too dark, blurred, or too far away"
+            return f"it shows markers of {name}, the board has {board.dictionary}; show the board alone, or check --dictionary"
+    return "no board was found: too dark, too blurred, too far away, or not there"
 
 
 def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
-    """Count the markers of a dictionary in a picture."""
-    ids = cv2.aruco.ArucoDetector(dictionary_named(dictionary)).detectMarkers(picture)[1]
+    """Return the number of markers of a dictionary in a picture."""
+    ids = cv2.aruco.ArucoDetector(get_dictionary(dictionary)).detectMarkers(picture)[1]
     return 0 if ids is None else len(ids)

@@ -1,4 +1,4 @@
-"""Camera calibration from pictures of the board: selection of pictures, lens fit, warnings, and files."""
+"""Camera calibration from pictures of the board: selection of pictures, lens, warnings and output files."""
 
 import re
 from collections import Counter
@@ -20,42 +20,44 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.picture_codec import decode_grey
+from rhizotwin.scenes.picture_reduction import Picture
 from rhizotwin.scenes.provenance import versions
-from rhizotwin.scenes.reduced import Picture
 from rhizotwin.scenes.schema import to_plain
 
 CELLS_WH: Final = (8, 6)
-"""Number of cells of the field of view for the coverage by corners."""
+"""Number of cells into which the picture is divided to measure its coverage by corners."""
 ENOUGH_PICTURES: Final = 10
 COVERAGE: Final = (0.15, 0.6)
-"""Minimum fraction of cells with corners: for acceptance, and without a warning."""
+"""Fraction of the cells with corners: below the first value the calibration is rejected, below the second a warning is
+issued."""
 TILT_DEG: Final = (8.0, 20.0)
-"""Minimum of the largest tilt of the board: for acceptance, and without a warning."""
+"""Maximum tilt of the board relative to the image plane: below the first value the calibration is rejected, below the
+second a warning is issued."""
 ONE_WAY_DEG: Final = 6.0
-"""Minimum spread of the tilts in the direction of least spread, without a warning."""
+"""Standard deviation of the tilts in the direction of least variation, below which a warning is issued."""
 MOST_RMS_PX: Final = (3.0, 0.5)
-"""Maximum residual: for acceptance, and without a warning."""
+"""Residual: above the first value the calibration is rejected, above the second a warning is issued."""
 MOST_FOCAL_STD: Final = 0.001
 MOST_BLUR_PX: Final = 3.0
 SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
-"""Two pictures count as the same pose of the board if rotation and translation (relative to the distance) differ by
-less."""
+"""Maximum rotation and displacement (relative to the distance) of the board between two pictures with the same
+orientation."""
 ENOUGH_WAYS: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Calibrated camera with its data."""
+    """A calibrated camera with its input data."""
 
     camera: Camera
     board: CharucoBoard
     fit: LensFit
     rejected: dict[str, str]
-    """Pictures that were not used, with reasons."""
+    """Pictures that were not used, with the reasons."""
     warnings: tuple[str, ...]
     coverage: float
-    """Fraction of the cells of the field of view with corners."""
+    """Fraction of the cells of the picture with corners."""
     tilts_deg: dict[str, float]
     """Angle between the board and the image plane, by picture."""
 
@@ -66,24 +68,25 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     Parameters
     ----------
     paths : sequence of path
-        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera with constant focus and size.
+        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera, with the same focus and size.
     board : CharucoBoard
-        Board; its absolute size has no effect on the lens.
+        The printed board; the number of squares and the markers must be correct, but its scale does not affect the
+        lens.
     monitor : Monitor or None
-        Progress monitor.
+        Receives the progress.
 
     Returns
     -------
     Calibration
-        Lens, fit, and warnings.
+        Lens, fit and warnings.
 
     Raises
     ------
     RigError
-        If the pictures are too few or too similar, the board was tilted too little or covers too little of the field,
-        or no lens fits.
+        If there are too few pictures, they are too similar, the board is tilted too little or covers too little of the
+        picture, or no lens fits.
     UserError
-        If the board is invalid.
+        For an invalid board.
     """
     check_board(board)
     seen: dict[str, BoardView] = {}
@@ -113,9 +116,7 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     for name, (width, height) in sizes.items():
         if (width, height) != image_wh:
             del seen[name]
-            rejected[name] = (
-                f"it has {width}x{height} px, most others have {image_wh[0]}x{image_wh[1]}; all pictures must have the same size"
-            )
+            rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; all pictures must have the same size"
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
     return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
 
@@ -123,30 +124,30 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
 def calibrate_views(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, bits: int = 8, rejected: dict[str, str] | None = None
 ) -> Calibration:
-    """Calibrate a camera from corners in pictures.
+    """Calibrate a camera from the corners in its pictures.
 
     Parameters
     ----------
     views : dict of BoardView
-        Corners by picture.
+        Corners, by picture.
     board : CharucoBoard
-        Board.
+        The printed board.
     image_wh : tuple of int
-        Picture size.
+        Size of the pictures.
     bits : int
-        Bit depth of the camera.
+        Bit depth of the camera's converter.
     rejected : dict of str or None
-        Pictures that were rejected before, with reasons.
+        Pictures that were excluded before, with the reasons.
 
     Returns
     -------
     Calibration
-        Lens, fit, and warnings.
+        Lens, fit and warnings.
 
     Raises
     ------
     RigError
-        As `calibrate`.
+        See `calibrate`.
     """
     fit = fit_lens(views, board, image_wh)
     made = Calibration(
@@ -163,7 +164,7 @@ def calibrate_views(
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return 1 for each cell of the field (rows, columns) with corners, 0 for the others."""
+    """Return 1 for each cell of the picture (rows, columns) with corners in it, 0 for the others."""
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -173,7 +174,7 @@ def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
 
 
 def write_calibration(made: Calibration, folder: Path) -> list[Path]:
-    """Write ``camera.toml`` and ``calibration.json`` into a folder; return their paths."""
+    """Write ``camera.toml`` and ``calibration.json`` into a folder, and return their paths."""
     camera_path, numbers_path = folder / "camera.toml", folder / "calibration.json"
     write_text(camera_path, _camera_text(made))
     write_json(numbers_path, numbers(made))
@@ -181,7 +182,7 @@ def write_calibration(made: Calibration, folder: Path) -> list[Path]:
 
 
 def numbers(made: Calibration) -> dict[str, Any]:
-    """Return all numbers of a calibration as JSON values."""
+    """Return all numbers of a calibration as a JSON object."""
     fit = made.fit
     return {
         "program": "rhizotwin calibrate camera",
@@ -218,12 +219,12 @@ def numbers(made: Calibration) -> dict[str, Any]:
 
 
 def model_text(fit: LensFit) -> str:
-    """Describe the fitted lens model and its omitted parameters."""
+    """Return a description of the lens model, and of the terms that were left out."""
     terms = [term for term in TERMS if not any(term in gone.split(", ") for gone in fit.left_out)]
     focal = "one focal length" if "fx / fy" in fit.left_out else "two focal lengths (fx, fy)"
     text = f"{focal}, principal point, {'distortion ' + ' '.join(terms) if terms else 'no distortion'}"
     gone = [term for term in DROPPED if term in fit.left_out]
-    return f"{text}; omitted, because the pictures do not support them: {'; '.join(gone)}" if gone else text
+    return f"{text}; left out, as the pictures do not support it: {'; '.join(gone)}" if gone else text
 
 
 def _camera_text(made: Calibration) -> str:
@@ -232,23 +233,23 @@ def _camera_text(made: Calibration) -> str:
     head = (
         f"# Fitted to {fit.corners} corners in {len(fit.views)} pictures; residual {fit.rms_px:.3f} px rms. {model_text(fit)}.\n"
         f"# Standard deviations of focal_px and principal_px: {std} px.\n"
-        "# Replace the [camera] section of the scene file by this one.\n"
+        "# Put this section into the scene file in place of its [camera].\n"
     )
     return head + toml_text.dumps({"camera": to_plain(made.camera)})
 
 
 def _none_usable(rejected: dict[str, str], pictures: int) -> str:
     if not rejected:
-        return "there are no pictures; give the folder with the pictures of the board"
+        return "there are no pictures to calibrate with; give the folder of pictures of the board"
     kinds = {name: re.sub("[0-9]+", "#", reason) for name, reason in rejected.items()}
     kind, count = Counter(kinds.values()).most_common(1)[0]
     name = next(name for name in rejected if kinds[name] == kind)
-    others = f" (and {count - 1} others for the same reason)" if count > 1 else ""
+    others = f" (the same with {count - 1} others)" if count > 1 else ""
     return f"none of the {pictures} pictures can be used; {name}: {rejected[name]}{others}"
 
 
 def _lowest_bit(value: int) -> int:
-    """Return the number of unused lowest bits in all pictures (4 for 12 bits left-aligned in 16), at most 8."""
+    """Return the number of unused low-order bits of all pictures (4 for 12 bits left-aligned in 16), at most 8."""
     return min(8, (value & -value).bit_length() - 1) if value else 8
 
 
@@ -257,12 +258,12 @@ def _tilt_deg(cam_from_board: Array) -> float:
 
 
 def _normal(cam_from_board: Array) -> Array:
-    """Return the normal of the board in the camera frame, away from the camera."""
+    """Return the board's normal in the camera's frame, pointing away from the camera."""
     return cam_from_board[:3, 2]
 
 
 def _ways(fit: LensFit) -> int:
-    """Return the number of clearly different poses of the board."""
+    """Return the number of clearly different orientations of the board."""
     different: list[Array] = []
     for pose in fit.cam_from_board.values():
         for other in different:
@@ -276,55 +277,52 @@ def _ways(fit: LensFit) -> int:
 
 
 def _refuse(made: Calibration) -> None:
-    """Raise an error if the pictures do not allow a valid calibration."""
+    """Raise an error if the pictures are insufficient for a useful calibration."""
     fit = made.fit
     if fit.rms_px > MOST_RMS_PX[0]:
         raise RigError(
-            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms (usually below 0.3); check that focus and zoom "
-            "were constant, the board is flat, and --squares is correct"
+            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms, typically below 0.3; was the focus or zoom changed, "
+            "is the board flat, and are --squares right?"
         )
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[0]:
         raise RigError(
-            f"the board was tilted by at most {tilt_deg:.0f} degrees, so that focal length and distance cannot be separated; "
+            f"the board was hardly tilted, at most {tilt_deg:.0f} degrees: focal length and distance cannot be distinguished; "
             "take pictures with the board tilted by 20 to 45 degrees in all directions"
         )
     if made.coverage < COVERAGE[0]:
         raise RigError(
-            f"the corners of the board cover only {made.coverage:.0%} of the field; "
-            "show the board all over the picture, including the corners"
+            f"the board's corners cover only {made.coverage:.0%} of the field; show the board all over the picture, into its corners"
         )
     if (ways := _ways(fit)) < 3:
-        raise RigError(f"the board was held in only {ways} different poses; take about 20 pictures, each with another pose of the board")
+        raise RigError(f"the board was held in {ways} different ways only; take about 20 pictures, each with the board held differently")
 
 
 def _warnings(made: Calibration) -> list[str]:
-    """Return one sentence for each weakness of the calibration."""
-    fit, warnings = made.fit, []
+    """Return one sentence for each cause of a larger uncertainty of the lens."""
+    fit, said = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
-        warnings.append(f"only {len(fit.views)} pictures were used; take about 20")
+        said.append(f"only {len(fit.views)} pictures were used; take about 20")
     if (ways := _ways(fit)) < ENOUGH_WAYS:
-        warnings.append(f"the board was held in only {ways} different poses; use another pose for each picture")
+        said.append(f"the board was held in {ways} different ways only; hold it differently for each picture")
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[1]:
-        warnings.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 degrees for an accurate focal length")
+        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 for an accurate focal length")
     else:
         normals = np.array([_normal(pose) / np.sign(_normal(pose)[2]) for pose in fit.cam_from_board.values()])[:, :2]
         least_deg = float(np.rad2deg(np.linalg.svd(normals, compute_uv=False)[1] / np.sqrt(len(normals))))
         if least_deg < ONE_WAY_DEG:
-            warnings.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
+            said.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
     if made.coverage < COVERAGE[1]:
-        warnings.append(f"the corners cover {made.coverage:.0%} of the field; the distortion is extrapolated elsewhere")
+        said.append(f"the corners cover {made.coverage:.0%} of the field; distortion is extrapolated elsewhere")
     if fit.rms_px > MOST_RMS_PX[1]:
-        warnings.append(
-            f"the residual of {fit.rms_px:.2f} px rms is high; check that the board is flat, the focus is fixed, and nothing moved"
-        )
+        said.append(f"the residual of {fit.rms_px:.2f} px rms is high; is the board flat, the focus fixed, and nothing moved?")
     focal = fit.focal_std_px[0] / fit.focal_px[0]
     if focal > MOST_FOCAL_STD:
-        warnings.append(f"the standard deviation of the focal length is {focal:.2%}; take more pictures, with the board tilted and near")
+        said.append(f"the focal length is only known to {focal:.2%} (one standard deviation); take more tilted and closer pictures")
     blur_px = float(np.median([view.blur_px for view in fit.views.values()]))
     if blur_px > MOST_BLUR_PX:
-        warnings.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
+        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
     if fit.dropped_corners > 0.02 * (fit.corners + fit.dropped_corners):
-        warnings.append(f"{fit.dropped_corners} corners with large residuals were excluded; look for glare, dirt or a bent board")
-    return warnings
+        said.append(f"{fit.dropped_corners} corners were far off and were left out; look for glare, dirt or a bent board")
+    return said

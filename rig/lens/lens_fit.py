@@ -1,4 +1,4 @@
-"""Fit of a lens to corners of a flat board in several pictures, with as many parameters as the pictures support."""
+"""Fit of a lens to the corners of a flat board in several pictures, with no more terms than the pictures support."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -14,13 +14,14 @@ from rhizotwin.scenes.frames import Array
 
 LEAST_PICTURES: Final = 3
 MOST_RMS_TIMES: Final = 3.0
-"""A picture is excluded if its residual exceeds this multiple of the median, and `MOST_RMS_PX`."""
+"""A picture is excluded if its residual exceeds this many medians, and `MOST_RMS_PX`."""
 MOST_RMS_PX: Final = 0.5
 FAR_SIGMAS: Final = 5.0
-"""A corner is excluded if its residual exceeds this multiple of the (robust) standard deviation, and `FAR_PX`."""
+"""A corner is excluded if it is farther off than this many standard deviations (robust, of all corners), and `FAR_PX`.
+"""
 FAR_PX: Final = 0.25
 LEAST_LEFT: Final = 6
-"""Minimum number of corners kept per picture."""
+"""Minimum number of corners left in a picture."""
 TERMS: Final = ("k1", "k2", "p1", "p2", "k3")
 DROPPED: Final = {
     "k3": cv2.CALIB_FIX_K3,
@@ -29,9 +30,9 @@ DROPPED: Final = {
     "k1": cv2.CALIB_FIX_K1,
     "fx / fy": cv2.CALIB_FIX_ASPECT_RATIO,
 }
-"""Optional parameters, with their flags in OpenCV."""
+"""Optional terms of the model, with the corresponding flags of OpenCV."""
 BEFORE: Final = {"k2": "k3", "k1": "k2"}
-"""Order of omission: a parameter is omitted only after the higher one."""
+"""Terms that can only be omitted after a higher one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,28 +41,28 @@ class LensFit:
 
     focal_px: tuple[float, float]
     focal_std_px: tuple[float, float]
-    """Standard deviations, estimated from the residuals; 0 for fixed parameters."""
+    """Standard deviations, from the residuals; 0 for values that were not fitted."""
     principal_px: tuple[float, float]
     principal_std_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
-    """k1, k2, p1, p2, k3 of the OpenCV model; 0 for omitted parameters."""
+    """k1, k2, p1, p2, k3 of the OpenCV model; 0 for terms that were not fitted."""
     distortion_std: tuple[float, float, float, float, float]
     left_out: tuple[str, ...]
-    """Omitted parameters: fx / fy (one focal length), k3, "p1, p2", k2, k1."""
+    """Terms of the model that the pictures do not support: fx / fy (one focal length remains), k3, "p1, p2", k2, k1."""
     full: dict[str, tuple[float, float]]
-    """Value and standard deviation of each distortion parameter in the fit with all parameters."""
+    """Value and standard deviation of every distortion term, from the fit with all terms."""
     rms_px: float
-    """Root of the mean squared distance between corners and reprojections."""
+    """Root mean square distance between corners and reprojections."""
     cam_from_board: dict[str, Array]
-    """Poses by picture."""
+    """Pose of the board, by picture."""
     residuals_px: dict[str, Array]
     """Measured minus reprojected corners (N, 2), by picture."""
     views: dict[str, BoardView]
-    """Used corners by picture."""
+    """Used corners, by picture."""
     dropped_corners: int
     """Number of corners excluded as outliers."""
     rejected: dict[str, str]
-    """Pictures excluded because they do not agree with the others, with reasons."""
+    """Pictures excluded because they are inconsistent with the others, with the reasons."""
 
     @property
     def corners(self) -> int:
@@ -71,7 +72,7 @@ class LensFit:
 
 @dataclass(frozen=True)
 class _Solution:
-    """OpenCV's solution for one set of parameters."""
+    """Result of OpenCV for one set of terms."""
 
     matrix: Array
     distortion: Array
@@ -92,20 +93,20 @@ class _Solution:
 def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int]) -> LensFit:
     """Fit focal lengths, principal point and distortion.
 
-    Pictures and corners that do not agree with the others are excluded; then parameters are omitted as long as this
-    lowers the Bayesian information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
+    Pictures and corners that are inconsistent with the others are excluded; then terms of the model are omitted as long
+    as this lowers the Bayesian information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
 
     Parameters
     ----------
     views : dict of BoardView
-        Corners by picture.
+        Corners, by picture.
     board, image_wh : CharucoBoard, tuple of int
-        Board, and picture size.
+        The printed board, and the size of the pictures.
 
     Raises
     ------
     RigError
-        If fewer than `LEAST_PICTURES` pictures remain, or no lens fits them.
+        If fewer than `LEAST_PICTURES` pictures are usable, or no lens fits them.
     """
     rejected: dict[str, str] = {}
     first = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
@@ -119,7 +120,8 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
         name, rms_px = worst
         others = float(np.median([_rms(r) for r in start.residuals]))
         rejected[name] = (
-            f"its corners do not agree with the other pictures ({rms_px:.2f} px rms, others {others:.2f} px); was the board bent or moving?"
+            f"its corners deviate from the lens of the other pictures by {rms_px:.2f} px rms (typically {others:.2f} px); "
+            "was the board bent or moving?"
         )
         views = {key: view for key, view in views.items() if key != name}
     full = _solve(views, board, image_wh, flags=0, start=start)
@@ -152,9 +154,9 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
 
 def _check_enough(views: dict[str, BoardView], rejected: dict[str, str]) -> None:
     if len(views) < LEAST_PICTURES:
-        why = f", after {len(rejected)} that do not agree with the others were excluded" if rejected else ""
+        why = f", after {len(rejected)} that do not fit the others were excluded" if rejected else ""
         raise RigError(
-            f"the lens cannot be fitted: {len(views)} pictures of the board can be used{why}, but at least {LEAST_PICTURES} are required; "
+            f"the lens cannot be fitted: {len(views)} pictures of the board can be used{why}, at least {LEAST_PICTURES} are needed; "
             "take about 20"
         )
 
@@ -162,13 +164,13 @@ def _check_enough(views: dict[str, BoardView], rejected: dict[str, str]) -> None
 def _solve(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, flags: int, start: _Solution | None = None
 ) -> _Solution:
-    """Run OpenCV's fit."""
+    """Run the fit of OpenCV."""
     corners_mm = board.corners_mm.astype(np.float32)
     at_mm = [corners_mm[view.ids] for view in views.values()]
     at_px = [view.corners_px.astype(np.float32) for view in views.values()]
     matrix, distortion = np.eye(3), np.zeros(5)
     if start is None:
-        # identity matrix: OpenCV's initial estimate is more robust with one focal length
+        # unit matrix: OpenCV's initial estimate is more stable with one focal length
         flags |= cv2.CALIB_FIX_ASPECT_RATIO
     else:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
@@ -182,7 +184,7 @@ def _solve(
         )
     except cv2.error as error:
         raise RigError(
-            f"the lens cannot be fitted (OpenCV: {' '.join(str(error).split())[:150]}); "
+            f"the lens cannot be fitted: OpenCV says {' '.join(str(error).split())[:150]}; "
             "take pictures with the board tilted in all directions"
         ) from error
     distortion = np.ravel(distortion)[:5]
@@ -194,7 +196,8 @@ def _solve(
     sound = np.isfinite(found.squares) and min(matrix[0, 0], matrix[1, 1]) > 0.0
     if not sound:
         raise RigError(
-            "the lens cannot be fitted: no focal length agrees with the pictures; take pictures with the board tilted in all directions"
+            "the lens cannot be fitted: the pictures are not consistent with any focal length; "
+            "take pictures with the board tilted in all directions"
         )
     return found
 
@@ -204,16 +207,17 @@ def _rms(residuals: Array) -> float:
 
 
 def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, float] | None:
-    """Return the picture with the largest residual and its residual, or None if all agree."""
+    """Return the picture that is most inconsistent with the others and its residual; None if all are consistent."""
     rms = np.array([_rms(r) for r in found.residuals])
     k = int(np.argmax(rms))
     return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None
 
 
 def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, BoardView] | None:
-    """Return the views without the corner with the largest residual; None if there is no outlier, or too few corners.
+    """Return the views without the corner with the largest error.
 
-    Outliers are removed one at a time, because they affect the reprojections of their neighbours.
+    None if no corner is an outlier, or its picture has few others. Corners are removed one at a time, as a wrong corner
+    also displaces the reprojections of its neighbours.
     """
     lengths = [np.linalg.norm(r, axis=1) for r in found.residuals]
     # the median of a Rayleigh distribution
@@ -230,9 +234,9 @@ def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, B
 def _fewest_terms(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], full: _Solution
 ) -> tuple[_Solution, tuple[str, ...]]:
-    """Omit parameters one by one as long as the information criterion decreases.
+    """Omit terms one after another as long as the information criterion decreases.
 
-    Returns the fit and the omitted parameters.
+    Return the fit and the omitted terms.
     """
     count = 2 * sum(len(view.ids) for view in views.values())
 

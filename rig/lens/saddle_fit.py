@@ -1,7 +1,7 @@
-"""Measurement of chessboard corners by a least-squares fit of two crossing blurred edges.
+"""Measurement of chessboard corners, by a least-squares fit of two crossing blurred edges.
 
-A crossing is symmetric under rotation by 180 degrees, so that blur and spreading ink do not move it. The fit uses all
-surrounding pixels, while OpenCV's cornerSubPix uses gradients only.
+A crossing is symmetric under rotation by half a turn, so that blur and spreading ink do not displace it. The fit uses
+all pixels around it, where OpenCV's cornerSubPix uses gradients only.
 """
 
 from dataclasses import dataclass
@@ -20,26 +20,26 @@ FIRST_BLUR_PX: Final = 0.8
 MOST_STEPS: Final = 20
 ENOUGH_PX: Final = 1e-3
 MOST_SHIFT_PX: Final = 3.0
-"""Maximum distance between the crossing and its initial position (and half the window); a farther one is another
-crossing."""
+"""Maximum distance of a crossing from its start (in addition to half the window); beyond it, another crossing was
+found."""
 LEAST_CORRELATION: Final = 0.9
 LEAST_PIXELS: Final = 24
 
 
 @dataclass(frozen=True, kw_only=True)
 class Saddle:
-    """Measured crossing."""
+    """A measured crossing."""
 
     at_px: Array
-    """(2,) pixel centres at integers."""
+    """(2,) position; pixel centres have integer coordinates."""
     sigma_px: float
-    """Standard deviation of each coordinate, estimated from the residuals."""
+    """Standard deviation of each coordinate, from the residual."""
     blur_px: float
-    """Standard deviation of the blur, including the pixel itself (0.29)."""
+    """Standard deviation of the blur, including the pixel's own (0.29)."""
 
 
 def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: Array) -> Saddle | None:
-    """Fit the crossing nearest to ``start_px``.
+    """Fit the crossing of edges nearest to ``start_px``.
 
     The model of the pixel at p is ``k(p) + w(p) E(n1 . (p - c)) E(n2 . (p - c))`` with E(u) = erf(u / (sqrt(2) blur)),
     n1 and n2 the unit normals of the two edges, k and w linear in p: 11 parameters, by Gauss-Newton.
@@ -49,15 +49,15 @@ def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: 
     image : (H, W) uint8 or uint16 array
         Grey levels.
     start_px : (2,) float64 array
-        Good to two pixels or so.
+        Approximate position, within about two pixels.
     sides_px : (2, 2) float64 array
-        Columns along the two edges: pixels ``start_px + sides_px @ (a, b)`` with |a|, |b| < 1 show nothing but the
-        crossing.
+        Columns are vectors along the two edges: pixels ``start_px + sides_px @ (a, b)`` with |a|, |b| < 1 must show
+        only the crossing.
 
     Returns
     -------
     Saddle or None
-        None where it lies at the picture's border, is too small, or does not look like a crossing.
+        None if the crossing is at the picture's border, too small, or not recognised.
     """
     longest = float(np.linalg.norm(sides_px, axis=0).max())
     sides_px = sides_px * min(1.0, MOST_REACH_PX / longest)
@@ -83,9 +83,9 @@ def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: 
 
 
 def _gauss_newton(x: Array, y: Array, light: Array, sides_px: Array) -> tuple[Array, float, float, float] | None:
-    """Return the crossing (2,) from the start, the blur, its standard deviation and the correlation.
+    """Return the crossing (2,) relative to the start, the blur, its standard deviation and the correlation.
 
-    None where the fit runs away.
+    None if the fit diverges.
     """
     reach = float(np.linalg.norm(sides_px, axis=0).max())
     theta1, theta2 = np.arctan2(sides_px[1], sides_px[0]) + np.pi / 2.0  # each normal is perpendicular to its edge

@@ -1,8 +1,8 @@
-"""Response curve of a camera from pictures of a static scene at several exposure times.
+"""Transfer curve of a camera, measured from pictures of a static scene at several exposure times.
 
-A value v in picture j corresponds to the light ``f(v) = E t_j``, where only the exposure time t varies between
+A pixel value v in picture j corresponds to the light ``f(v) = E t_j``, where only the exposure time t changes between
 pictures. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
-piecewise linear between knots, smoothed, and 0 at full scale. It is a linear least-squares problem.
+piecewise linear between knots, regularised to be smooth, and 0 at full scale. The problem is linear least squares.
 """
 
 from collections.abc import Sequence
@@ -15,56 +15,57 @@ from scipy.sparse.linalg import lsqr
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.scenes import transfer
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 KNOTS = 65
 PIXELS = 2000
-"""Number of pixels, distributed over the brightness of the middle picture."""
+"""Number of pixels used, distributed over the brightness of the middle picture."""
 USABLE = 0.02, 0.98
-"""Values closer than this to the ends of the range are noise or clipped."""
+"""Range of pixel values that are used, as fractions of full scale; outside it they are noisy or clipped."""
 SMOOTH = 2.0
-"""Weight of the second differences of g relative to the equation of a pixel: noise of a pixel is about 0.01 in g,
-bends between knots are smaller."""
+"""Weight of the second differences of g relative to the equation of a pixel: the noise of a pixel is about 0.01 in g,
+and changes of slope between knots are smaller."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 KNOWN = 0.01
-"""Maximum deviation from a known curve, up to a common factor, at which the known curve is used."""
+"""Maximum difference from a known curve, up to a common factor (which exposures do not determine), at which a measured
+curve is identified with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransferFit:
-    """A measured curve."""
+    """A measured transfer curve."""
 
     curve: Curve
     residual: float
-    """Relative root mean square of the residual."""
+    """Root mean square residual, relative to the light."""
     reached: tuple[float, float]
-    """Lowest and highest value, relative to full scale, in the pictures; the curve is extrapolated smoothly beyond."""
+    """Lowest and highest pixel value in the pictures, as fractions of full scale; the curve is extrapolated beyond."""
 
 
 def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> TransferFit:
-    """Measure the response curve of a camera.
+    """Measure the transfer curve of a camera.
 
     Parameters
     ----------
     images : (H, W) sequence of uint8 or uint16 array
-        Stored values of pictures of a static scene.
+        Stored pictures of one scene, from a static camera.
     exposures_s : sequence of float
-        Exposure times.
+        Exposure times of the pictures.
 
     Raises
     ------
     RigError
-        If the pictures are too few, too similar, or do not fit one curve.
+        If there are too few pictures, they are too similar, or are not consistent with one curve.
     """
     times = np.asarray(exposures_s, np.float64)
     if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():
         raise RigError(
-            f"{len(images)} pictures with {times.min():g} to {times.max():g} s are not sufficient: take at least {LEAST_PICTURES}, "
+            f"{len(images)} pictures of {times.min():g} to {times.max():g} s do not determine a curve: take {LEAST_PICTURES} or more, "
             f"with the longest exposure at least {LEAST_RANGE:g} times the shortest"
         )
     if len({image.shape for image in images}) > 1:
-        raise RigError("the pictures differ in size; take all of them of one scene with one camera")
+        raise RigError("the pictures differ in size; take them of one scene with one camera")
     full = float(np.iinfo(images[0].dtype).max)
     order = np.argsort(images[int(np.argsort(times)[len(times) // 2])], axis=None, kind="stable")
     chosen = order[np.linspace(0, order.size - 1, min(PIXELS, order.size)).astype(np.int64)]
@@ -72,7 +73,7 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     use = (number > USABLE[0]) & (number < USABLE[1])
     use &= use.sum(axis=0) >= 2
     if use.sum() < 10 * KNOTS:
-        raise RigError("too few pixels are neither dark nor clipped in two pictures; use a scene with grey levels from dark to bright")
+        raise RigError("too few pixels are neither dark nor clipped in two pictures: use a scene with all levels from dark to bright")
     g, left = _solve(number, use, times)
     share = np.linspace(0.0, 1.0, KNOTS)
     light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))
@@ -90,12 +91,12 @@ def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
 
 
 def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return g (KNOTS,) and the residual, from numbers (J, I) and which of them are used."""
+    """Return g (KNOTS,) and the residual, from pixel values (J, I) and the mask of those to use."""
     picture, pixel = np.nonzero(use)
     place = number[use] * (KNOTS - 1)
     low = np.minimum(place.astype(np.int64), KNOTS - 2)
     part = place - low
-    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat function: lower weight at both ends
+    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat function: both ends are less certain
     row = np.arange(len(place))
     bend = len(place) + np.arange(KNOTS - 2)
     last = len(place) + KNOTS - 2

@@ -1,4 +1,4 @@
-"""Reading of an exposure series, and output of the response curve for a scene file."""
+"""Reading of exposure series, and output of the measured transfer curve for a scene file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,21 +8,21 @@ from PIL import Image, UnidentifiedImageError
 from rhizotwin.rig.lens.transfer_fit import TransferFit
 from rhizotwin.scenes import toml_text
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.picture_codec import Grey, decode_grey
 from rhizotwin.scenes.transfer import LINEAR, SRGB
 
 _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A
 
 
 def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Grey], list[float]]:
-    """Read pictures and their exposure times, from a comma-separated text or from their EXIF data.
+    """Read pictures and their exposure times, given as comma-separated numbers or read from EXIF.
 
     Parameters
     ----------
     paths : sequence of Path
         Pictures of one scene with different exposures.
     exposures_s : str or None
-        Comma-separated numbers; None: from EXIF.
+        Comma-separated numbers; None to read EXIF.
 
     Returns
     -------
@@ -32,7 +32,7 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
     Raises
     ------
     UserError
-        If a picture is damaged, or exposure times are missing or not positive.
+        For a damaged picture, or exposure times that are missing or not positive.
     """
     images = [decode_grey(path.read_bytes(), where=str(path)) for path in paths]
     if exposures_s is None:
@@ -42,17 +42,17 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
     except ValueError:
         raise UserError(f"--exposures-s {exposures_s}: must be comma-separated numbers, such as 0.002,0.004,0.008") from None
     if len(times) != len(paths) or not all(time > 0.0 for time in times):
-        raise UserError(f"--exposures-s {exposures_s}: {len(times)} values for {len(paths)} pictures; give one positive value per picture")
+        raise UserError(f"--exposures-s {exposures_s}: {len(times)} times for {len(paths)} pictures; give a positive one for each")
     return images, times
 
 
 def transfer_text(found: TransferFit, pictures: int) -> str:
-    """Return the lines of a scene's [camera] with the response curve."""
+    """Return the lines of a scene file's camera section for a measured curve."""
     low, high = found.reached
     head = (
         f"# Measured in {pictures} exposures, from {low:.2f} to {high:.2f} of full scale.\n"
         f"# Residual {100.0 * found.residual:.1f} % of the light.\n"
-        "# Paste these lines into the [camera] section of the scene file.\n"
+        "# Put these lines into the scene file's [camera].\n"
     )
     if found.curve in (LINEAR, SRGB):
         return head + toml_text.dumps({"transfer": "srgb" if found.curve == SRGB else "linear"})
@@ -66,5 +66,5 @@ def _exif_time(path: Path) -> float:
     except (UnidentifiedImageError, OSError):
         time = None
     if not time or not float(time) > 0.0:
-        raise UserError(f"{path}: its EXIF data contain no exposure time; give all exposure times with --exposures-s")
+        raise UserError(f"{path}: its EXIF has no exposure time; give all exposure times with --exposures-s")
     return float(time)

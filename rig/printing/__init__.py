@@ -1,1 +1,1 @@
-"""Calibration boards and marker strips for printing at true scale."""
+"""Boards and marker strips for printing at true scale."""

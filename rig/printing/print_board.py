@@ -1,4 +1,4 @@
-"""The calibration board as one page."""
+"""Page with the calibration board."""
 
 from typing import Final
 
@@ -33,7 +33,7 @@ def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
     Raises
     ------
     UserError
-        If it does not fit, or the board is invalid.
+        If the board does not fit or is invalid.
     """
     check_board(board)
     notes = [*printing_notes(paper), *_board_notes(board)]
@@ -48,9 +48,8 @@ def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
                 return Page(size_mm=size_mm, parts=tuple(_parts(board, paper, room_mm, notes, beside=beside)), stretch_xy=paper.stretch_xy)
     page = f"{paper.size_mm[0]:g} x {paper.size_mm[1]:g}"
     raise UserError(
-        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {page} mm with margins and "
-        f"ruler ({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are required within the margins); "
-        "use a larger --page, or smaller or fewer squares"
+        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {page} mm with its margins and "
+        f"ruler ({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are needed within the margins); use a larger --page, or smaller or fewer squares"
     )
 
 

@@ -12,7 +12,7 @@ from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Strokes, 
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
-if TYPE_CHECKING:  # slow import; a Raspberry Pi scans without it
+if TYPE_CHECKING:  # loading matplotlib takes long, and a Raspberry Pi scans without it
     from matplotlib.figure import Figure
 
 SUFFIXES: Final = (".pdf", ".svg")
@@ -26,14 +26,14 @@ CREATOR: Final = "rhizotwin"
 def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     """Write pages to one PDF file, or to SVG files.
 
-    A single SVG page keeps the file name; several get ``-1``, ``-2``, ... appended.
+    A single page keeps the name, several get ``-1``, ``-2``, ... appended to it.
 
     Parameters
     ----------
     pages : sequence of Page
-        Pages.
+        Pages to write.
     path : Path
-        File name that ends in .pdf or .svg.
+        Path with the suffix .pdf or .svg.
     title : str
         Title of the document.
 
@@ -45,24 +45,24 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     Raises
     ------
     UserError
-        If the suffix is different, or a file already exists.
+        For another suffix, or an existing file.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise UserError(f"{path} must end in .pdf or .svg")
+        raise UserError(f"{path}: write the pages as .pdf or .svg")
     svg_names = [path.with_stem(f"{path.stem}-{number + 1}") for number in range(len(pages))]
     paths = svg_names if suffix == ".svg" and len(pages) > 1 else [path]
     for one in paths:
         if one.exists():
-            raise UserError(f"{one} already exists; choose another name or remove it")
+            raise UserError(f"{one} exists already; choose another name or remove it")
     contents = [_pdf(pages, title)] if suffix == ".pdf" else [_svg(page, title) for page in pages]
     for one, content in zip(paths, contents, strict=True):
         write_bytes(one, content)
     return paths
 
 
-def figure_of(page: Page) -> "Figure":
-    """Return a page as a figure of its size; 1 unit of its axes is 1 mm on the paper."""
+def to_figure(page: Page) -> "Figure":
+    """Return a page as a figure of the same size, with 1 mm on paper per unit of its axes."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import PathPatch
@@ -78,7 +78,7 @@ def figure_of(page: Page) -> "Figure":
         if isinstance(part, Fill | Shape):
             outlines = _corners(part.rectangles_mm) if isinstance(part, Fill) else part.points_mm[None]
             outline = Outline.make_compound_path(*(Outline(np.vstack([o, o[:1]]) * stretch, closed=True) for o in outlines))
-            # a single path avoids visible seams between neighbours; no snapping to pixels, which would move edges
+            # a single path avoids seams between neighbours; no snapping to pixels, which would move edges
             axes.add_artist(PathPatch(outline, facecolor=str(part.grey), linewidth=0.0, snap=False))
         elif isinstance(part, Strokes):
             if part.lines_mm:
@@ -112,7 +112,7 @@ def _corners(rectangles: Any) -> Any:
 
 
 def _settings() -> Any:
-    """Use default settings of matplotlib temporarily: user settings may crop the page or change fonts."""
+    """Return a context with matplotlib's default settings, as a user's might crop the page or change fonts."""
     import matplotlib as mpl
 
     return mpl.rc_context(dict(mpl.rcParamsDefault) | {"svg.hashsalt": CREATOR, "pdf.fonttype": 42})
@@ -121,9 +121,9 @@ def _settings() -> Any:
 def _svg(page: Page, title: str) -> bytes:
     stored = io.BytesIO()
     with _settings():
-        figure_of(page).savefig(stored, format="svg", metadata={"Title": title, "Creator": CREATOR, "Date": None})
+        to_figure(page).savefig(stored, format="svg", metadata={"Title": title, "Creator": CREATOR, "Date": None})
     wide_mm, high_mm = page.size_mm
-    # points are rounded, and not every program takes them for points
+    # points are rounded, and some programs do not interpret them as points
     head = re.compile(rb'width="[0-9.]+pt" height="[0-9.]+pt"')
     return head.sub(f'width="{wide_mm:g}mm" height="{high_mm:g}mm"'.encode(), stored.getvalue(), count=1)
 
@@ -134,21 +134,21 @@ def _pdf(pages: Sequence[Page], title: str) -> bytes:
     stored = io.BytesIO()
     with _settings(), PdfPages(stored, metadata={"Title": title, "Creator": CREATOR, "CreationDate": None}) as pdf:
         for page in pages:
-            pdf.savefig(figure_of(page))
+            pdf.savefig(to_figure(page))
     return _at_true_scale(stored.getvalue())
 
 
 def _at_true_scale(pdf: bytes) -> bytes:
-    """Disable scaling of a PDF in viewers.
+    """Append to a PDF a setting that disables scaling in viewers.
 
-    It appends ``/PrintScaling /None`` (PDF 1.6, table 8.1) as an incremental update.
+    The setting is ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update.
     """
     root, size = re.search(rb"/Root (\d+) 0 R", pdf), re.search(rb"/Size (\d+)", pdf)
     starts = re.findall(rb"startxref\s+(\d+)", pdf)
     catalog = root and re.search(rb"(?:^|\n)" + root[1] + rb" 0 obj\s*<<(.*?)>>\s*endobj", pdf, re.DOTALL)
     info = re.search(rb"/Info (\d+) 0 R", pdf)
     if not (root and size and starts and catalog and info):
-        return pdf  # another object numbering: the page itself states 100 %
+        return pdf  # unknown numbering by the writer: the text on the page states 100 %
     changed = root[1] + b" 0 obj\n<<" + catalog[1] + b" /ViewerPreferences << /PrintScaling /None >> >>\nendobj\n"
     start, table = len(pdf), len(pdf) + len(changed)
     trailer = b"trailer\n<< /Size " + size[1] + b" /Root " + root[1] + b" 0 R /Info " + info[1] + b" 0 R /Prev " + starts[-1] + b" >>\n"

@@ -1,4 +1,4 @@
-"""The scan, what survives it, and every way out of it.
+"""Scanning: taking all pictures of a plan, recovery from faults, and safe shutdown.
 
-Its checks, markers and homing also serve a person on the bench.
+The checks, marker measurements and homing are also used by the commands for the bench.
 """

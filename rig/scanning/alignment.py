@@ -1,4 +1,4 @@
-"""How far a camera is from facing the canister: image plane tangent, optical axis through the canister's (C.2)."""
+"""Misalignment of a camera relative to the tangent view through the canister's axis (thesis C.2)."""
 
 from __future__ import annotations
 
@@ -7,60 +7,61 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.rig.arm.kinematics import forward
-from rhizotwin.rig.arm.placing import Joints
+from rhizotwin.rig.arm.placement import Joints
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 ALIGNED_MM, ALIGNED_DEG, ALIGNED_ROLL_DEG = 0.5, 0.1, 0.5
-"""Nearer than this there is nothing to correct; a turn of the picture about the optical axis does least harm."""
+"""Tolerances of axis, tilt and roll below which no correction is made; roll, a rotation of the picture, is least
+harmful."""
 MOST_MOVES = 60
-"""A bus servo stops within 0.3 degrees (one sigma) of where it is sent, which moves the optical axis by 3 mm: one move
-in nine ends within `ALIGNED_MM`."""
+"""Maximum number of moves: a bus servo stops within 0.3 degrees (one sigma) of its target, which moves the optical axis
+by 3 mm, so that one move in nine ends within `ALIGNED_MM`."""
 ALL_JOINTS = 2
-"""So many corrections are of all joints together, the others of one at a time."""
+"""Number of corrections of all joints together, before joints are corrected one at a time."""
 APPROACH_STEPS = 6
-"""A joint comes to its goal from so many steps below: always from the same side of the play of its gears, and from
-outside of the dead band."""
+"""Number of servo steps below its target from which a joint approaches it, always from the same side of its backlash,
+and from outside the dead band."""
 _SEARCHED_STEPS = 15
-"""Steps of one servo on either side that are tried: 3.6 degrees."""
+"""Number of servo steps tested on either side: 3.6 degrees."""
 _MOVES = (0, 3, 4)
-"""The joints that correct axis, tilt and roll."""
+"""Indices of the joints that correct axis, tilt and roll."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Misalignment:
-    """How a camera misses the level, upright view through the canister's axis."""
+    """Deviation of a camera from the level, upright view through the canister's axis."""
 
     axis_mm: float
-    """Horizontal distance at which the optical axis passes the canister's axis, positive to its left."""
+    """Horizontal distance between optical axis and canister's axis, positive to the left of the latter."""
     tilt_deg: float
-    """Optical axis below the horizon."""
+    """Angle of the optical axis below the horizon."""
     roll_deg: float
-    """Turn of the picture about the optical axis, positive where its right side hangs down."""
+    """Rotation of the picture about the optical axis, positive if its right side is lower."""
 
     @property
     def is_aligned(self) -> bool:
-        """Return whether nothing is left that is worth a correction."""
+        """Return whether all errors are below the tolerances."""
         return self.size <= 1.0
 
     @property
     def size(self) -> float:
-        """Return one number for comparing two: in units of what counts as aligned."""
+        """Return the total error, in units of the tolerances, for comparison."""
         return float(np.abs(self.relative).max())
 
     @property
     def relative(self) -> Array:
-        """Return axis, tilt and roll (3,) in units of what counts as aligned."""
+        """Return axis, tilt and roll (3,) in units of the tolerances."""
         return np.array([self.axis_mm / ALIGNED_MM, self.tilt_deg / ALIGNED_DEG, self.roll_deg / ALIGNED_ROLL_DEG])
 
     def text(self) -> str:
-        """Return it for people."""
+        """Return the values as text."""
         return f"axis {self.axis_mm:+.2f} mm, tilt {self.tilt_deg:+.3f} deg, roll {self.roll_deg:+.3f} deg"
 
 
 def misalignment(cam_from_canister: Array) -> Misalignment:
-    """Return how a camera (4, 4) misses the tangent view, wherever round the axis it stands."""
+    """Return the deviation of a camera (4, 4) from the tangent view, at any azimuth."""
     centre = frames.invert(cam_from_canister)[:3, 3]
     right, forward = cam_from_canister[0, :3], cam_from_canister[2, :3]
     level = float(np.hypot(forward[0], forward[1]))
@@ -72,20 +73,20 @@ def misalignment(cam_from_canister: Array) -> Misalignment:
 
 
 def single_move(part: ArmPart, joints_deg: Joints, cam_from_canister: Array) -> list[Joints]:
-    """Return a way on which one joint, in whole steps of its servo, corrects what is worst.
+    """Return a path on which one joint corrects the largest error, in whole steps of its servo.
 
-    The base turns the optical axis, the wrist's pitch tilts it, the wrist's roll turns the picture. Each move of a
-    servo has an error of its own, so that the others stay where they are; where no step is nearer, the same one is
-    approached again.
+    The base rotates the optical axis horizontally, the wrist's pitch tilts it, and the wrist's roll rotates the
+    picture. Since each move of a servo has a random error, the other joints are not moved; if no step is nearer, the
+    present one is approached again.
 
     Parameters
     ----------
     part : ArmPart
-        Links, and the joints' steps.
+        Arm with links and steps of the joints.
     joints_deg : Joints
-        Commanded where the camera was measured.
+        Joint angles commanded at the measurement.
     cam_from_canister : (4, 4) array
-        Measured, by the markers.
+        Pose measured by the markers.
     """
     arm_from_canister = forward(part.links_mm, np.deg2rad(joints_deg)) @ cam_from_canister
     worst = int(np.abs(misalignment(cam_from_canister).relative).argmax())

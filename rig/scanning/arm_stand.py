@@ -1,6 +1,6 @@
-"""The arm as what holds the camera of a scan.
+"""The arm as the camera's stand during a scan.
 
-Placed for a ring on checked paths, corrected by the markers, watched while it stands.
+It is placed for each ring on checked paths, corrected by the markers, and monitored while it is static.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,129 +10,131 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.rig.arm.clearance import check_path, plan_path
-from rhizotwin.rig.arm.placing import camera_wanted, corrected_joints, joints_for, within_limits
+from rhizotwin.rig.arm.placement import check_limits, compute_joints, correct_joints, planned_camera_pose
 from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Arm, Shot
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.rig.scanning.eye import Eye
 from rhizotwin.rig.scanning.markers import Sighting
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Ring, Scene
 from rhizotwin.scenes.plan import visible_markers
 
 NEAR_MM, NEAR_DEG = 3.0, 0.6
-"""Placed well enough: servos do not repeat better at the arm's reach, and the pictures tell the rest."""
+"""Errors of the camera's position and orientation below which no correction is made, about the repeatability of the
+servos; the exact pose is calibrated from the pictures."""
 FAR_MM, FAR_DEG = 80.0, 20.0
-"""An arm that is off by more than this is described wrongly in the rig file, so that its paths were checked against
-something else."""
+"""Errors that indicate a wrong rig file, so that collision checks of the arm's paths were not valid."""
 FAIR_MM, FAIR_DEG = 8.0, 2.0
-"""Placed well enough after `CORRECTIONS`: an arm with play comes no nearer by trying on."""
+"""Errors that are accepted after `CORRECTIONS` corrections, beyond which an arm with backlash does not improve."""
 CORRECTIONS, MOST_CORRECTIONS = 4, 8
 WRIST = 3
-"""Index of the joint that tilts the camera; less of it looks higher."""
+"""Index of the joint that tilts the camera; smaller angles point higher."""
 SEARCH_DEG = (-5.0, 5.0, -10.0, 10.0)
-"""How the camera is tilted where the strip should be in the picture and is not; up first, since it is at the top of
-most pictures."""
+"""Changes of the camera's tilt in the search for the strip; up first, since the strip is at the top of most pictures.
+"""
 LEAST_EXPECTED = 4
 DRIFT_DEG = 1.5
-"""A joint that changes by more than this while the camera should stand still was pushed, or gave way."""
+"""Change of a joint beyond which it was pushed, or gave way, during a ring."""
 HEALTH_EVERY_S = 20.0
 
 Joints = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed:
-    """How the arm holds the camera for a ring."""
+class ArmPlacement:
+    """Position of the arm for a ring."""
 
     joints_deg: Joints
-    """Commanded."""
+    """Commanded joint angles."""
     joints_read_deg: Joints
-    """Read back when the arm had come to rest."""
+    """Measured joint angles when the arm had come to rest."""
 
 
 class ArmStand:
-    """The arm, holding the camera."""
+    """The arm as the camera's stand."""
 
-    def __init__(self, devices: Devices, arm: Arm, part: ArmPart, scene: Scene, eye: Eye, *, note: Callable[[str, str], None]) -> None:
+    def __init__(
+        self, devices: Devices, arm: Arm, part: ArmPart, scene: Scene, camera: ScanCamera, *, note: Callable[[str, str], None]
+    ) -> None:
         self._rig = devices.rig
         self._clock = devices.clock
         self._arm = arm
         self._part = part
         self._scene = scene
-        self._eye = eye
+        self._camera = camera
         self._note = note
-        self._placed: Placed | None = None
+        self._placed: ArmPlacement | None = None
         self._health_due_s = -np.inf
         self.failed = False
-        """Whether the arm itself failed, so that it must not be moved any more."""
+        """Whether the arm itself failed, so that it must not be moved."""
 
     def refuse(self, rings: Sequence[Ring]) -> None:
-        """Refuse a plan with a ring that the arm cannot reach on a clear way, before anything moves."""
+        """Reject a plan with a ring that the arm cannot reach on a clear path, before any motion."""
         at: Joints = self._part.park_deg
         for ring in rings:
-            goal = joints_for(self._rig, camera_wanted(ring))
+            goal = compute_joints(self._rig, planned_camera_pose(ring))
             plan_path(self._rig, self._scene, at, goal)
             at = goal
         plan_path(self._rig, self._scene, at, self._part.park_deg)
 
     def place(self, ring: Ring) -> None:
-        """Move the camera to where a ring wants it, as well as the arm knows."""
-        goal = joints_for(self._rig, camera_wanted(ring))
-        with self._watched():
+        """Move the camera to the position of a ring, according to the joints."""
+        goal = compute_joints(self._rig, planned_camera_pose(ring))
+        with self._note_failure():
             start = self._arm.read_joints()
         self._move(plan_path(self._rig, self._scene, start, goal))
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
-        """Take a picture; where the strip should be in it and is not, tilt the camera up and down until it is."""
-        shot, seen = self._eye.look()
-        expected = visible_markers(self._scene, camera_wanted(ring))
+        """Take a picture; if the strip should be in it but is not, tilt the camera up and down until it is."""
+        shot, seen = self._camera.look()
+        expected = visible_markers(self._scene, planned_camera_pose(ring))
         if seen is not None or self._placed is None or not self._part.correct or expected < LEAST_EXPECTED:
             return shot, seen
         placed = self._placed
         for tilt_deg in SEARCH_DEG:
             goal = (*placed.joints_deg[:WRIST], placed.joints_deg[WRIST] + tilt_deg, *placed.joints_deg[WRIST + 1 :])
-            if self._moved_checked(goal):
-                shot, seen = self._eye.look()
+            if self._move_if_clear(goal):
+                shot, seen = self._camera.look()
                 if seen is not None:
                     return shot, seen
-        self._moved_checked(placed.joints_deg)
-        return self._eye.look()
+        self._move_if_clear(placed.joints_deg)
+        return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the placing by what the strip shows.
+        """Correct the camera's position by the detected strip.
 
         Parameters
         ----------
         ring : Ring
-            Where the camera is wanted.
+            Ring with the target position.
         seen : Sighting or None
-            What it shows now; None: it cannot be read.
+            Present measurement of the strip; None if it cannot be read.
         angle_deg : callable
-            Reads the table's angle.
+            Function that returns the table's angle.
 
         Returns
         -------
         Sighting
-            What the strip shows from where the camera stands in the end.
+            Measurement of the strip from the final position.
 
         Raises
         ------
         UnsafeError
-            When the camera stands so far from where the joints say that the rig file must be wrong.
+            If the distance from the position according to the joints indicates a wrong rig file.
         """
-        wanted = camera_wanted(ring)
+        wanted = planned_camera_pose(ring)
         done = 0
         while seen is not None:
             measured = seen.cam_from_rig(angle_deg(), direction=self._scene.turntable.direction)
-            # At any azimuth: the canister turns anyway, and the arm's base may stand beside the x axis.
+            # At any azimuth: the canister rotates, and the arm's base may be beside the x axis.
             off_mm, off_deg = frames.pose_error(measured @ frames.rotation_z(azimuth_rad(measured)), wanted)
             if off_mm > FAR_MM or off_deg > FAR_DEG:
                 raise UnsafeError(
-                    f"arm: the markers see the camera {off_mm:.0f} mm and {off_deg:.0f} deg from where the joints should hold it; "
+                    f"arm: by the markers the camera is {off_mm:.0f} mm and {off_deg:.0f} deg from its position according to the joints; "
                     "check zero_counts, sign, links_mm and position_mm in the rig file"
                 )
             near = off_mm <= NEAR_MM and off_deg <= NEAR_DEG
@@ -140,7 +142,7 @@ class ArmStand:
             enough = not self._part.correct or near or done == MOST_CORRECTIONS or (fair and done >= CORRECTIONS)
             if enough or not self._improve(measured, wanted):
                 plural = "" if done == 1 else "s"
-                self._note("placed", f"arm: camera {off_mm:.1f} mm and {off_deg:.2f} deg off its place after {done} correction{plural}")
+                self._note("placed", f"arm: camera {off_mm:.1f} mm and {off_deg:.2f} deg from its target after {done} correction{plural}")
                 return seen
             done += 1
             _, seen = self.search(ring)
@@ -148,21 +150,24 @@ class ArmStand:
         return None
 
     def joints(self) -> tuple[Joints | None, Joints | None]:
-        """Return the joints as commanded and as read now, once the camera is placed.
+        """Return the commanded and the present joint angles, after the camera was placed.
 
         Raises
         ------
         LostError
-            When a torque went off.
+            If the torque of a joint was switched off.
         UnsafeError
-            When a joint was pushed away, a servo is too warm, or the voltage is out of its range.
+            If a joint was pushed away, a servo is too warm, or the voltage is out of range.
         """
         placed = self._placed
         if placed is None:
             return None, None
-        with self._watched():
+        with self._note_failure():
             if not self._arm.holds():
-                raise LostError("arm: a servo let go: its supply sagged or it grew too warm; see to it, then finish the scan with --resume")
+                raise LostError(
+                    "arm: a servo lost its torque: its supply voltage dropped or it became too warm; "
+                    "correct this, then finish the scan with --resume"
+                )
             read = self._arm.read_joints()
             if self._clock.now_s() >= self._health_due_s:
                 self._arm.health()
@@ -172,47 +177,47 @@ class ArmStand:
             k = int(drift.argmax())
             self.failed = True
             raise UnsafeError(
-                f"arm: joint {k + 1} went from {placed.joints_read_deg[k]:.1f} to {read[k]:.1f} deg while it should stand still; "
-                "see what pushes it, then finish the scan with --resume"
+                f"arm: joint {k + 1} went from {placed.joints_read_deg[k]:.1f} to {read[k]:.1f} deg while it should be static; "
+                "find out what pushes it, then finish the scan with --resume"
             )
         return placed.joints_deg, read
 
     def _improve(self, measured: Array, wanted: Array) -> bool:
-        """Move to where the camera should stand better; return False where there is no such place."""
+        """Move to an improved camera position; return False if there is none."""
         if self._placed is None:
             return False
         try:
-            goal = corrected_joints(self._rig, self._placed.joints_deg, measured, wanted)
+            goal = correct_joints(self._rig, self._placed.joints_deg, measured, wanted)
         except UnsafeError as error:
-            self._note("placed", f"{error}; the camera stays where it is")
+            self._note("placed", f"{error}; the camera is not moved")
             return False
         count_deg = min(1.0 / joint.counts_per_deg for joint in self._part.joints)
-        if np.abs(np.subtract(goal, self._placed.joints_deg)).max() < 0.5 * count_deg:  # the servos would not stir
+        if np.abs(np.subtract(goal, self._placed.joints_deg)).max() < 0.5 * count_deg:  # the servos would not move
             return False
-        return self._moved_checked(goal)
+        return self._move_if_clear(goal)
 
-    def _moved_checked(self, goal: Joints) -> bool:
-        """Move straight to a place nearby; return False, the arm where it was, when the way there is not clear."""
+    def _move_if_clear(self, goal: Joints) -> bool:
+        """Move directly to a nearby configuration; return False, without motion, if the path is not clear."""
         try:
             here = self._placed.joints_read_deg if self._placed is not None else self._arm.read_joints()
-            within_limits(self._part, goal)
+            check_limits(self._part, goal)
             check_path(self._rig, self._scene, [here, goal])
         except UnsafeError as error:
-            self._note("placed", f"{error}; the camera stays where it is")
+            self._note("placed", f"{error}; the camera is not moved")
             return False
         self._move([goal])
         return True
 
     def _move(self, path: Sequence[Joints]) -> None:
         self._placed = None
-        with self._watched():
+        with self._note_failure():
             for joints_deg in path:
                 read = self._arm.move_to(joints_deg)
         self._clock.sleep(self._part.settle_s)
-        self._placed = Placed(joints_deg=tuple(path[-1]), joints_read_deg=tuple(read))
+        self._placed = ArmPlacement(joints_deg=tuple(path[-1]), joints_read_deg=tuple(read))
 
     @contextmanager
-    def _watched(self) -> Iterator[None]:
+    def _note_failure(self) -> Iterator[None]:
         try:
             yield
         except RigError:

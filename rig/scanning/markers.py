@@ -1,6 +1,6 @@
-"""Where the camera stands by the marker strip in one picture.
+"""Camera pose from the marker strip in one picture.
 
-The only place where the rig leans on the reconstruction.
+This is the only module of the rig that uses the reconstruction.
 """
 
 from dataclasses import dataclass, field
@@ -12,25 +12,25 @@ from rhizotwin.recon.calibration.view_fit import linearise, sightings, single_vi
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
 WORST_PX = 3.0
-"""Above this reprojection error the markers are not the scene's strip seen by the scene's camera."""
+"""Reprojection error beyond which the markers are inconsistent with the scene's strip and camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sighting:
-    """What the strip in one picture says."""
+    """Measurement of the strip in one picture."""
 
     cam_from_canister: Array
-    """(4, 4), OpenCV axes."""
+    """(4, 4) pose, OpenCV axes."""
     markers: int
     reprojection_px: float
     corners_px: Array = field(default_factory=lambda: np.zeros((0, 4, 2)))
-    """(M, 4, 2) of the markers."""
+    """(M, 4, 2) corners of the markers."""
     blur_px: float | None = None
-    """Median standard deviation of the markers' blur, the pixel's own (0.29) included."""
+    """Median standard deviation of the markers' blur, including the pixel's own (0.29)."""
 
     @property
     def azimuth_deg(self) -> float:
@@ -39,19 +39,19 @@ class Sighting:
         return float(np.rad2deg(np.arctan2(y, x)))
 
     def cam_from_rig(self, table_deg: float, *, direction: int) -> Array:
-        """Return ``cam_from_rig`` (4, 4) when the table is known to stand at an angle."""
+        """Return ``cam_from_rig`` (4, 4) for a known table angle."""
         return self.cam_from_canister @ frames.rotation_z(-direction * np.deg2rad(table_deg))
 
 
 def read_strip(image: Grey, scene: Scene) -> Sighting | None:
-    """Find the camera's pose from the markers of one picture.
+    """Compute the camera's pose from the markers in one picture.
 
-    None when the strip cannot be read (`why_unread` says why).
+    Return None if the strip cannot be read (`unread_reason` returns the reason).
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        Of the size of the scene's camera.
+        Picture of the size of the scene's camera.
     scene : Scene
         Strip, net pot and camera with its calibrated lens.
     """
@@ -59,8 +59,8 @@ def read_strip(image: Grey, scene: Scene) -> Sighting | None:
     return found if isinstance(found, Sighting) else None
 
 
-def why_unread(image: Grey, scene: Scene) -> str:
-    """Say why the strip cannot be read in a picture; empty when it can."""
+def unread_reason(image: Grey, scene: Scene) -> str:
+    """Return the reason why the strip in a picture cannot be read; empty if it can."""
     found = _read(image, scene)
     return found if isinstance(found, str) else ""
 

@@ -1,4 +1,4 @@
-"""What is looked at before a scan, one line for each: each function returns what is well, or raises what is not."""
+"""Checks before a scan: each function returns a line that describes the state, or raises an error."""
 
 import shutil
 from dataclasses import dataclass
@@ -9,35 +9,35 @@ import numpy as np
 from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import LightsPart
-from rhizotwin.rig.scanning.markers import read_strip, why_unread
+from rhizotwin.rig.scanning.markers import read_strip, unread_reason
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera as Lens
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 BRIGHT_SHARE = 0.25
-"""The brightest part of a picture, by which its exposure is judged: the panel fills more than this, the white of the
+"""Fraction of the picture whose brightness determines its exposure: the panel covers more than this, the white of the
 strip less."""
 DIMMEST = 0.2
-"""Below this fraction of full scale the panel is too dark: noise would hide thin roots."""
+"""Minimum brightness of the panel, as a fraction of full scale; below it, noise would hide thin roots."""
 FULL = 0.99
-"""Above this fraction of full scale a pixel says nothing any more."""
+"""Brightness, as a fraction of full scale, above which a pixel is saturated."""
 MOST_SATURATED = 0.05
 SPARE_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """How a picture fills the camera's range, as fractions."""
+    """Brightness of a picture relative to the camera's range."""
 
     bright: float
-    """Grey level that only `BRIGHT_SHARE` of the pixels exceed, of full scale."""
+    """Grey level that is exceeded by `BRIGHT_SHARE` of the pixels, as a fraction of full scale."""
     saturated: float
-    """Share of the pixels at full scale."""
+    """Fraction of the pixels at full scale."""
 
 
-def exposure_of(image: Grey) -> Exposure:
-    """Judge a picture by every third pixel of every third row."""
+def measure_exposure(image: Grey) -> Exposure:
+    """Measure the exposure of a picture from every third pixel of every third row."""
     sample = image[1::3, 1::3]
     full = np.iinfo(image.dtype).max
     return Exposure(
@@ -46,7 +46,7 @@ def exposure_of(image: Grey) -> Exposure:
 
 
 def check_table(table: Turntable) -> str:
-    """Connect to the turntable and say what answers."""
+    """Connect to the turntable, and return its description."""
     table.prepare()
     return table.describe()
 
@@ -58,7 +58,7 @@ def check_lights(lights: Lights, part: LightsPart) -> str:
 
 
 def check_arm(arm: Arm) -> str:
-    """Connect to the arm, torque on where it stands; refuse one that is too warm or badly supplied."""
+    """Connect to the arm, with torque on; raise an error if it is too warm or its supply is faulty."""
     arm.prepare()
     arm.health()
     joints = ", ".join(f"{angle:.1f}" for angle in arm.read_joints())
@@ -72,7 +72,7 @@ def check_camera(camera: Camera) -> str:
 
 
 def check_size(image: Grey, lens: Lens) -> None:
-    """Refuse pictures of another size than the scene's camera."""
+    """Reject pictures of another size than the scene's camera."""
     height, width = image.shape
     if (width, height) != lens.image_wh:
         raise RigError(
@@ -82,46 +82,46 @@ def check_size(image: Grey, lens: Lens) -> None:
 
 
 def check_picture(image: Grey, lens: Lens) -> str:
-    """Judge size and exposure of a picture with the lights on."""
+    """Check size and exposure of a picture with the lights on."""
     check_size(image, lens)
-    found = exposure_of(image)
+    found = measure_exposure(image)
     if found.bright < DIMMEST:
         raise RigError(
             f"camera: the picture is too dark: the panel reaches {100.0 * found.bright:.0f} % of full scale, at least "
-            f"{100.0 * DIMMEST:.0f} % are needed; check that the panel is lit and before the camera, or raise exposure_s"
+            f"{100.0 * DIMMEST:.0f} % are required; check that the panel is lit and in front of the camera, or increase exposure_s"
         )
     if found.saturated > MOST_SATURATED:
         raise RigError(
-            f"camera: {100.0 * found.saturated:.0f} % of the picture are at full scale, at most {100.0 * MOST_SATURATED:.0f} % may be; "
-            "lower exposure_s or panel_level"
+            f"camera: {100.0 * found.saturated:.0f} % of the picture is at full scale, maximum {100.0 * MOST_SATURATED:.0f} %; "
+            "reduce exposure_s or panel_level"
         )
     return f"panel at {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated"
 
 
 def check_markers(image: Grey, scene: Scene) -> str:
-    """Say what the strip in a picture shows."""
+    """Return a description of the detected strip in a picture."""
     seen = read_strip(image, scene)
     if seen is None:
-        raise RigError(f"markers: {why_unread(image, scene)}")
-    return f"{seen.markers} read, {seen.reprojection_px:.2f} px off"
+        raise RigError(f"markers: {unread_reason(image, scene)}")
+    return f"{seen.markers} read, {seen.reprojection_px:.2f} px error"
 
 
 def check_disk(folder: Path, pictures: int, lens: Lens) -> str:
-    """Refuse to begin what does not fit on the disk: pictures are reckoned as if they could not be compressed.
+    """Check for sufficient disk space, assuming that pictures cannot be compressed.
 
     Parameters
     ----------
     folder : Path
-        Where the pictures go.
+        Folder of the pictures.
     pictures : int
-        How many.
+        Number of pictures.
     lens : Lens
-        Their size and depth.
+        Camera with size and bit depth of the pictures.
 
     Returns
     -------
     str
-        What is free and what is needed, for people.
+        Description of free and required space.
     """
     there = folder.absolute()
     while not there.exists():

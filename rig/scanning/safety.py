@@ -1,4 +1,4 @@
-"""The way out of a scan, whatever ended it: lights off, arm parked and let go, table held or released."""
+"""Safe shutdown of a scan, after any end: lights off, arm parked without torque, table held or released."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,30 +17,32 @@ Say: TypeAlias = Callable[[str], None]
 def make_safe(
     devices: Devices, scene: Scene, *, say: Say, board: bool, arm: bool, finished: bool, board_lost: bool = False, arm_failed: bool = False
 ) -> None:
-    """Leave the rig safe; what fails on the way is said and never raised, so that it does not hide what ended the scan.
+    """Leave the rig in a safe state.
+
+    Failures are reported but never raised, so that they do not hide the error that ended the scan.
 
     Parameters
     ----------
     devices : Devices
-        Open, or lost on the way.
+        Devices, open or lost.
     scene : Scene
-        What the arm must not touch.
+        Scene with the obstacles of the arm.
     say : Say
-        Hears what failed.
+        Receives failures.
     board, arm : bool
-        Whether the board of table and lights, and the arm, were used at all; what was not is left alone.
+        Whether the board of table and lights, and the arm, were used; unused ones are not changed.
     finished : bool
-        The table's motor is switched off; otherwise it stays on, so that the angle survives until the scan is taken
-        up.
+        Whether to switch the table's motor off; otherwise it remains on, so that the angle is kept until the scan is
+        resumed.
     board_lost : bool
-        The board was lost: it is connected once more to switch the lights off.
+        Whether the board was lost, and must be reconnected to switch the lights off.
     arm_failed : bool
-        The arm itself was at fault: it is not moved any more, only let go.
+        Whether the arm itself failed; then it is not moved, and only its torque is switched off.
     """
     try:
         if board:
             if board_lost:
-                _attempt("turntable and lights: not reached any more", devices.reconnect_board, say, again=False)
+                _attempt("turntable and lights: not reachable", devices.reconnect_board, say, again=False)
             _attempt("lights: they may still be on, switch them off by hand", lambda: devices.lights.off(), say)
     finally:
         try:
@@ -52,38 +54,38 @@ def make_safe(
 
 
 def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = True) -> None:
-    """Park the arm if it is sound and the way is clear, and switch its torque off in any case.
+    """Park the arm if it works and the path is clear, and switch its torque off in any case.
 
     Parameters
     ----------
     arm, rig, scene : Arm, RigFile, Scene
-        The arm, its place of rest, and what it must not touch.
+        The arm, its parking position, and obstacles.
     say : Say
-        Hears what failed.
+        Receives failures.
     move : bool
-        False: it is only let go.
+        Whether to park it; otherwise only its torque is switched off.
     """
     try:
         parked = move and _attempt("arm: not parked", lambda: park(arm, rig, scene), say, again=False)
         if not parked:
             with suppress(OSError):
-                say("arm: its torque goes off where it stands; hold the camera")
+                say("arm: its torque is switched off in its present position; hold the camera")
     finally:
         _attempt("arm: its torque may still be on, switch its supply off", arm.relax, say)
 
 
 def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
-    """Move the arm to its place of rest along a checked path.
+    """Move the arm to its parking position along a checked path.
 
     Parameters
     ----------
     arm, rig, scene : Arm, RigFile, Scene
-        The arm, its place of rest, and what it must not touch.
+        The arm, its parking position, and obstacles.
 
     Raises
     ------
     RigError
-        When the arm is too warm, or no clear way is found.
+        If the arm is too warm, or no clear path is found.
     """
     if rig.arm is None:
         return
@@ -93,7 +95,7 @@ def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
 
 
 def _attempt(trouble: str, action: Callable[[], object], say: Say, *, again: bool = True) -> bool:
-    """Do something on the way out; say what failed instead of raising it. Stopped by Ctrl-C, it is begun once more."""
+    """Run an action of the shutdown; report failures instead of raising them, and retry once after Ctrl-C."""
     for last in (not again, True):
         try:
             action()
@@ -102,7 +104,7 @@ def _attempt(trouble: str, action: Callable[[], object], say: Say, *, again: boo
                 with suppress(OSError):
                     say(f"{trouble} (stopped by Ctrl-C)")
                 return False
-        except Exception as error:  # noqa: BLE001 - nothing may keep the next device from being made safe
+        except Exception as error:  # noqa: BLE001 - no error may prevent the shutdown of the next device
             with suppress(OSError):
                 say(f"{trouble} ({error if isinstance(error, UserError) else repr(error)})")
             return False

@@ -1,1 +1,1 @@
-"""A serial line: bytes to and from a device, kept and played back."""
+"""Serial lines: transmission, recording and replay."""

@@ -1,4 +1,4 @@
-"""Serial port, with error messages that state the remedy.
+"""Serial port with error messages that state a remedy.
 
 It is a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial.
 """
@@ -18,7 +18,7 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.serial_line.recording import Recorder
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.lock import lock_file
 
 _WRITE_TIMEOUT_S = 5.0
 _READ_AT_ONCE = 4096
@@ -27,7 +27,7 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 
 
 class Wire(Protocol):
-    """Interface of a port for drivers, implemented by `Port` and `rig.serial_line.recording.ReplayPort`."""
+    """Interface of a port used by drivers: `Port`, or `rig.serial_line.recording.ReplayPort` as its replacement."""
 
     @property
     def clock(self) -> Clock:
@@ -35,20 +35,20 @@ class Wire(Protocol):
 
     @property
     def url(self) -> str:
-        """Address of the port."""
+        """URL of the port."""
 
     @property
     def device(self) -> str:
-        """Connected device, for messages."""
+        """Name of the connected device, used in messages."""
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return available data as soon as there are any; nothing after the time-out."""
+        """Return received bytes as soon as there are any; empty after the time-out."""
 
     def discard_input(self) -> None:
-        """Discard received data."""
+        """Discard received bytes."""
 
     def close(self) -> None:
         """Close the port."""
@@ -60,21 +60,21 @@ class Port:
     Parameters
     ----------
     url
-        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``.
-        Held against other programs, a socket against those of this computer.
+        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``. It is locked against other programs, a
+        socket against those of this computer.
     baud
         Bits per second.
     clock
-        Stamps the recording; drivers take their deadlines from it.
+        Clock of the recording's time stamps and of the drivers' deadlines.
     device
-        What is at the other end, for messages: "turntable", "arm".
+        Name of the connected device, used in messages: "turntable", "arm".
     recorder
-        Keeps every byte.
+        Records every transmitted byte.
 
     Raises
     ------
     RigError
-        When the port cannot be opened, with what to do.
+        If the port cannot be opened, with a remedy.
     """
 
     def __init__(self, url: str, *, baud: int, clock: Clock, device: str, recorder: Recorder | None = None) -> None:
@@ -92,7 +92,7 @@ class Port:
             self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0.0, write_timeout=_WRITE_TIMEOUT_S, **only_for_files)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             self._held.close()
-            raise RigError(f"{device}: {_why_not_open(url, error)}") from error
+            raise RigError(f"{device}: {_open_error(url, error)}") from error
         try:
             if recorder is not None:
                 recorder.record_open(clock.now_s(), device, url=url, baud=baud)
@@ -106,9 +106,9 @@ class Port:
         Raises
         ------
         LostError
-            When the device was unplugged.
+            If the device was unplugged.
         NoAnswerError
-            When it takes no bytes.
+            If it does not accept bytes.
         """
         if self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, ">", data)
@@ -117,36 +117,36 @@ class Port:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
             raise NoAnswerError(
-                f"{self.device} on {self.url}: accepted no data for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
+                f"{self.device} on {self.url}: accepted no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
             ) from error
         except OSError as error:
             raise self._lost(error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what is there as soon as something is there; nothing after the time-out (0: do not wait).
+        """Return received bytes as soon as there are any; empty after the time-out (0 to not wait).
 
         Raises
         ------
         LostError
-            When the device was unplugged.
+            If the device was unplugged.
         """
         self._check_open()
         try:
             data = self._waiting() or self._wait(timeout_s)
-        except OSError as error:  # in_waiting raises a bare OSError where read and write raise SerialException
+        except OSError as error:  # in_waiting raises a bare OSError, while read and write raise SerialException
             raise self._lost(error) from error
         if data and self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, "<", data)
         return data
 
     def discard_input(self) -> None:
-        """Discard received data; they are recorded nevertheless for the replay."""
-        for _ in range(16):  # devices that send continuously are not waited for
+        """Discard received bytes; they are recorded nevertheless, so that a replay contains them."""
+        for _ in range(16):  # do not wait for a device that sends without end
             if not self.read(0.0):
                 return
 
     def close(self) -> None:
-        """Close the port, if it is open."""
+        """Close the port; no effect if it is already closed."""
         self._is_open = False
         with suppress(OSError):
             self._serial.close()
@@ -154,10 +154,10 @@ class Port:
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise LostError(f"{self.device} on {self.url}: the port is closed; open it again")
+            raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
 
     def _waiting(self) -> bytes:
-        """Read received data. A socket never reports more than one byte, so that it is read until it is empty."""
+        """Read the bytes that have arrived. A socket reports at most one byte, so it is read until it is empty."""
         data = b""
         while len(data) < _READ_AT_ONCE and (waiting := self._serial.in_waiting):
             data += self._serial.read(min(waiting, _READ_AT_ONCE))
@@ -167,7 +167,7 @@ class Port:
         left_s = timeout_s
         while left_s > 0.0:
             slice_s = _slice_s(left_s)
-            if slice_s != self._timeout_s:  # each change makes pyserial configure the port again
+            if slice_s != self._timeout_s:  # each change makes pyserial reconfigure the port
                 self._serial.timeout = self._timeout_s = slice_s
             first: bytes = self._serial.read(1)
             if first:
@@ -183,7 +183,7 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
     """Lock a network port against other programs of this computer, as the system does for device files."""
     name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
     try:
-        stack.enter_context(locked(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
+        stack.enter_context(lock_file(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
     except UserError as error:
         raise RigError(str(error)) from error
     except PermissionError as error:
@@ -191,24 +191,24 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
 
 
 def _slice_s(left_s: float) -> float:
-    """Return the largest power of two that does not exceed the time (except for the last millisecond).
+    """Return the largest power of two that is not longer (except for the last millisecond).
 
-    It limits the number of different time-outs, whose change is expensive.
+    Thus only a few different time-outs are used, and they rarely change.
     """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
 
 
-def _why_not_open(url: str, error: OSError | ValueError) -> str:
+def _open_error(url: str, error: OSError | ValueError) -> str:
     code = error.errno if isinstance(error, OSError) else None
     if code == errno.EACCES:
         return (
-            f"{url} cannot be opened without permission; add your user to the group of serial ports "
-            "('sudo usermod -aG dialout $USER' on most systems), log out and in, and try again"
+            f"{url} may not be opened by you; join the group of serial ports ('sudo usermod -aG dialout $USER' on most systems), "
+            "log out and in, and try again"
         )
     if code in _BUSY:
-        return f"{url} is used by another program; close it and try again"
+        return f"{url} is used by another program; close that one and try again"
     if code in _ABSENT:
         there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"{url} does not exist (existing serial ports: {there}); connect the device, or correct its port in the rig file"
+        return f"{url} does not exist (existing serial ports: {there}); plug the device in, or correct its port in the rig file"
     return f"{url} cannot be opened as a serial port ({error}); check the device, and its port in the rig file"

@@ -1,10 +1,9 @@
-"""Recording of the serial communication as JSON lines, and a port that replays it.
+"""Recording of every transmitted byte as JSON lines, and a port that replays a recording.
 
-A recorded session can be used as a test of the drivers.
-
-A file contains sessions in sequence. A session begins with a line ``{"recording": 1, "time": ..., "versions": ...}``,
-followed by ``{"t_s", "device", "open": {"url", "baud"}}`` for each opened port and ``{"t_s", "device", "dir": ">" or
-"<", "hex"}`` for bytes sent to (``>``) and received from (``<``) a device.
+With it, a session on the bench becomes a test of the drivers. A file contains successive sessions. A session begins
+with a line ``{"recording": 1, "time": ..., "versions": ...}``, followed by ``{"t_s", "device", "open": {"url",
+"baud"}}`` for each opened port and ``{"t_s", "device", "dir": ">" or "<", "hex"}`` for bytes sent to (``>``) and
+received from (``<``) a device.
 """
 
 import json
@@ -23,13 +22,13 @@ FORMAT = 1
 
 
 class Recorder:
-    """Appends to a recording; every line is written immediately, so that a crash loses none.
+    """Writer that appends to a recording; every line is flushed immediately, so that a crash loses none.
 
     Raises
     ------
     RigError
-        If the file cannot be written; by `record` only once, because a full disk must not prevent the lamps from being
-        switched off.
+        If the file cannot be written; also from `record`, but only once, as a full disk must not prevent the lamps from
+        being switched off.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -51,7 +50,7 @@ class Recorder:
             raise
 
     def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Record the opening of a port, with its settings.
+        """Record the opening of a port with its settings.
 
         Parameters
         ----------
@@ -60,7 +59,7 @@ class Recorder:
         device : str
             Name of the device, such as ``turntable``.
         url, baud : str, int
-            Settings of the port.
+            URL and baud rate of the port.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})
 
@@ -74,7 +73,7 @@ class Recorder:
         device : str
             Name of the device, such as ``turntable``.
         direction : {'>', '<'}
-            To the device, or from it.
+            Direction: to the device, or from it.
         data : bytes
             Transmitted bytes.
         """
@@ -96,15 +95,15 @@ class Recorder:
             raise self._failed(error) from error
         self._broken = written != len(line)
         if self._broken:
-            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or omit --record")
+            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or do not record")
 
     def _failed(self, error: OSError) -> RigError:
-        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or omit --record")
+        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or do not record")
 
 
 def _end_line(path: Path) -> None:
-    """Remove an incomplete last line after a crash or a full disk."""
-    if not path.is_file():  # a pipe, a device
+    """Remove an incomplete last line that a crash or a full disk left."""
+    if not path.is_file():  # a pipe or a device
         return
     with path.open("r+b") as stream:
         whole = stream.read().rfind(b"\n") + 1
@@ -113,20 +112,20 @@ def _end_line(path: Path) -> None:
 
 
 class ReplayError(UserError):
-    """A driver behaved differently from the recording.
+    """A driver deviated from the recording.
 
-    It is not a `RigError`, so that drivers do not treat it as a failure of a device.
+    It is not a `RigError`, so that drivers do not handle it as a failure of the device.
     """
 
 
 class ReplayClock:
-    """Clock that advances by `sleep` only, immediately."""
+    """Clock whose time advances only by `sleep`, without waiting."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
 
     def now_s(self) -> float:
-        """Return seconds since the beginning of the replay."""
+        """Return seconds since the start of the replay."""
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
@@ -143,12 +142,11 @@ class _Entry:
 
 
 class ReplayPort:
-    """Replacement for a `rig.serial_line.port.Port`.
+    """Replacement of a `rig.serial_line.port.Port` that replays a recording.
 
-    It requires the bytes that were sent in the recording, and returns those that were received.
-
-    Only the order counts, not the times: a read returns the next received bytes, unless bytes were sent before them;
-    then the time-out passes. After the first difference every call fails with it.
+    It requires the same sent bytes as in the recording, and returns the received ones. Only the order matters, not the
+    times: a read returns the next received bytes, unless something was sent before them; then time advances up to the
+    time-out. After the first difference every call fails with it.
     """
 
     def __init__(self, path: Path, device: str, entries: list[_Entry], clock: Clock) -> None:
@@ -157,16 +155,16 @@ class ReplayPort:
         self.clock = clock
         self._entries = entries
         self._at = 0
-        self._done = 0  # bytes of the current entry that were already sent
+        self._done = 0  # bytes of the present entry that were already sent
         self._difference: ReplayError | None = None
 
     def write(self, data: bytes) -> None:
-        """Compare sent bytes with the recording.
+        """Compare the bytes that the driver sends with the recording.
 
         Raises
         ------
         ReplayError
-            If they differ.
+            If other bytes were sent at this point of the recording.
         """
         self._check()
         left = data
@@ -175,7 +173,7 @@ class ReplayPort:
             if entry is None:
                 raise self._differs(f"the recording ends, but {left!r} was sent after it")
             if not entry.sent:
-                raise self._differs(f"line {entry.line} has {entry.data!r} heard, but {left!r} was sent before it was read")
+                raise self._differs(f"line {entry.line} has {entry.data!r} received, but {left!r} was sent before it was read")
             wanted = entry.data[self._done : self._done + len(left)]
             if not left.startswith(wanted):
                 same = next(i for i, (a, b) in enumerate(zip(wanted, left, strict=False)) if a != b)
@@ -199,7 +197,7 @@ class ReplayPort:
         return entry.data
 
     def discard_input(self) -> None:
-        """Skip received bytes up to the next sent bytes."""
+        """Skip received bytes up to the next sent ones."""
         while self.read(0.0):
             pass
 
@@ -207,18 +205,18 @@ class ReplayPort:
         """Do nothing; see `finish`."""
 
     def finish(self) -> None:
-        """Require that the recording was replayed completely.
+        """Check that the whole recording was replayed.
 
         Raises
         ------
         ReplayError
-            If a part of it remains.
+            If a part of it is left.
         """
         self._check()
         entry = self._entry()
         if entry is not None:
             raise self._differs(
-                f"line {entry.line} has {entry.data!r} {'sent' if entry.sent else 'heard'}, but the driver stopped before it"
+                f"line {entry.line} has {entry.data!r} {'sent' if entry.sent else 'received'}, but the driver stopped before it"
             )
 
     def _entry(self) -> _Entry | None:
@@ -239,18 +237,18 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     Parameters
     ----------
     path : path
-        Recording.
+        Path of the recording.
     device : str
         Name of the device in the recording: "turntable", "arm".
     clock : Clock or None
-        Clock for the driver; virtual time makes the replay fast. None: a `ReplayClock`.
+        Clock of the driver, virtual for a fast replay; None for a `ReplayClock`.
     session : int
-        Index of the session in the file; the last one by default.
+        Index of the session in the file, as in a list; the last one by default.
 
     Returns
     -------
     ReplayPort
-        Port that replays the recording.
+        Port that returns the recorded answers of the device.
 
     Raises
     ------
@@ -262,25 +260,25 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: cannot be read as a recording ({error})") from error
-    # an incomplete last line is due to a crash
-    plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
+    # an incomplete last line was truncated by a crash
+    plain = [_parse_line(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
         raise UserError(f"{path}: is not a recording of format {FORMAT}")
     if not -len(begins) <= session < len(begins):
-        raise UserError(f"{path}: has {len(begins)} sessions, but session {session} was asked for")
+        raise UserError(f"{path}: has {len(begins)} sessions, but session {session} was requested")
     first = begins[session]
     end = min((i for i in begins if i > first), default=len(plain))
     mine = [(i, entry) for i, entry in enumerate(plain[first:end], start=first + 1) if entry.get("device") == device]
     if not mine:
         names = sorted({str(entry["device"]) for entry in plain[first:end] if "device" in entry})
-        raise UserError(f"{path}: has nothing of a device {device!r} in this session, only {', '.join(names) or 'none'}")
+        raise UserError(f"{path}: has no device {device!r} in this session, only {', '.join(names) or 'none'}")
     entries = [_Entry(line=i, sent=entry["sent"], data=entry["data"]) for i, entry in mine if "dir" in entry]
     return ReplayPort(path, device, entries, ReplayClock() if clock is None else clock)
 
 
-def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
-    """Parse and validate one line."""
+def _parse_line(path: Path, number: int, line: str) -> dict[str, Any]:
+    """Parse one line, and check all entries that `replay_port` uses."""
     try:
         plain = json.loads(line)
         if not isinstance(plain, dict):

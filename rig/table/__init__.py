@@ -1,1 +1,1 @@
-"""Controller of turntable and lamps with Marlin firmware: protocol, angles and lamp levels."""
+"""Turntable and lights: the Marlin board, or a Raspberry Pi's own pins."""

@@ -1,7 +1,7 @@
-"""Electronics of the thesis as turntable and lamps: a DRV8825 and NeoPixels on the pins of a Raspberry Pi.
+"""Electronics of the thesis: a DRV8825 and NeoPixels on a Raspberry Pi's pins, as turntable and lights.
 
-The angle cannot be read back; it is the number of steps sent. It is known from `declare` until the motor loses its
-current, and unknown when a program starts; then it is determined from the markers.
+Nothing can be read back: the angle is the number of steps that were sent. It is known from `declare` until the motor is
+switched off; after the start of a program it must be determined from the markers.
 """
 
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
 
 SETUP_S = 1e-3
-"""Time between a change of direction or current and the first step; the DRV8825 requires 650 ns, and 1.7 ms after
+"""Delay between a change of direction or current and the first step; the DRV8825 requires 650 ns, and 1.7 ms after
 sleep."""
 WAKE_S = 0.05
-"""Waiting time after the current is switched on, because the rotor jumps to its phase."""
+"""Delay after the current is switched on, during which the rotor jumps to its position."""
 LATE_S = 2.0
-"""Tolerance of the duration of a move: the pulses are timed by a thread, which a busy computer may delay."""
+"""Time-out of a move in addition to its computed duration, as the pulses are timed by a thread of a busy computer."""
 POLL_S = 0.01
 
 
@@ -32,22 +32,22 @@ class HatTurntable:
         self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
         self._step_deg = part.full_step_deg / hat.microsteps
         self._acceleration = part.acceleration_deg_per_s2
-        self._steps: int | None = None  # position of the turntable from angle 0 in microsteps; None: unknown
+        self._steps: int | None = None  # position from angle 0, in microsteps; None if unknown
         self._on = False
-        self._seated = False  # whether the last move approached from the common side
+        self._seated = False  # whether the last move arrived from the usual side
 
     def describe(self) -> str:
-        """Describe the driver and the position of the turntable."""
-        where = "table angle not known" if self._steps is None else f"table at {self.position_deg():.3f} deg"
-        return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps a degree, {where}"
+        """Return a description of driver and position."""
+        where = "table angle unknown" if self._steps is None else f"table at {self.position_deg():.3f} deg"
+        return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps per degree, {where}"
 
     def prepare(self) -> None:
-        """Switch the motor's current on; the rotor may jump, so that the angle is not known any more.
+        """Switch the motor's current on; the rotor may jump, so that the angle becomes unknown.
 
         Raises
         ------
         RigError
-            When the driver reports a fault.
+            If the driver reports a fault.
         """
         self._steps, self._seated = None, False
         self._pins.output(self._hat.step_pin, 0)
@@ -58,43 +58,43 @@ class HatTurntable:
         self._check_fault()
 
     def position_deg(self) -> float:
-        """Return the angle from the number of steps sent; below any valid angle if unknown."""
+        """Return the angle from the number of steps; if it is unknown, a value below any valid angle."""
         return 10.0 * LEAST_DEG if self._steps is None else round(self._steps * self._step_deg, 6)
 
     def declare(self, angle_deg: float) -> None:
-        """Set the current angle of the turntable, to the nearest microstep.
+        """Define the present position as this angle, to the nearest microstep.
 
         Raises
         ------
         UnsafeError
-            If the angle is outside -90 to 720.
+            For an angle outside -90 to 720.
         """
         _check_angle(angle_deg)
         if not self._on:
-            raise LostError("turntable: the motor is off, so that the angle cannot be kept; connect it first")
+            raise LostError("turntable: its motor is off, so that its angle would be lost; connect it first")
         self._steps, self._seated = round(angle_deg / self._step_deg), False
 
     def knows_zero(self) -> bool:
-        """Whether an angle was set since the motor was switched on."""
+        """Whether an angle was declared after the motor was switched on."""
         return self._on and self._steps is not None
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of the following moves."""
+        """Set the acceleration of subsequent moves."""
         self._acceleration = deg_per_s2
 
     def move_to(self, angle_deg: float) -> float:
-        """Turn by an even ramp, always arriving from below; return the angle of the nearest microstep.
+        """Turn with constant acceleration, always arriving from below; return the angle of the nearest microstep.
 
         Raises
         ------
         LostError
-            When the angle is not known, or the driver reports a fault during the move.
+            If the angle is unknown, or the driver reports a fault during the move.
         UnsafeError
             For an angle outside -90 to 720.
         """
         _check_angle(angle_deg)
         if self._steps is None or not self._on:
-            raise LostError("turntable: the angle is unknown; determine it from the markers, or set it")
+            raise LostError("turntable: the table's angle is unknown; determine it by the markers, or declare it")
         goal, room = round(angle_deg / self._step_deg), round(self._part.approach_deg / self._step_deg)
         here = self._steps
         if room and goal < (here if self._seated else here + room):
@@ -104,19 +104,19 @@ class HatTurntable:
         return self.position_deg()
 
     def release(self) -> None:
-        """Switch the motor off; the angle is lost."""
+        """Switch the motor off; the angle becomes unknown."""
         self._steps, self._seated, self._on = None, False, False
         self._pins.output(self._hat.enable_pin, 1)
 
     def close(self) -> None:
-        """Release the pins: the motor loses its current."""
+        """Release the pins, which switches the motor off."""
         self._steps, self._on = None, False
         self._pins.close()
 
     def _run(self, here: int, goal: int) -> int:
-        """Send the steps of one move and wait for their end.
+        """Send the steps of one move and wait for its end.
 
-        After an interruption the angle is unknown.
+        If it is interrupted, the angle becomes unknown.
         """
         count = abs(goal - here)
         if not count:
@@ -133,13 +133,10 @@ class HatTurntable:
             self._pins.steps(self._hat.step_pin, np.diff(due_s, prepend=0.0).tolist())
             while self._pins.busy(self._hat.step_pin):
                 if self._clock.now_s() > until_s:
-                    raise LostError(
-                        f"turntable: {count} steps were not sent within {LATE_S:g} s of "
-                        "their scheduled time; the computer may be overloaded"
-                    )
+                    raise LostError(f"turntable: {count} steps were delayed by more than {LATE_S:g} s; is the computer overloaded?")
                 self._clock.sleep(POLL_S)
         except BaseException:
-            self.release()  # pending pulses must not move the turntable
+            self.release()  # remaining pulses must not turn the table
             raise
         self._check_fault()
         self._steps = goal
@@ -159,21 +156,21 @@ class HatLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set all lamps and wait until they are stable.
+        """Set all lamps and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
-            0 to 1, as fractions of the colours in the rig file.
+            Levels from 0 to 1, as fractions of the colours in the rig file.
         band : BandPart or None
-            Colours and output of a band; None: those of ``[lights]``, and no output.
+            Colours and output of a band; None for those of ``[lights]``, without output.
         """
         check_levels(panel=panel, front=front)
         self._fill(panel, front, band)
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch all lamps off."""
+        """Switch all off."""
         self._fill(0.0, 0.0)
 
     def _fill(self, panel: float, front: float, band: BandPart | None = None) -> None:
@@ -194,5 +191,5 @@ class HatLights:
 def _check_angle(angle_deg: float) -> None:
     if not LEAST_DEG <= angle_deg <= MOST_DEG:
         raise UnsafeError(
-            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that many turns nearer"
+            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that differs by full turns"
         )

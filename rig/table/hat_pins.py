@@ -1,4 +1,4 @@
-"""Pins and NeoPixels of a Raspberry Pi: `lgpio` and `rpi_ws281x`, imported on first use."""
+"""Pins and pixels of a Raspberry Pi by `lgpio` and `rpi_ws281x`, which are loaded when first used."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -9,22 +9,22 @@ from rhizotwin.rig.errors import NoAnswerError, RigError
 PIXEL_HZ = 800_000
 """Bit rate of WS2812B."""
 DMA = (10, 11)
-"""DMA channels of the two strips, as in the two-strip example of rpi_ws281x."""
+"""DMA channels of the two strips, as in rpi_ws281x's example for two strips."""
 HIGH_S = 2e-6
-"""Duration of a step pulse: the DRV8825 requires 1.9 us (data sheet, timing requirements)."""
+"""Duration of a step's pulse: the DRV8825 requires 1.9 us (data sheet, timing requirements)."""
 
 
 class Pins(Protocol):
     """Digital pins by GPIO number."""
 
     def output(self, pin: int, level: int) -> None:
-        """Configure a pin as output, or set it."""
+        """Configure a pin as an output, or change its level."""
 
     def read(self, pin: int) -> int:
-        """Read an input; with a pull-up it is 1 unless pulled down."""
+        """Read an input; with its pull-up it is 1 unless it is pulled down."""
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Start sending pulses, each followed by its pause, timed by a thread of the library."""
+        """Begin to send pulses, each followed by its pause, timed by a thread of the library."""
 
     def busy(self, pin: int) -> bool:
         """Whether pulses are still being sent."""
@@ -40,11 +40,11 @@ class Pixels(Protocol):
         """Set all pixels of strip 0 (panel) or 1 (front) to one colour."""
 
     def close(self) -> None:
-        """Switch both off."""
+        """Switch both strips off."""
 
 
 class LgpioPins:
-    """`Pins` implemented with lgpio."""
+    """`Pins` by lgpio."""
 
     def __init__(self) -> None:
         self._library = _load("lgpio", "sudo apt install python3-lgpio, or pip install 'rhizotwin[hat]'")
@@ -53,12 +53,10 @@ class LgpioPins:
         try:
             self._chip = self._library.gpiochip_open(0)
         except self._library.error as error:
-            raise NoAnswerError(
-                f"hat: the pins cannot be opened ({error}); this requires a Raspberry Pi and membership of the group gpio"
-            ) from None
+            raise NoAnswerError(f"hat: the pins cannot be opened ({error}); this requires a Raspberry Pi and the group gpio") from None
 
     def output(self, pin: int, level: int) -> None:
-        """Configure a pin as output, or set it."""
+        """Configure a pin as an output, or change its level."""
         if pin in self._outputs:
             self._call("gpio_write", pin, level)
         else:
@@ -73,7 +71,7 @@ class LgpioPins:
         return int(self._call("gpio_read", pin))
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Start sending pulses as a wave: high, then low for the rest of the pause."""
+        """Begin to send pulses as a wave: high, low for the rest of the pause."""
         pulse, high_us = self._library.pulse, round(1e6 * HIGH_S)
         wave = []
         for pause_s in pauses_s:
@@ -96,7 +94,7 @@ class LgpioPins:
 
 
 class Ws281xPixels:
-    """`Pixels` implemented with rpi_ws281x."""
+    """`Pixels` by rpi_ws281x."""
 
     def __init__(self, pins: tuple[int, int], counts: tuple[int, int]) -> None:
         library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5: use a Marlin board there)")
@@ -110,7 +108,7 @@ class Ws281xPixels:
                 strip.begin()
             except RuntimeError as error:
                 raise RigError(
-                    f"hat: the NeoPixels cannot be controlled ({error}); this requires root privileges and dtparam=audio=off"
+                    f"hat: the NeoPixels cannot be driven ({error}); this requires root permissions and dtparam=audio=off"
                 ) from None
 
     def fill(self, strip: int, rgb: tuple[int, int, int]) -> None:
@@ -121,7 +119,7 @@ class Ws281xPixels:
         one.show()
 
     def close(self) -> None:
-        """Switch both off."""
+        """Switch both strips off."""
         for strip in range(len(self._strips)):
             self.fill(strip, (0, 0, 0))
 
@@ -130,4 +128,4 @@ def _load(name: str, install: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise RigError(f"hat: the library {name} is not installed; {install}") from None
+        raise RigError(f"hat: the library {name} is missing; {install}") from None

@@ -1,4 +1,4 @@
-"""The lamps: two NeoPixel strips of a Marlin board, and what hangs on its fan outputs."""
+"""Lamps: two NeoPixel strips of a Marlin board, and loads on its fan outputs."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ _FULL = 255
 
 
 class MarlinLights:
-    """A `rig.devices.Lights`; shares its link with the turntable."""
+    """A `rig.devices.Lights` that shares its link with the turntable."""
 
     def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._link = link
@@ -22,14 +22,14 @@ class MarlinLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set all lamps and wait until they are stable.
+        """Set the lamps and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
-            0 to 1, as fractions of the colours in the rig file.
+            Levels from 0 to 1, as fractions of the colours in the rig file.
         band : BandPart or None
-            Colours and output of a band; None: those of ``[lights]``, and no output.
+            Colours and output of a band; None for those of ``[lights]``, without output.
         """
         check_levels(panel=panel, front=front)
         if not self._link.ready:
@@ -38,14 +38,14 @@ class MarlinLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch both lamps off in any case; a lost board is connected again for this.
+        """Switch both off in any state; a lost board is reconnected.
 
         Raises
         ------
         NoAnswerError
-            If the board does not reply, so that the state of the lamps is unknown. The command was sent.
+            If the board does not confirm that they are off; the command was sent nevertheless.
         LostError
-            If the board is missing.
+            If the board is no longer connected.
         """
         try:
             self._surely_off()
@@ -55,7 +55,7 @@ class MarlinLights:
             raise
 
     def close(self) -> None:
-        """Close the port that turntable and lamps share."""
+        """Close the port that table and lights share."""
         self._link.close()
 
     def _surely_off(self) -> None:
@@ -63,7 +63,7 @@ class MarlinLights:
             self._link.start()
         try:
             self._show(0.0, 0.0)
-        except LostError:  # the board was reset meanwhile and replies again after a new start
+        except LostError:  # it was reset, and answers after its restart
             self._link.start()
             self._show(0.0, 0.0)
 
@@ -78,4 +78,4 @@ class MarlinLights:
             self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
         for output in self._outputs:
             self._link.command(f"M106 P{output} S{_FULL}" if output == band.output else f"M107 P{output}")
-        self._link.ask("M114", POSITION)  # a reply to this means that all earlier commands are done
+        self._link.ask("M114", POSITION)  # previous commands are done when this one is answered

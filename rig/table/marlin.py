@@ -1,12 +1,9 @@
-"""Connection to a Marlin board.
-
-Lines are numbered and have checksums. One line is sent at a time, and repeated until the board has certainly accepted
-it.
+"""Link to a Marlin board: numbered lines with checksums, one at a time, repeated until they are received.
 
 The board accepts lines only in the order of their numbers, so that a repeated line is executed once: the second copy is
-refused, and the number in the refusal proves that the first was accepted. This covers all losses of replies. A single
-reply does not show whether an ``ok`` belongs to an earlier line (late or duplicated). A command therefore counts as
-done only after a later command with printed output has been answered: see `MarlinLink.ask`.
+rejected, and the requested number in the rejection confirms that the first one was received. This handles every loss of
+an answer. A single answer cannot reveal an ``ok`` that belongs to an earlier line (late or duplicated). Therefore
+commands only count as executed after a subsequent command that prints a reply was answered, see `MarlinLink.ask`.
 """
 
 import re
@@ -18,45 +15,45 @@ from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kin
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
-"""Boards that reset when their port is opened send a greeting within this time; others send nothing."""
+"""Time within which boards that reset on connection send their greeting; others send nothing."""
 STARTS = 3
 ASKS = 3
 
 
 class MarlinLink:
-    """Board behind a port, shared by turntable and lamps."""
+    """Link to the board on a port, shared by turntable and lights."""
 
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
         self._journal = Journal()
-        # possible duration of a command that was aborted, by Ctrl-C or a missing reply
+        # possible duration of an interrupted or unanswered command
         self._unsettled_s: float | None = None
         self._lost: str | None = f"{self._wire.name}: not connected yet"
         self.firmware = ""
-        """What M115 says, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
+        """Firmware as reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
         self.capabilities: frozenset[str] = frozenset()
         self.sessions = 0
-        """How often the link was started: what was known of the board before is to be asked again."""
+        """Number of starts of the link; earlier knowledge of the board's state is then invalid."""
 
     @property
     def name(self) -> str:
-        """Device and port, for messages."""
+        """Device and port, used in messages."""
         return self._wire.name
 
     @property
     def ready(self) -> bool:
-        """Whether the connection was started and the board was not lost since."""
+        """Whether the link was started and the board has not been lost since."""
         return self._lost is None
 
     def start(self) -> None:
-        """Synchronise line numbers, read the firmware version, and disable automatic functions.
+        """Synchronise line numbers, query the firmware, and switch off its automatic reports.
 
-        Turntable and lamps are not changed.
+        Table and lights are not changed.
 
         Raises
         ------
         NoAnswerError
-            If nothing replies, or the reply is not from Marlin.
+            If there is no answer, or it is not from Marlin.
         LostError
             If the board resets repeatedly, is halted, or was unplugged.
         """
@@ -71,19 +68,19 @@ class MarlinLink:
                 return
 
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
-        """Send a command until it is accepted; return the lines printed by the board meanwhile.
+        """Send a command until it is received; return the lines printed by the board.
 
-        Acceptance does not mean completion: moves are queued, and an ``ok`` may belong to an earlier command. To wait
-        for completion, use `ask` afterwards.
+        A received command is not necessarily executed: moves are only queued, and an ``ok`` may have belonged to an
+        earlier command. Use `ask` to verify execution.
 
         Parameters
         ----------
         text : str
             Command without number and checksum.
         expect_s : float
-            Maximum expected time until ``ok``.
+            Maximum time of the board until its ``ok``.
         optional : bool
-            Whether the firmware may lack the command.
+            Whether the firmware need not support the command.
 
         Returns
         -------
@@ -93,58 +90,59 @@ class MarlinLink:
         Raises
         ------
         NoAnswerError
-            If the board did not accept the command after all retries; the connection remains usable.
+            If the board did not receive it after every retry; the link remains usable.
         LostError
-            If the board was reset, halted or unplugged since the last `start`.
+            If the board was reset, halted or unplugged, now or since the last `start`.
         RigError
             If the firmware does not support the command.
         """
-        return self._guarded(text, expect_s=expect_s, optional=optional, awaited=None)
+        return self._exchange_guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
         """Send a command and return its reply.
 
-        The board processes commands in order: all earlier commands are done then (moves: if M400 was sent after them).
+        The board executes commands in order, so that all previous ones are done (moves only if followed by M400).
 
         Parameters
         ----------
         text : str
-            Command.
+            The command.
         pattern : Pattern[str]
-            Pattern searched in each line of the reply. It must not match truncated lines; a digit may still be wrong.
+            Pattern searched for in each line of the answer. It must not match truncated lines; a digit may still be
+            wrong.
         expect_s : float
-            Maximum expected time.
+            Maximum duration of the command.
 
         Returns
         -------
         re.Match[str]
-            Matching line.
+            Match in the line of the reply.
 
         Raises
         ------
         NoAnswerError, LostError, RigError
-            As `command`; and if the replies are invalid.
+            See `command`; also if the answers are invalid.
         """
         return self._ask(text, pattern, expect_s=expect_s)[0]
 
     def send_unheard(self, *texts: str) -> None:
-        """Send commands to a board whose replies may be lost.
+        """Send commands to a board whose answers cannot be received.
 
-        They are sent three times, without numbers, so that lost lines do no harm.
+        They are sent three times without numbers, so that lost lines have no effect.
         """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move at once if the firmware supports it (EMERGENCY_PARSER); return whether it does.
+        """Stop a move immediately, if the firmware supports it (EMERGENCY_PARSER); return whether it does.
 
-        The angle of the turntable is lost.
+        The table's angle becomes unknown.
         """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
         try:
-            self._wire.send(b"M410\n")  # processed on reception, before all queued commands
+            self._wire.send(b"M410\n")  # acts on reception, regardless of the queue
         except LostError as error:
             self._lost = str(error)
             raise
@@ -155,7 +153,7 @@ class MarlinLink:
         return True
 
     def close(self) -> None:
-        """Close the port, if it is open."""
+        """Close the port; no effect if it is already closed."""
         self._lost = f"{self._wire.name}: closed"
         self._wire.close()
 
@@ -170,14 +168,14 @@ class MarlinLink:
         self.capabilities = frozenset(found[1] for line in lines if (found := CAPABILITY.search(line)))
         self.sessions += 1
         self.command(f"M113 S{BUSY_EVERY_S}", optional=True)
-        for reports in ("M155 S0", "M154 S0"):  # these would interfere with the replies
+        for reports in ("M155 S0", "M154 S0"):  # unsolicited reports would interfere with the answers
             self.command(reports, optional=True)
         self.command("M211 S0", optional=True)  # software endstops
-        self.command("M18 S0")  # otherwise the idle motor is released and the angle is lost
+        self.command("M18 S0")  # otherwise the idle motor is released, and its angle lost
         self.ask("M114", POSITION)
 
     def _listen_to_greeting(self) -> None:
-        """Wait for the end of the greeting of a starting board, or for silence of a running one."""
+        """Wait for the end of the greeting of a starting board, or for the silence of a running one."""
         clock = self._wire.clock
         self._wire.fresh()
         until_s = clock.now_s() + BOOT_S
@@ -192,14 +190,14 @@ class MarlinLink:
     def _ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float) -> tuple[re.Match[str], list[str]]:
         output: list[str] = []
         for _ in range(ASKS):
-            output = self._guarded(text, expect_s=expect_s, optional=False, awaited=pattern)
+            output = self._exchange_guarded(text, expect_s=expect_s, optional=False, awaited=pattern)
             for line in reversed(output):
                 if found := pattern.search(line):
                     return found, output
         heard = repr(output[-1]) if output else "nothing"
-        raise NoAnswerError(f"{self._wire.name}: does not reply to {text} like Marlin ({heard}); check port, baud rate and cable")
+        raise NoAnswerError(f"{self._wire.name}: does not answer {text} as Marlin does ({heard}); check port, baud rate and cable")
 
-    def _guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
+    def _exchange_guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
         if self._lost is not None:
             raise LostError(self._lost)
         try:
@@ -211,10 +209,7 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Resynchronise after an aborted command.
-
-        Pending replies must not be mistaken for those of the next command.
-        """
+        """Resynchronise after an interrupted command, so that its late answers are not attributed to the next one."""
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 
     def _number_and_exchange(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:

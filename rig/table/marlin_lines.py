@@ -1,6 +1,6 @@
-"""Lines of Marlin's serial protocol: formatting of commands, and classification of replies.
+"""Lines of Marlin's serial protocol: encoding of commands, and meaning of the board's lines.
 
-Based on queue.cpp and language.h of Marlin 2.1.
+After queue.cpp and language.h of Marlin 2.1.
 """
 
 import re
@@ -11,34 +11,35 @@ MAX_LINE = 96
 """MAX_CMD_SIZE of the firmware."""
 
 POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
-"""Reply to M114. Versions differ after X (no E, spaces after the colons); a truncated line has no Count and is
-ignored."""
+"""Reply to M114. Versions differ after X (no E, spaces after the colons); a truncated line has no Count and does not
+match."""
 FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
 """Reply to M115."""
 CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]+):1$")
 
 
 class Kind(Enum):
-    """Type of a line from the board."""
+    """Meaning of a line from the board."""
 
     OK = auto()
-    """A command was accepted."""
+    """A command was received."""
     LIKE_OK = auto()
-    """An ``ok`` that was damaged, or joined to another line: not conclusive, but a retry need not wait long."""
+    """A damaged ``ok``, or one joined with another line: reception is uncertain, but sending again need not wait long.
+    """
     BUSY = auto()
-    """A command is in progress."""
+    """A command is still being executed."""
     WAIT = auto()
     """The board is idle."""
     REFUSED = auto()
-    """A line was not accepted; the number is the one that the board expects."""
+    """A line was rejected; the number is that of the requested line."""
     ERROR = auto()
-    """Another error, or a damaged refusal."""
+    """Another error, or a damaged rejection."""
     UNKNOWN = auto()
-    """The firmware does not support the command; its ``ok`` follows nevertheless."""
+    """The firmware does not support the command; an ``ok`` follows nevertheless."""
     RESET = auto()
     """Part of the greeting after a reset."""
     HALTED = auto()
-    """The firmware was halted."""
+    """The firmware was killed, or halted."""
     OTHER = auto()
     """Output of a command, or noise."""
 
@@ -50,7 +51,7 @@ class Line:
     kind: Kind
     text: str
     number: int | None = None
-    """For REFUSED: the expected line. For OK with ADVANCED_OK: the accepted line."""
+    """For REFUSED: number of the requested line. For OK with ADVANCED_OK: number of the received line."""
 
 
 _HALTED = re.compile(r"Printer halted|kill\(\) called|M112 Shutdown|Printer stopped due to errors")
@@ -62,13 +63,13 @@ _UNKNOWN = re.compile(r'Unknown command:\s*"?([^"]*)')
 _NOISE = "".join(map(chr, [*range(33), 127, 0xFFFD]))
 
 
-def numbered(number: int, text: str) -> bytes:
-    """Format a command with its number and checksum (XOR of all bytes before the asterisk).
+def encode_line(number: int, text: str) -> bytes:
+    """Return a command as the line that is sent: number, command, and the XOR of all bytes before the asterisk.
 
     Raises
     ------
     ValueError
-        If the command contains invalid characters, or is too long for the firmware's buffer.
+        If the command violates the line format, or is too long for the firmware's buffer.
     """
     body = f"N{number} {text}"
     checksum = 0
@@ -76,15 +77,14 @@ def numbered(number: int, text: str) -> bytes:
         checksum ^= byte
     line = f"{body}*{checksum}\n"
     if not text.isprintable() or any(letter in text for letter in "*;") or len(line) > MAX_LINE:
-        raise ValueError(f"{text!r} is not a command that fits into a line of {MAX_LINE} bytes")
+        raise ValueError(f"{text!r} is not a command that fits a line of {MAX_LINE} bytes")
     return line.encode("ascii")
 
 
 def read_line(raw: bytes) -> Line:
-    """Classify a line.
+    """Return the meaning of a line.
 
-    Noise at its ends is removed; noise inside is kept, because a number without a damaged digit would be another
-    number.
+    Noise at its ends is removed; noise inside is kept, since a number without a damaged digit would be another number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
     if _HALTED.search(text):

@@ -1,4 +1,4 @@
-"""Timing of the steps of a stepper motor: acceleration, constant speed, deceleration."""
+"""Times of a stepper motor's steps: constant acceleration, constant speed, constant deceleration."""
 
 import numpy as np
 
@@ -6,12 +6,12 @@ from rhizotwin.scenes.frames import Array
 
 
 def move_s(way: float, *, speed: float, acceleration: float) -> float:
-    """Return the duration of a move from rest to rest; distance, speed and acceleration in one unit of length.
+    """Return the duration of a move from rest to rest; distance, speed and acceleration use the same unit of length.
 
     Parameters
     ----------
     way, speed, acceleration : float
-        Distance, maximum speed, and acceleration.
+        Distance, maximum speed and acceleration of the move.
 
     Returns
     -------
@@ -24,7 +24,7 @@ def move_s(way: float, *, speed: float, acceleration: float) -> float:
 
 
 def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
-    """Return the time of each step of a move, after its beginning.
+    """Return the times of the steps of a move, from its beginning.
 
     Parameters
     ----------
@@ -33,18 +33,17 @@ def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
     speed : float
         Maximum speed, steps per second.
     acceleration : float
-        Steps per second squared, at the beginning and at the end.
+        Acceleration at the beginning and deceleration at the end, steps per second squared.
 
     Returns
     -------
     (steps,) float64 array
-        Ascending times in s. A move too short for the maximum speed changes from acceleration to deceleration in its
-        middle.
+        Increasing times in seconds. A move too short for the maximum speed changes from acceleration to deceleration in
+        its middle.
 
     Notes
     -----
-    From s = a t^2 / 2, step s of the first ramp is at sqrt(2 s / a); the last ramp is the mirror image of the first
-    one.
+    From s = a t^2 / 2, the time of step s of the first ramp is sqrt(2 s / a); the last ramp is its mirror image.
     """
     s = np.arange(1, steps + 1, dtype=np.float64)
     ramp = min(speed**2 / (2.0 * acceleration), steps / 2.0)

@@ -11,17 +11,17 @@ from rhizotwin.rig.table.marlin_lines import POSITION
 from rhizotwin.rig.table.ramp import move_s
 
 ZERO_X_DEG = 360.0
-"""The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board
-itself remembers whether it was told its angle."""
+"""X of the firmware at table angle 0. After a reset the board reports X = 0, which no table angle gives, so that the
+board itself stores whether its angle was declared."""
 KNOWN_X_DEG = 200.0
-"""Minimum X of a board that knows its angle."""
+"""Minimum X of a board with a declared angle."""
 _ROUNDED_DEG = 0.0051
-"""M114 prints two decimals of a single-precision number."""
+"""Rounding: M114 prints two decimals of a single-precision number."""
 _START_S = 2.0
-"""Tolerance of the duration of a move."""
+"""Maximum delay of a move beyond its computed duration."""
 _LOOKS = 3
 _PAUSE_S = 0.2
-"""Waiting time before another reading; late replies are discarded meanwhile."""
+"""Pause before another reading, in which late answers arrive and are discarded."""
 _READINGS = 6
 
 
@@ -32,36 +32,36 @@ class MarlinTurntable:
         self._link = link
         self._part = part
         self._clock = clock
-        self._verified: tuple[int, float] | None = None  # session of the connection, and X as verified in it
-        self._seated = False  # whether the last move approached from the common side
+        self._verified: tuple[int, float] | None = None  # session of the link, and X as verified in it
+        self._seated = False  # whether the last move arrived from the usual side
         self._acceleration = part.acceleration_deg_per_s2
 
     def describe(self) -> str:
-        """Describe the firmware and the position of the turntable."""
+        """Return a description of firmware and position."""
         x_deg = self._x_deg()
-        where = f"table at {_table_deg(x_deg):.2f} deg" if x_deg >= KNOWN_X_DEG else "table angle not known"
+        where = f"table at {_table_deg(x_deg):.2f} deg" if x_deg >= KNOWN_X_DEG else "table angle unknown"
         return f"{self._link.firmware}, {where}"
 
     def prepare(self) -> None:
-        """Connect: synchronise line numbers, energise the motor permanently, use absolute angles."""
+        """Connect: synchronise line numbers, switch the motor on permanently, use absolute angles."""
         self._verified, self._seated = None, False
         self._link.start()
         self._link.command("M17")
         self._link.command("G90")
         self._link.command(f"M204 T{_plain(self._acceleration)}")
-        # no motion; a halted firmware reports it here
+        # causes no motion; a halted firmware reports its state here
         self._link.command(f"G1 F{_plain(self._feed())}")
         self._link.ask("M114", POSITION)
 
     def position_deg(self) -> float:
-        """Read the angle back. A board that does not know its angle says something below -90.
+        """Read the angle from the board; a value below -90 if the board has no declared angle.
 
-        A reply carries no checksum: it is believed when it says what was verified last, or when two in a row agree.
+        A reply carries no checksum; it is accepted if it equals the last verified one, or if two successive ones agree.
         """
         return _table_deg(self._x_deg())
 
     def declare(self, angle_deg: float) -> None:
-        """Set the current angle of the turntable (no motion).
+        """Define the present position as this angle (no motion).
 
         Raises
         ------
@@ -75,24 +75,24 @@ class MarlinTurntable:
         self._verify(angle_deg)
 
     def knows_zero(self) -> bool:
-        """Whether the board still knows its angle: False after power-up or a reset."""
+        """Whether the board still has a declared angle: False after power-up or a reset."""
         return self._x_deg() >= KNOWN_X_DEG
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of the following moves (M204 T: travel moves)."""
+        """Set the acceleration of subsequent moves (M204 T: moves without extrusion)."""
         self._acceleration = deg_per_s2
         self._link.command(f"M204 T{_plain(deg_per_s2)}")
 
     def move_to(self, angle_deg: float) -> float:
-        """Turn, always arriving from below; wait until done; return the angle read back.
+        """Turn, always arriving from below; wait until done, and return the measured angle.
 
-        A move down, and the first move after the motor was energised or the angle declared, goes `approach_deg` too far
-        down and comes back up, so that play is always taken up on the same side.
+        A downward move, and the first move after the motor was switched on or the angle declared, overshoots downward
+        by `approach_deg` and returns, so that backlash is always on the same side.
 
         Raises
         ------
         LostError
-            When the board was reset, or says another angle after the move than it was told.
+            If the board was reset, or reports another angle after the move than commanded.
         UnsafeError
             For an angle outside -90 to 720.
         """
@@ -113,7 +113,7 @@ class MarlinTurntable:
         return read_deg
 
     def release(self) -> None:
-        """Switch the motor off. Since the rotor may turn then, the angle of the board is invalidated first."""
+        """Switch the motor off. As the rotor may then turn, the board's angle is cleared first."""
         self._verified, self._seated = None, False
         if not self._link.ready:
             self._link.start()
@@ -123,17 +123,17 @@ class MarlinTurntable:
         self._link.ask("M114", POSITION)
 
     def close(self) -> None:
-        """Close the port that turntable and lamps share."""
+        """Close the port that table and lights share."""
         self._link.close()
 
     def _feed(self) -> float:
-        """Return the speed per minute, as required by G1."""
+        """Return the speed per minute, the unit of G1."""
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
-        """Return the angle reported by the board when it equals the commanded one.
+        """Return the angle reported by the board, once it agrees with the commanded one.
 
-        A different answer is not believed at once.
+        A different reply is not accepted immediately.
         """
         read_deg = before_deg = math.nan
         for look in range(_LOOKS):
@@ -146,21 +146,21 @@ class MarlinTurntable:
                 self._verified = (self._link.sessions, x_deg)
                 return read_deg
         raise LostError(
-            f"{self._link.name}: says that the table stands at {read_deg:.2f} deg after it was told {angle_deg:.2f} deg; check the "
-            "firmware's axis limits, then find the angle anew"
+            f"{self._link.name}: reports {read_deg:.2f} deg after a move to {angle_deg:.2f} deg; check the "
+            "firmware's axis limits, then determine the angle again"
         )
 
     def _known_x_deg(self) -> float:
-        """Return the position of the turntable; it is read only if unknown from the last move."""
+        """Return the table's X; it is only read if it is not known from the last move."""
         if self._verified is not None and self._link.ready and self._verified[0] == self._link.sessions:
             return self._verified[1]
         x_deg = self._x_deg()
         if x_deg < KNOWN_X_DEG:
-            raise LostError(f"{self._link.name}: does not know the table's angle; find it by the markers, or declare it")
+            raise LostError(f"{self._link.name}: the table's angle is unknown; determine it by the markers, or declare it")
         return x_deg
 
     def _x_deg(self) -> float:
-        """Read X until a valid reply is received."""
+        """Read X until a reply can be accepted."""
         verified = self._verified[1] if self._verified is not None else math.nan
         before = math.nan
         for _ in range(_READINGS):
@@ -168,7 +168,7 @@ class MarlinTurntable:
             if x_deg in (verified, before):
                 return x_deg
             before = x_deg
-        raise NoAnswerError(f"{self._link.name}: says another angle every time it is asked; check the cable, then start again")
+        raise NoAnswerError(f"{self._link.name}: reports a different angle at every reading; check the cable, then start again")
 
     def _look(self, *, expect_s: float = 0.0) -> float:
         return float(self._link.ask("M114", POSITION, expect_s=expect_s)[1])
@@ -177,7 +177,7 @@ class MarlinTurntable:
 def _check_angle(angle_deg: float) -> None:
     if not LEAST_DEG <= angle_deg <= MOST_DEG:
         raise UnsafeError(
-            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that many turns nearer"
+            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that differs by full turns"
         )
 
 
@@ -186,5 +186,5 @@ def _table_deg(x_deg: float) -> float:
 
 
 def _plain(value: float) -> str:
-    """Format a number for G-code, without exponent and trailing zeros."""
+    """Return a number in G-code format, without exponent and trailing zeros."""
     return f"{value:.4f}".rstrip("0").rstrip(".")

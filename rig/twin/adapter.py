@@ -1,6 +1,6 @@
-"""Interface of an adapter, which implements the protocol of one device.
+"""Interface of an adapter: the protocol of one device.
 
-It receives the bytes of the host and returns bytes with their due times.
+It receives the host's bytes, and returns bytes with the times at which they are due.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Reply:
-    """Message of a device: a line of text, or a frame."""
+    """One message of a device: a line of text, or a frame."""
 
     due_s: float
     """Time at which the device begins to send it."""
@@ -17,20 +17,20 @@ class Reply:
 
 
 class Adapter(Protocol):
-    """Protocol of a device, independent of the serial line."""
+    """Implements the protocol of a device, without transmission."""
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Process bytes from the host."""
+        """Receive bytes from the host."""
 
     def next_s(self) -> float:
         """Return the time of the next action of `poll`; infinity if there is none."""
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Execute actions that are due."""
+        """Perform the actions that are due."""
 
 
 class Motor(Protocol):
-    """Motor of a board; angles are degrees of its own count since power-up."""
+    """Motor driven by a board; angles are degrees of the motor's own count since power-up."""
 
     steps_per_deg: float
     acceleration_deg_per_s2: float
@@ -46,22 +46,22 @@ class Motor(Protocol):
 
     @property
     def moving(self) -> bool:
-        """Whether the motor is moving."""
+        """Whether the motor moves."""
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` remain."""
+        """Return the time until at most ``moves`` are left."""
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
         """Add a move."""
 
     def energise(self) -> None:
-        """Switch on."""
+        """Switch the coils on."""
 
     def release(self) -> None:
-        """Switch off."""
+        """Switch the coils off."""
 
     def stop(self) -> None:
-        """Stop at once."""
+        """Stop immediately."""
 
     def power_up(self) -> None:
         """Reset to the state after power-up."""
@@ -71,10 +71,10 @@ class Strip(Protocol):
     """A strip of LEDs."""
 
     def show(self, rgb: tuple[int, int, int], *, led: int | None = None) -> None:
-        """Give LEDs a colour."""
+        """Set the colour of LEDs."""
 
     def dim(self, brightness: int) -> None:
-        """Scale all LEDs."""
+        """Set the brightness of all LEDs."""
 
     def power_up(self) -> None:
-        """Go dark."""
+        """Switch off, as after power-up."""

@@ -1,6 +1,6 @@
-"""Emulated camera and its driver.
+"""Camera of the twin, and its driver.
 
-The sensor may stop, deliver old pictures or expose wrongly; the driver detects this, like that of a real camera.
+The sensor may stop, deliver old pictures or expose wrongly, which the driver must detect, as for a real camera.
 """
 
 from collections.abc import Callable
@@ -11,22 +11,22 @@ from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import NoAnswerError
 from rhizotwin.rig.rig_file import CameraPart
 from rhizotwin.rig.twin.faults import Pending
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 READOUT_S = 0.03
 PATIENCE_S = 10.0
-"""Time-out of a picture beyond its exposure time."""
+"""Time-out of a picture, in addition to its exposure."""
 TRIES = 3
 NEAR = 0.01
-"""Relative tolerance of reported exposure times and gains."""
+"""Relative tolerance of the reported exposure time and gain."""
 
 Look = Callable[[float], Grey]
-"""Function from the relative exposure to the picture that the camera stores."""
+"""Function of the exposure relative to the nominal one that returns the picture that the camera would now store."""
 
 
 @dataclass(frozen=True)
 class _Raw:
-    """Data from the sensor."""
+    """Picture from the sensor with its reported settings."""
 
     image: Grey
     began_s: float
@@ -35,20 +35,20 @@ class _Raw:
 
 
 class TwinCamera:
-    """A `rig.devices.Camera` that looks at a twin.
+    """A `rig.devices.Camera` that takes pictures of a twin.
 
     Parameters
     ----------
     look
-        Takes the picture.
+        Function that takes the picture.
     clock
-        In which exposures take their time.
+        Clock in which exposures take time.
     part
-        The settings to use.
+        Settings of the camera.
     nominal
-        The settings at which the scene has its stated brightness.
+        Settings at which the scene has its nominal brightness.
     pending
-        Faults to come.
+        Faults that have not yet occurred.
     """
 
     def __init__(self, look: Look, clock: Clock, *, part: CameraPart, nominal: CameraPart, pending: Pending) -> None:
@@ -58,26 +58,26 @@ class TwinCamera:
         self._nominal = nominal
         self._pending = pending
         self._count = 0
-        self._back_s = 0.0  # when a sensor that stopped gives pictures again
+        self._back_s = 0.0  # time at which a stopped sensor delivers pictures again
         self._last: _Raw | None = None
 
     def describe(self) -> str:
-        """Describe the camera."""
+        """Return a description of the camera."""
         return f"the twin's camera, exposure {1000.0 * self._part.exposure_s:g} ms, gain {self._part.gain:g}"
 
     def prepare(self) -> None:
-        """Verify the camera by a picture."""
+        """Verify the camera with a picture."""
         self.capture()
 
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call.
 
-        Old and wrongly exposed ones are dropped and taken again.
+        Old and wrongly exposed pictures are discarded and taken again.
 
         Raises
         ------
         NoAnswerError
-            When no picture comes, or none with the wanted exposure.
+            If no picture arrives, or none with the required exposure.
         """
         wrong = ""
         for _ in range(TRIES):
@@ -92,7 +92,7 @@ class TwinCamera:
         raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and check that no other program uses it")
 
     def close(self) -> None:
-        """Do nothing; there is nothing to release."""
+        """Do nothing, as there is nothing to release."""
 
     def _frame(self) -> _Raw:
         self._count += 1
@@ -108,7 +108,7 @@ class TwinCamera:
         waited_s = self._back_s - self._clock.now_s()
         self._clock.sleep(min(waited_s, PATIENCE_S))
         if waited_s > PATIENCE_S:
-            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and supply, then continue with --resume")
+            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and power, then resume with --resume")
         if stale:
             return self._last or self._expose(exposure_s, began_s=-1.0)
         self._last = self._expose(exposure_s, began_s=self._clock.now_s())

@@ -1,4 +1,4 @@
-"""Faults of the emulated rig as data: in the communication, in a device, in the camera."""
+"""Faults of a twin, as data: in transmission, in a device, and in the camera."""
 
 import threading
 from dataclasses import dataclass, replace
@@ -20,36 +20,35 @@ class Fault:
     """One fault."""
 
     kind: str
-    """Kind, from `MENU`."""
+    """A kind of `MENU`."""
     device: Device
     at_message: int | None = None
-    """Index (from 1) of the message of the device that is affected: reply, request or picture, depending on the
-    kind."""
+    """Number (from 1) of the device's message at which it occurs: reply, request or picture, depending on the kind."""
     at_s: float | None = None
-    """Virtual time from which the next message is affected. Without index and time: immediately."""
+    """Virtual time after which it occurs, at the next message. If neither is given, it occurs immediately."""
     amount: float = 0.5
-    """Duration in s, or affected part of a message (0 to 1), depending on the kind."""
+    """Seconds (of a delay or an absence), or the part of a message that is affected (0 to 1), depending on the kind."""
     count: int = 1
-    """Number of consecutive messages."""
+    """Number of successive messages that are affected."""
     joint: int = 1
-    """Index of the joint of the arm, base first."""
+    """Affected servo of the arm: index of the joint, base first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaultKind:
-    """An entry of the menu."""
+    """Description of a kind of fault."""
 
     name: str
     what: str
-    """Description of the fault and of ``amount``."""
+    """Description of the fault, including the meaning of ``amount``."""
     devices: tuple[Device, ...]
     where: Where
     amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
-    """Amounts for random faults."""
+    """Amounts from which a random one is chosen."""
     counts: tuple[int, ...] = (1,)
-    """Counts for random faults."""
+    """Numbers of messages from which a random one is chosen."""
     protocol: Literal["lx", "lsc"] | None = None
-    """Required protocol of the arm, if any."""
+    """Protocol of the arm for which the fault exists; None for both."""
 
 
 _SERIAL: tuple[Device, ...] = ("table", "arm")
@@ -60,32 +59,41 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="reply_corrupted", what="a bit of a reply is wrong", devices=_SERIAL, where="reply", counts=_SEVERAL),
     FaultKind(
         name="reply_late",
-        what="a reply comes AMOUNT seconds late",
+        what="a reply arrives AMOUNT seconds late",
         devices=_SERIAL,
         where="reply",
         amounts=(0.02, 0.1, 0.5, 2.0, 8.0, 20.0, 60.0),
         counts=(1, 1, 3),
     ),
-    FaultKind(name="reply_doubled", what="a reply comes twice", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(name="reply_doubled", what="a reply arrives twice", devices=_SERIAL, where="reply", counts=_SEVERAL),
     FaultKind(name="reply_truncated", what="a reply ends too early", devices=_SERIAL, where="reply", counts=_SEVERAL),
-    FaultKind(name="garbage", what="noise comes before a reply", devices=_SERIAL, where="reply", counts=_SEVERAL),
-    FaultKind(name="echo", what="the host hears what it sends", devices=("arm",), where="request", counts=(1, 5, FOR_GOOD), protocol="lx"),
-    FaultKind(name="request_corrupted", what="a bit of what the host sends is wrong", devices=_SERIAL, where="request", counts=_SEVERAL),
-    FaultKind(name="request_dropped", what="what the host sends is lost", devices=_SERIAL, where="request", counts=_SEVERAL),
+    FaultKind(name="garbage", what="noise arrives before a reply", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(
+        name="echo",
+        what="the host receives an echo of transmitted bytes",
+        devices=("arm",),
+        where="request",
+        counts=(1, 5, FOR_GOOD),
+        protocol="lx",
+    ),
+    FaultKind(name="request_corrupted", what="a bit of a request is wrong", devices=_SERIAL, where="request", counts=_SEVERAL),
+    FaultKind(name="request_dropped", what="a request is lost", devices=_SERIAL, where="request", counts=_SEVERAL),
     FaultKind(name="ok_missing", what="an ok is lost", devices=("table",), where="reply", counts=_SEVERAL),
     FaultKind(
         name="ok_missing_after_resend", what="a line is corrupted, and no ok follows the Resend", devices=("table",), where="request"
     ),
     FaultKind(
         name="busy",
-        what="the board reports busy every two seconds for AMOUNT seconds before it replies",
+        what="the board reports busy every two seconds for AMOUNT seconds before it answers",
         devices=("table",),
         where="reply",
         amounts=(3.0, 9.0, 45.0),
     ),
-    FaultKind(name="unasked", what="the board sends frame 8 unasked", devices=("arm",), where="reply", counts=_SEVERAL, protocol="lsc"),
-    FaultKind(name="reset", what="the board starts anew by itself", devices=("table",), where="device"),
-    FaultKind(name="stopped", what="Marlin stops itself because of an error", devices=("table",), where="device"),
+    FaultKind(
+        name="unasked", what="the board sends an unsolicited frame 8", devices=("arm",), where="reply", counts=_SEVERAL, protocol="lsc"
+    ),
+    FaultKind(name="reset", what="the board resets", devices=("table",), where="device"),
+    FaultKind(name="stopped", what="Marlin halts because of an error", devices=("table",), where="device"),
     FaultKind(
         name="unplugged",
         what="the cable is unplugged, and reconnected after AMOUNT seconds (0: never)",
@@ -100,25 +108,27 @@ MENU: tuple[FaultKind, ...] = (
         where="device",
         amounts=(0.0, 0.5, 5.0),
     ),
-    FaultKind(name="overheated", what="a servo is AMOUNT degrees warm", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)),
+    FaultKind(
+        name="overheated", what="a servo has a temperature of AMOUNT degrees", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)
+    ),
     FaultKind(
         name="brown_out",
-        what="the supply of the arm fails for AMOUNT seconds; the servos lose their torque",
+        what="the arm's voltage drops for AMOUNT seconds, and the servos lose their torque",
         devices=("arm",),
         where="device",
         amounts=(0.2, 1.0, 10.0),
     ),
     FaultKind(
         name="camera_stopped",
-        what="the camera delivers no picture for AMOUNT seconds (0: permanently)",
+        what="the camera delivers no picture for AMOUNT seconds (0: never again)",
         devices=("camera",),
         where="shot",
         amounts=(0.0, 5.0, 30.0),
     ),
-    FaultKind(name="stale_frame", what="the camera gives an old picture", devices=("camera",), where="shot", counts=(1, 1, 2, FOR_GOOD)),
+    FaultKind(name="stale_frame", what="the camera delivers an old picture", devices=("camera",), where="shot", counts=(1, 1, 2, FOR_GOOD)),
     FaultKind(
         name="wrong_exposure",
-        what="the camera exposes AMOUNT times longer than commanded, and reports it",
+        what="the camera exposes AMOUNT times as long as commanded, and reports it",
         devices=("camera",),
         where="shot",
         amounts=(0.5, 2.0),
@@ -129,8 +139,8 @@ _KINDS = {kind.name: kind for kind in MENU}
 KIND_NAMES: tuple[str, ...] = tuple(_KINDS)
 
 
-def kind_of(name: str) -> FaultKind:
-    """Return an entry of the menu by its name.
+def fault_kind(name: str) -> FaultKind:
+    """Return a kind of fault by its name.
 
     Raises
     ------
@@ -138,32 +148,32 @@ def kind_of(name: str) -> FaultKind:
         For an unknown name.
     """
     if name not in _KINDS:
-        raise UserError(f'unknown fault "{name}"{suggestion(name, list(_KINDS))}; available: {", ".join(_KINDS)}')
+        raise UserError(f'there is no fault "{name}"{suggestion(name, list(_KINDS))}; there are {", ".join(_KINDS)}')
     return _KINDS[name]
 
 
 def draw_faults(
     rng: np.random.Generator, kinds: tuple[str, ...], *, messages: int = 100, duration_s: float = 120.0, shots: int = 10
 ) -> tuple[Fault, ...]:
-    """Place one fault of each kind at a random moment of a scan.
+    """Draw one fault of each kind at a random time of a scan.
 
     Parameters
     ----------
     rng : Generator
-        What draws device, moment, amount and count.
+        Random generator of device, time, amount and count.
     kinds : tuple of str
-        Names of the menu.
+        Names of the kinds.
     messages, duration_s, shots : int, float, int
-        How many replies (or requests) of a device, seconds and pictures the scan is expected to take: the moment is
-        drawn within them.
+        Expected numbers of replies (or requests) of a device, seconds and pictures of the scan, within which the time
+        is drawn.
 
     Returns
     -------
     tuple of Fault
-        In the order of the kinds.
+        Faults in the order of the kinds.
     """
     faults = []
-    for kind in map(kind_of, kinds):
+    for kind in map(fault_kind, kinds):
         device = kind.devices[int(rng.integers(len(kind.devices)))]
         count_at = int(rng.integers(1, (shots if device == "camera" else messages) + 1))
         by_time = device != "camera" and bool(rng.integers(2))
@@ -182,15 +192,15 @@ def draw_faults(
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a fault from a line such as ``reset``, ``reply_late table amount=3 at_s=20`` or ``stalled joint=2``.
+    """Parse a fault from a line such as ``reset``, ``reply_late table amount=3 at_s=20`` or ``stalled joint=2``.
 
     Raises
     ------
     UserError
-        When it cannot be understood, with what would be.
+        If the line is invalid, with the valid options.
     """
     name, *words = text.split() or [""]
-    kind = kind_of(name)
+    kind = fault_kind(name)
     device: Device = kind.devices[0]
     values: dict[str, float] = {}
     for word in words:
@@ -208,7 +218,7 @@ def parse_fault(text: str) -> Fault:
                 raise UserError(f'fault "{text}": {key} must be {must}, not {number}')
         else:
             raise UserError(
-                f'fault "{text}": {word!r} is invalid; {name} must be followed by {" or ".join(kind.devices)} and '
+                f'fault "{text}": {word!r} is invalid; after {name} use {" or ".join(kind.devices)} and '
                 "at_message=N, at_s=SECONDS, amount=X, count=N, joint=N"
             )
     fault = Fault(kind=name, device=device, amount=values.get("amount", kind.amounts[0]))
@@ -222,61 +232,61 @@ def parse_fault(text: str) -> Fault:
 
 
 class Pending:
-    """Pending faults; access is thread-safe."""
+    """Faults that have not yet occurred; can be used from several threads."""
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
-            kind_of(fault.kind)
+            fault_kind(fault.kind)
         self._lock = threading.Lock()
         self._left = list(faults)
         self.happened: list[tuple[float, Fault]] = []
-        """What happened, with its time."""
+        """Faults that have occurred, with their times."""
 
     def add(self, fault: Fault) -> None:
         """Add a fault."""
-        kind_of(fault.kind)
+        fault_kind(fault.kind)
         with self._lock:
             self._left.append(fault)
 
     def clear(self) -> None:
-        """Remove all pending faults."""
+        """Remove all faults."""
         with self._lock:
             self._left.clear()
 
     def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
-        """Return the faults that hit message ``number`` of a device, in their order; `use` says that one did.
+        """Return the faults that affect message ``number`` of a device, in order; `use` marks one as occurred.
 
         Parameters
         ----------
         device : Device
-            What the message is for.
+            Device of the message.
         where : Where
-            On the wire or in the device.
+            Place of the fault: in transmission or in the device.
         number : int
-            Of the message.
+            Number of the message.
         now_s : float
             Time of the twin.
 
         Returns
         -------
         list of Fault
-            None used yet.
+            Faults that are due.
         """
         with self._lock:
-            here = [fault for fault in self._left if fault.device == device and kind_of(fault.kind).where == where]
+            here = [fault for fault in self._left if fault.device == device and fault_kind(fault.kind).where == where]
         return [fault for fault in here if _is_due(fault, number, now_s)]
 
     def use(self, fault: Fault, now_s: float) -> None:
-        """Count one affected message of a fault."""
+        """Count one message affected by a fault."""
         with self._lock:
             self.happened.append((now_s, fault))
             i = next(i for i, left in enumerate(self._left) if left is fault)
             self._left[i : i + 1] = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
 
     def next_s(self) -> float:
-        """Return the time of the next timed fault of a device."""
+        """Return the time of the next device fault that is scheduled by time."""
         with self._lock:
-            times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
+            times = [fault.at_s for fault in self._left if fault.at_s is not None and fault_kind(fault.kind).where == "device"]
         return min(times, default=float("inf"))
 
 

@@ -1,6 +1,6 @@
-"""Model of a lamp: an LED strip with colours and a common brightness; the light follows with a ramp.
+"""Model of a lamp: a strip of LEDs with individual colours and a common brightness; its light follows with a ramp.
 
-It is independent of the protocol.
+It is independent of protocols.
 """
 
 import numpy as np
@@ -17,11 +17,11 @@ class Lamp:
     Parameters
     ----------
     full_rgb
-        The colour that gives level 1 at full brightness.
+        Colour of level 1 at full brightness.
     imperfections
         Ramp and error of the brightness.
     key
-        Of the lamp's random stream.
+        Key of the lamp's random stream.
     """
 
     def __init__(self, *, full_rgb: Rgb, imperfections: Imperfections, key: Key) -> None:
@@ -35,21 +35,21 @@ class Lamp:
 
     @property
     def level(self) -> float:
-        """Current light, relative to full."""
+        """Present light, as a fraction of the maximum."""
         return self._level
 
     @property
     def goal(self) -> float:
-        """Target level."""
+        """Level that the lamp has or approaches."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:
-        """Return the factor to levels of which this colour is full; None where it shows another colour or is dark."""
+        """Return the ratio to levels for which this colour is the maximum; None for another colour, or a dark lamp."""
         shown = self._brightness > 0 and all(led == rgb for led in self._rgb) and sum(rgb) > 0
         return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
-        """Set all LEDs, or one, to a colour, 0-255 each."""
+        """Set the colour of all LEDs, or of one if it exists, 0-255 each."""
         if led is None:
             self._rgb = [rgb] * LEDS
         elif 0 <= led < LEDS:
@@ -57,12 +57,12 @@ class Lamp:
         self._settle()
 
     def dim(self, brightness: int) -> None:
-        """Scale all LEDs, 0-255, until changed."""
+        """Set the brightness of all LEDs, 0-255; it remains until changed."""
         self._brightness = brightness
         self._settle()
 
     def power_up(self) -> None:
-        """Switch off, as after a reset of the board."""
+        """Switch off, as LEDs do when their board starts."""
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
         self._settle()

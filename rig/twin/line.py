@@ -1,7 +1,4 @@
-"""Model of a serial line with transmission times and faults.
-
-Faults sit in between.
-"""
+"""A serial line with transmission times in both directions, and faults."""
 
 import math
 from bisect import insort
@@ -17,22 +14,22 @@ NOISE = bytes((0xFF, 0x00, 0x55, 0x13, 0x9C, 0x0A, 0x55, 0x55, 0xFE, 0x7F, 0x01,
 BUSY = b"echo:busy: processing\n"
 BUSY_EVERY_S = 2.0
 SPLIT_EVERY = 4
-"""Every so many messages, one reaches the host in two pieces."""
+"""One in this number of messages reaches the host in two pieces."""
 
 
 class Line:
-    """The cable between the host and one device.
+    """Connection between the host and one device.
 
     Parameters
     ----------
     device
-        Its name, which faults refer to.
+        Name of the device, to which faults refer.
     adapter
-        What answers.
+        Adapter of the device.
     baud
-        For the time on the wire, 10 bits a byte.
+        Baud rate, which determines the transmission time with 10 bits per byte.
     pending
-        Faults still to come.
+        Faults that have not yet occurred.
     break_device
         Called with a fault of kind "device" that is due at a message.
     """
@@ -43,20 +40,20 @@ class Line:
         self._byte_s = BITS_A_BYTE / baud
         self._pending = pending
         self._break_device = break_device
-        self._requests: deque[tuple[float, bytes]] = deque()  # when the last byte is there
+        self._requests: deque[tuple[float, bytes]] = deque()  # with the arrival time of the last byte
         self._request_free_s = 0.0
-        self._replies: list[Reply] = []  # by due time, before their time on the wire
-        self._arrivals: list[tuple[float, bytes]] = []  # by the time when the host has it
+        self._replies: list[Reply] = []  # by due time, before transmission
+        self._arrivals: list[tuple[float, bytes]] = []  # by arrival time at the host
         self._reply_free_s = 0.0
         self._received = bytearray()
         self._sent_count = self._reply_count = self._message_count = 0
         self._mute_ok = False
         self.plugged = True
         self.plugs = 0
-        """Number of disconnections; ports opened before are invalid afterwards."""
+        """Number of disconnections; ports opened before the last one are invalid."""
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Accept bytes from the host."""
+        """Receive bytes from the host."""
         self._sent_count += 1
         for fault in self._pending.due(self.device, "request", self._sent_count, now_s):
             self._pending.use(fault, now_s)
@@ -65,13 +62,13 @@ class Line:
             elif fault.kind == "request_dropped":
                 return
             else:
-                data = corrupted(data, fault.amount)
+                data = corrupt(data, fault.amount)
                 self._mute_ok |= fault.kind == "ok_missing_after_resend"
         self._request_free_s = max(self._request_free_s, now_s) + len(data) * self._byte_s
         self._requests.append((self._request_free_s, data))
 
     def take(self, size: int | None = None) -> bytes:
-        """Return up to ``size`` received bytes to the host."""
+        """Return up to ``size`` of the bytes that have arrived at the host."""
         size = len(self._received) if size is None else size
         data = bytes(self._received[:size])
         del self._received[:size]
@@ -79,15 +76,15 @@ class Line:
 
     @property
     def waiting(self) -> int:
-        """Number of bytes received for the host."""
+        """Number of bytes that have arrived at the host."""
         return len(self._received)
 
     def drop_input(self) -> None:
-        """Discard received bytes, as by flushing a serial port."""
+        """Discard bytes that have arrived, as the flush of a serial port does."""
         self._received.clear()
 
     def unplug(self) -> None:
-        """Disconnect the cable: bytes in transmission are lost."""
+        """Disconnect the cable; bytes in transmission are lost."""
         self.plugged = False
         self.plugs += 1
         self._requests.clear()
@@ -98,15 +95,15 @@ class Line:
         self._mute_ok = False
 
     def plug(self) -> None:
-        """Connect the cable."""
+        """Reconnect the cable."""
         self.plugged = True
 
     def silence(self) -> None:
-        """Discard pending replies of the device after a reset."""
+        """Discard replies that the device has not sent, as it was reset."""
         self._replies.clear()
 
     def next_s(self) -> float:
-        """Return the arrival time of the next byte."""
+        """Return the time of the next arrival of a byte."""
         times = [self.adapter.next_s()]
         if self._requests:
             times.append(self._requests[0][0])
@@ -117,7 +114,7 @@ class Line:
         return min(times)
 
     def advance_to(self, now_s: float) -> None:
-        """Transmit bytes that are due."""
+        """Deliver the bytes that are due."""
         while self._requests and self._requests[0][0] <= now_s:
             self._answer(self.adapter.receive(self._requests.popleft()[1], now_s))
         self._answer(self.adapter.poll(now_s))
@@ -153,7 +150,7 @@ class Line:
                     self._carry(BUSY, at_s)
             if fault.kind in ("busy", "reply_late"):
                 delay_s += fault.amount
-            pieces = hit(pieces, fault)
+            pieces = apply_fault(pieces, fault)
         for piece in pieces:
             self._carry(piece, now_s + delay_s)
 
@@ -168,12 +165,12 @@ class Line:
                 self._arrive(self._reply_free_s, piece)
 
 
-def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
-    """Return the remaining messages after a fault of the line."""
+def apply_fault(pieces: list[bytes], fault: Fault) -> list[bytes]:
+    """Return the messages that result from some messages after a transmission fault."""
     if fault.kind in ("reply_dropped", "ok_missing"):
         return []
     if fault.kind == "reply_corrupted":
-        return [corrupted(piece, fault.amount) for piece in pieces]
+        return [corrupt(piece, fault.amount) for piece in pieces]
     if fault.kind == "reply_doubled":
         return [*pieces, *pieces]
     if fault.kind == "reply_truncated":
@@ -185,8 +182,8 @@ def hit(pieces: list[bytes], fault: Fault) -> list[bytes]:
     return pieces
 
 
-def corrupted(data: bytes, amount: float) -> bytes:
-    """Return a message with one inverted bit, selected by ``amount`` (0 to 1)."""
+def corrupt(data: bytes, amount: float) -> bytes:
+    """Return a message with one inverted bit, which ``amount`` (0 to 1) selects."""
     if not data:
         return data
     bit = min(int(amount * 8 * len(data)), 8 * len(data) - 1)

@@ -1,4 +1,4 @@
-"""The bus-servo protocol of LX servos: binary frames in, frames out. Knows no physics and no wire (echo is the wire's).
+"""Protocol of LX bus servos: binary frames, without physics and transmission (which includes the echo).
 
 After LewanSoul's "Bus Servo Communication Protocol". Frame: 55 55 | id | length | command | parameters | checksum.
 """
@@ -11,16 +11,16 @@ from rhizotwin.rig.twin.adapter import Reply
 from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.0015
-"""Time from a request to its reply."""
+"""Delay from the end of a request to its reply."""
 BROADCAST = 254
 ID_READ = 14
 """The only broadcast request with a reply."""
 MAX_LENGTH = 10
-"""Maximum frame length; larger values are noise."""
+"""Maximum length of a frame; larger values are noise."""
 
 
 class LxAdapter:
-    """Servos on one bus."""
+    """The servos on one bus."""
 
     def __init__(self, servos: dict[int, Servo], supply: Supply) -> None:
         self._servos = servos
@@ -30,9 +30,9 @@ class LxAdapter:
         self._kept: dict[tuple[int, int], bytes] = {}
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host.
+        """Receive bytes from the host.
 
-        Frames with a wrong checksum are ignored, as is everything while the supply is down.
+        Frames with a wrong checksum are ignored, as are all bytes while the supply is off.
         """
         if not self._supply.up:
             self._buffer.clear()
@@ -40,17 +40,19 @@ class LxAdapter:
         self._buffer += data
         replies: list[Reply] = []
         while (frame := self._frame()) is not None:
-            answers = [answer for servo in self._meant(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None]
+            answers = [
+                answer for servo in self._addressed_servos(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None
+            ]
             if answers and (frame[2] != BROADCAST or frame[4] == ID_READ):
-                replies.append(Reply(now_s + THINKING_S, _collided(answers)))
+                replies.append(Reply(now_s + THINKING_S, _merge_collision(answers)))
         return replies
 
     def next_s(self) -> float:
-        """Return infinity: servos never send unsolicited data."""
+        """Return infinity, as servos send nothing unsolicited."""
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:
-        """Do nothing: servos never send unsolicited data."""
+        """Do nothing, as servos send nothing unsolicited."""
         return []
 
     def _frame(self) -> bytes | None:
@@ -76,19 +78,19 @@ class LxAdapter:
                 return frame
             del buffer[0]
 
-    def _meant(self, number: int) -> list[int]:
+    def _addressed_servos(self, number: int) -> list[int]:
         if number == BROADCAST:
             return sorted(self._servos)
         return [number] if number in self._servos else []
 
     def _answer(self, number: int, command: int, parameters: bytes) -> bytes | None:
-        """Execute a command of one servo; return its reply, if any."""
+        """Execute a command of one servo, and return the reply if there is one."""
         servo = self._servos[number]
         if command in _READS:
-            return frame_of(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
+            return build_frame(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
         if command in _STORED_READS:
             write, default = _STORED_READS[command]
-            return frame_of(number, command, self._kept.get((number, write), default)) if not parameters else None
+            return build_frame(number, command, self._kept.get((number, write), default)) if not parameters else None
         if command in _STORED_WRITES:
             if len(parameters) == _STORED_WRITES[command]:
                 self._kept[number, command] = parameters
@@ -123,29 +125,29 @@ def checksum(body: bytes) -> int:
     return ~sum(body) & 0xFF
 
 
-def frame_of(number: int, command: int, parameters: bytes) -> bytes:
-    """Return a whole frame.
+def build_frame(number: int, command: int, parameters: bytes) -> bytes:
+    """Return a complete frame.
 
     Parameters
     ----------
     number : int
-        The servo's.
+        Number of the servo.
     command : int
-        Of the reply.
+        Number of the command.
     parameters : bytes
-        Its bytes.
+        Parameters of the command.
 
     Returns
     -------
     bytes
-        With head, length and checksum.
+        Frame with header, length and checksum.
     """
     body = bytes([number, len(parameters) + 3, command]) + parameters
     return b"\x55\x55" + body + bytes([checksum(body)])
 
 
-def _collided(frames: list[bytes]) -> bytes:
-    """Return the received bytes when several servos reply at once: a low level dominates."""
+def _merge_collision(frames: list[bytes]) -> bytes:
+    """Return the bytes that the host receives if several servos reply at once: a low level dominates."""
     heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
     for frame in frames:
         for i, byte in enumerate(frame):
@@ -170,7 +172,7 @@ _READS: dict[int, Callable[[int, Servo, Supply], bytes]] = {
     32: lambda _n, servo, _s: bytes([servo.holds]),
 }
 
-# settings without effect that can be read back: read command: write command and default
+# Settings without effect here that can be read back. Read command: write command and default.
 _STORED_READS: dict[int, tuple[int, bytes]] = {
     19: (17, b"\x00"),
     21: (20, _ANGLE_LIMITS),

@@ -1,8 +1,7 @@
-"""Marlin 2.1's line protocol: numbers, checksums, resends, one line after the other, busy lines, reset and kill.
+"""Marlin 2.1's line protocol: numbers, checksums, resends, sequential execution, busy lines, reset and kill.
 
-Knows no physics.
-
-After Marlin's queue.cpp, e_parser.h, language.h and setup(); what the commands do is `rig.twin.marlin_commands`.
+It is independent of physics. After Marlin's queue.cpp, e_parser.h, language.h and setup(); the commands are implemented
+in `rig.twin.marlin_commands`.
 """
 
 import math
@@ -13,9 +12,9 @@ from rhizotwin.rig.twin.adapter import Motor, Reply, Strip
 from rhizotwin.rig.twin.marlin_commands import VERSION, MarlinCommands
 
 THINKING_S = 0.001
-"""From a line to its answer."""
+"""Delay from a line to its answer."""
 BOOT_S = 0.3
-"""From a reset to the first line of the banner."""
+"""Delay from a reset to the first line of the banner."""
 BUSY_EVERY_S = 2.0
 MAX_LINE = 96
 BANNER = (
@@ -31,18 +30,18 @@ _EMERGENCY = re.compile(r"(?:N\s*\d+\s*)?(M112|M410|M108)(?!\d)")
 
 
 class MarlinAdapter:
-    """A board with Marlin on it.
+    """A board with Marlin firmware.
 
     Parameters
     ----------
     motor
-        Axis X.
+        Motor of axis X.
     strips
-        The LED strips 0 and 1.
+        LED strips 0 and 1.
     outputs_on
-        Fan outputs that are on; None: there are none.
+        Set of fan outputs that are on; None if there are no outputs.
     ok_after_resend
-        Whether ``Resend:`` is followed by an ``ok``; some 2.0.x versions leave it out.
+        Whether ``Resend:`` is followed by an ``ok``; some 2.0.x versions omit it.
     """
 
     def __init__(
@@ -62,18 +61,18 @@ class MarlinAdapter:
         self._last = 0
         self._busy_every_s = BUSY_EVERY_S
         self._next_busy_s = math.inf
-        self._done_s: float | None = None  # when the command that blocks is done
-        self._boot_s: float | None = None  # when the banner comes
+        self._done_s: float | None = None  # time at which the blocking command is done
+        self._boot_s: float | None = None  # time of the banner
         self._boot_reason = ""
 
     def reset(self, now_s: float, *, reason: str = "External Reset") -> None:
-        """Start as after a press on the reset button: everything is forgotten, then comes the banner."""
+        """Reset as by the reset button: the state is lost, then the banner follows."""
         self._start_anew()
         self.commands.power_up()
         self._boot_s, self._boot_reason = now_s + BOOT_S, reason
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host; what arrives while the board starts, or after it was killed, is lost."""
+        """Receive bytes from the host; they are lost while the board starts, or after it was killed."""
         if self._boot_s is not None or self.halted:
             return []
         replies: list[Reply] = []
@@ -90,7 +89,7 @@ class MarlinAdapter:
         return replies + self._work(now_s)
 
     def next_s(self) -> float:
-        """Return when the board says or does something by itself."""
+        """Return the time of the board's next output or action."""
         if self.halted:
             return math.inf
         if self._boot_s is not None:
@@ -98,7 +97,7 @@ class MarlinAdapter:
         return min(math.inf if self._done_s is None else self._done_s, self._next_busy_s, self.commands.next_s())
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Send the banner, busy lines and late answers; release the motor when it was idle for long."""
+        """Send the banner, busy lines and late answers; release the motor after its idle time."""
         if self.halted or now_s < self.next_s():
             return []
         if self._boot_s is not None:
@@ -112,7 +111,7 @@ class MarlinAdapter:
         return replies
 
     def _work(self, now_s: float) -> list[Reply]:
-        """Carry out the waiting lines, up to one that blocks."""
+        """Execute waiting lines, up to a blocking one."""
         replies: list[Reply] = []
         while not self.halted:
             if self._done_s is not None:
@@ -126,10 +125,10 @@ class MarlinAdapter:
         return replies
 
     def _line(self, line: str, now_s: float) -> list[str]:
-        """Check number and checksum, then do the command; return the lines of the answer."""
+        """Check number and checksum, execute the command, and return the lines of the answer."""
         if line.startswith("N"):
             renumber = line.find("M110")
-            second = line.find("N", renumber) if renumber >= 0 else -1  # the last N in the line wins
+            second = line.find("N", renumber) if renumber >= 0 else -1  # the last N in the line counts
             number = _whole(line[max(second, 0) + 1 :])
             if renumber < 0 and number != self._last + 1:
                 return self._resend("Line Number is not Last Line Number+1")
@@ -140,7 +139,7 @@ class MarlinAdapter:
                 return self._resend("checksum mismatch")
             self._last = number
             line = re.sub(r"^N\s*[-+]?\d+\s*", "", body)
-        elif "*" in line:  # Marlin 2 does not check the sum of a line without a number
+        elif "*" in line:  # Marlin 2 does not verify the checksum of a line without a number
             line = line.rpartition("*")[0]
         return self._command(line.strip(), now_s)
 
@@ -171,7 +170,7 @@ class MarlinAdapter:
         return [*answer.texts, "ok"]
 
     def _emergency(self, line: str, now_s: float) -> list[Reply]:
-        """M112, M410 and M108 act as soon as they are received, whatever waits before them."""
+        """Execute M112, M410 and M108 on reception, regardless of the queue."""
         found = _EMERGENCY.match(line)
         if found is None:
             return []
@@ -198,7 +197,7 @@ def _xor(text: str) -> int:
 
 
 def _whole(text: str) -> int:
-    """Read the number that a text begins with, as C's strtol does."""
+    """Return the integer at the beginning of a text, as C's strtol does."""
     found = re.match(r"\s*([-+]?\d+)", text)
     return int(found[1]) if found else 0
 

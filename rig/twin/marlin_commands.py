@@ -1,7 +1,4 @@
-"""What Marlin's G and M codes do on a board with one axis and two LED strips.
-
-After gcode.cpp, M114.cpp and M150.cpp of Marlin 2.1.
-"""
+"""Marlin's G and M codes on a board with one axis and two LED strips."""
 
 import math
 from collections.abc import Callable
@@ -19,24 +16,24 @@ ABOUT = (
 CAPABILITIES = ("SERIAL_XON_XOFF:0", "EEPROM:0", "AUTOREPORT_TEMP:1", "EMERGENCY_PARSER:1", "HOST_ACTION_COMMANDS:0", "BUSY_PROTOCOL:1")
 STOPPED = "Printer stopped due to errors. Fix the error and use M999 to restart. (Temperature is reset. Set it after restarting)"
 _SILENT = frozenset(("G21", "M82", "M83", "M108", "M111", "M154", "M155", "M201", "M203", "M205", "M211", "M220", "M410", "M500", "M501"))
-"""Accepted without effect here; M108 and M410 had theirs when they were received."""
+"""Commands accepted without effect here; M108 and M410 were executed on reception."""
 
 Words = dict[str, float | None]
-"""The letters of a command with their numbers; None for a letter alone."""
+"""Letters of a command with their numbers; None for a letter without one."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What comes of a command."""
+    """Result of a command."""
 
     texts: tuple[str, ...] = ()
     """Lines before the ``ok``."""
     wait_s: float = 0.0
-    """The ``ok`` comes after this time."""
+    """Delay of the ``ok``."""
 
 
 class MarlinCommands:
-    """The state of the board behind its commands."""
+    """State of the board and implementation of its commands."""
 
     def __init__(self, motor: Motor, strips: tuple[Strip, Strip], outputs_on: set[int]) -> None:
         self._motor = motor
@@ -48,7 +45,7 @@ class MarlinCommands:
         self._speed = FIRST_SPEED_DEG_PER_S
         self._is_relative = False
         self._idle_s = IDLE_RELEASE_S
-        self._used_s = math.inf  # when the motor was last used
+        self._used_s = math.inf  # time of the motor's last use
         self._colours = [(0, 0, 0), (0, 0, 0)]
         self.stopped = False
         self._table: dict[str, Callable[[Words, float], Answer]] = {
@@ -73,48 +70,48 @@ class MarlinCommands:
         }
 
     def power_up(self) -> None:
-        """Put the devices into the state after a reset."""
+        """Reset the devices to the state after power-up."""
         self._motor.power_up()
         self._outputs_on.clear()
         for strip in self._strips:
             strip.power_up()
 
     def do(self, name: str, words: Words, now_s: float) -> Answer | None:
-        """Carry a command out; None when there is no such command.
+        """Execute a command; return None for an unknown command.
 
         Parameters
         ----------
         name : str
-            As ``G0``.
+            Name of the command, such as ``G0``.
         words : Words
-            Its letters with numbers.
+            Letters with numbers.
         now_s : float
             Time of the twin.
 
         Returns
         -------
         Answer or None
-            Lines, and when they are printed.
+            Lines, and the time at which they are printed.
         """
         if name in _SILENT:
             return Answer()
         return self._table[name](words, now_s) if name in self._table else None
 
     def quick_stop(self) -> None:
-        """M410: stop where the motor is, forget the moves behind."""
+        """Execute M410: stop the motor in its present position, and discard queued moves."""
         self._motor.stop()
         self._goal_deg = self._motor.steps / self._firmware_steps + self._offset_deg
 
     def kill(self) -> None:
-        """M112: everything off."""
+        """Execute M112: switch everything off."""
         self._motor.release()
 
     def next_s(self) -> float:
-        """Return when the idle motor is due to be released."""
+        """Return the time at which the idle motor is released."""
         return self._used_s + self._idle_s
 
     def poll(self, now_s: float) -> None:
-        """Release the motor when it was idle for long."""
+        """Release the motor after its idle time."""
         if now_s < self.next_s():
             return
         if self._motor.moving:
@@ -176,7 +173,7 @@ class MarlinCommands:
         return Answer(() if words else (f"echo: M92 X{self._firmware_steps:.2f} Y80.00 Z400.00",))
 
     def _accelerate(self, words: Words, _now_s: float) -> Answer:
-        """M204 T is the acceleration of moves of which nothing is extruded."""
+        """Execute M204: T is the acceleration of moves without extrusion."""
         if travel := words.get("T"):
             self._motor.acceleration_deg_per_s2 = travel * self._firmware_steps / self._motor.steps_per_deg
         return Answer()
@@ -189,7 +186,7 @@ class MarlinCommands:
         return Answer((ABOUT, *(f"Cap:{capability}" for capability in CAPABILITIES)))
 
     def _light(self, words: Words, _now_s: float) -> Answer:
-        """M150: a letter without a number is 255, a colour left out is 0, unless K keeps it."""
+        """Execute M150: a letter without a number is 255, an omitted colour is 0 unless K is given."""
         values = {letter: 255 if number is None else min(max(int(number), 0), 255) for letter, number in words.items()}
         for i in (0, 1):
             if values.get("S", i) != i:
@@ -206,7 +203,7 @@ class MarlinCommands:
         return Answer()
 
     def _switch(self, words: Words, _now_s: float) -> Answer:
-        """M106: a fan output by its number, 255 where no level is given."""
+        """Execute M106: set a fan output by number; without a level it is 255."""
         level, output = words.get("S", 255.0), int(words.get("P") or 0)
         (self._outputs_on.add if level is None or level > 0.0 else self._outputs_on.discard)(output)
         return Answer()

@@ -1,9 +1,8 @@
-"""pyserial's handler of ``twin://ID/table`` and ``twin://ID/arm``.
+"""Handler of ``twin://ID/table`` and ``twin://ID/arm`` for pyserial.
 
-Ports of a twin within this process, in its virtual time.
-
-A read with a time-out lets the twin's clock run to the moment when the bytes are there, or the time-out is over.
-Nothing sleeps and nothing runs in parallel, so that the same seed gives the same bytes.
+It provides the ports of a twin within this process, in its virtual time. A read with a time-out advances the twin's
+clock until the bytes have arrived, or the time-out is over. Nothing waits and nothing runs in parallel, so that the
+same seed gives the same bytes.
 """
 
 import errno
@@ -19,20 +18,20 @@ from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.line import Line
 
 PACKAGE = "rhizotwin.rig.twin"
-"""What pyserial is told to look for this module in."""
+"""Package in which pyserial searches for this module."""
 CALL_S = 20e-6
-"""What asking a port costs: a loop that only asks comes to its deadline, too."""
+"""Duration of a call to the port, so that polling loops reach their deadlines."""
 GONE = "device reports readiness to read but returned no data (device disconnected or multiple access on port?)"
 
 
 @dataclass(eq=False)
 class Socket:
-    """Where a port is plugged in."""
+    """The connection of a port to the twin."""
 
     line: Line
     clock: VirtualClock
     opened: Callable[[], None]
-    """Called when a host opens the port."""
+    """Function that is called when a host opens the port."""
     users: int = 0
 
 
@@ -40,12 +39,12 @@ _SOCKETS: "weakref.WeakValueDictionary[str, Socket]" = weakref.WeakValueDictiona
 
 
 def register(url: str, socket: Socket) -> None:
-    """Let a URL lead to a socket, for as long as the socket exists."""
+    """Assign a URL to a socket, as long as the socket exists."""
     _SOCKETS[url.lower()] = socket
 
 
 class Serial(SerialBase):
-    """A port of a twin; behaves as a USB serial port on Linux does, its errors included."""
+    """A port of a twin, which behaves like a USB serial port on Linux, including its errors."""
 
     # set by SerialBase and its properties
     is_open: bool
@@ -59,7 +58,7 @@ class Serial(SerialBase):
         super().__init__(*args, **kwargs)
 
     def open(self) -> None:
-        """Open the port; what had arrived before is dropped."""
+        """Open the port; bytes that arrived before are discarded."""
         if self.is_open:
             raise SerialException("Port is already open.")
         socket = _SOCKETS.get(str(self._port).lower())
@@ -104,7 +103,7 @@ class Serial(SerialBase):
             if len(data) >= size or clock.now_s() >= deadline_s:
                 return data
             if math.isinf(deadline_s) and math.isinf(clock.next_s()):
-                raise SerialException("a read without a time-out would wait for ever: nothing is to come in virtual time")
+                raise SerialException("a read without a time-out would block forever: no event is pending in virtual time")
             clock.step(deadline_s)
 
     def write(self, data: Any, /) -> int:
@@ -117,15 +116,15 @@ class Serial(SerialBase):
         return len(payload)
 
     def flush(self) -> None:
-        """Return at once, as on a pseudo-terminal."""
+        """Return immediately, as on a pseudo-terminal."""
         self._there()
 
     def reset_input_buffer(self) -> None:
-        """Drop what has arrived."""
+        """Discard bytes that have arrived."""
         self._there().line.drop_input()
 
     def reset_output_buffer(self) -> None:
-        """Do nothing: what was written is on its way."""
+        """Do nothing, as written bytes are already in transmission."""
         self._there()
 
     def _there(self) -> Socket:
@@ -134,17 +133,17 @@ class Serial(SerialBase):
         return self._socket
 
     def _dead(self, socket: Socket) -> bool:
-        """Whether the cable was pulled since the port was opened; a new plug needs a new port."""
+        """Whether the cable was disconnected since the port was opened; after reconnection a new port is required."""
         return not socket.line.plugged or socket.line.plugs != self._plugs
 
     def _reconfigure_port(self) -> None:
         """Accept any setting, as a USB port does."""
 
     def _update_dtr_state(self) -> None:
-        """Ignore it."""
+        """Ignore the state of DTR."""
 
     def _update_rts_state(self) -> None:
-        """Ignore it."""
+        """Ignore the state of RTS."""
 
     def _update_break_state(self) -> None:
-        """Ignore it."""
+        """Ignore the break condition."""

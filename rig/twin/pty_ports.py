@@ -1,9 +1,9 @@
-"""A twin's serial lines behind pseudo-terminals, in real time: any program can open them.
+"""Serial lines of a twin as pseudo-terminals in real time, which any program can open.
 
-What a pseudo-terminal does, and this module follows: with no slave descriptor kept open here, ``POLLHUP`` on the master
-says that nobody has the port open; reads then fail with EIO, which is no error. pyserial drops what arrived before it
-opened a port. A closed master is a pulled cable. Modem lines do not exist, so that a reset by DTR cannot be seen; the
-baud rate is ignored: a line counts its own wire time.
+Properties of pseudo-terminals on which this module relies: as no slave descriptor is kept open here, ``POLLHUP`` on the
+master means that no program has the port open; reads then fail with EIO, which is not an error. pyserial discards bytes
+that arrived before it opened a port. A closed master is a disconnected cable. There are no modem lines, so that a reset
+by DTR is not visible; the baud rate is ignored, as lines have their own transmission times.
 """
 
 import errno
@@ -20,28 +20,28 @@ from rhizotwin.rig.twin.clock import ScaledClock, VirtualClock
 from rhizotwin.rig.twin.line import Line
 
 LOOK_AGAIN_S = 0.02
-"""How often ports that nobody has open are looked at."""
+"""Interval of checks of ports that no program has open."""
 LONGEST_WAIT_S = 0.25
 QUIET_S = 0.05
-"""Nothing is sent for so long after a port was opened: pyserial is still flushing."""
+"""Delay of output after a port was opened, while pyserial is still flushing."""
 _CHUNK = 4096
 
 
 class PtyPorts:
-    """The lines of a twin as ports, and the thread that lets the twin's time pass as fast as the real one.
+    """The lines of a twin as ports, with the thread that advances the twin's time at the pace of real time.
 
     Parameters
     ----------
     lines
-        By name; the name is that of the port's link, too.
+        Lines by name, which is also that of the port's link.
     clock
-        The twin's, which nothing else may advance.
+        Clock of the twin, which nothing else may advance.
     folder
-        Gets a link for each port, whose path stays the same when a cable is pulled and put back.
+        Folder of the links to the ports, whose paths remain the same when a cable is disconnected and reconnected.
     speed
-        How much faster than real.
+        Speed relative to real time.
     opened
-        Called with a line's name when a program opens its port.
+        Function that is called with a line's name when a program opens its port.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class PtyPorts:
         opened: Callable[[str], None] | None = None,
     ) -> None:
         self.lock = threading.RLock()
-        """Held whenever the twin is touched."""
+        """Lock for all access to the twin."""
         self.real = ScaledClock(speed)
         self._clock = clock
         self._opened = opened or (lambda _name: None)
@@ -65,11 +65,11 @@ class PtyPorts:
 
     @property
     def paths(self) -> dict[str, Path]:
-        """The ports to open, by name."""
+        """Paths of the ports, by name."""
         return {name: port.link for name, port in self._ports.items()}
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to serve the ports."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -85,12 +85,12 @@ class PtyPorts:
                 os.close(descriptor)
 
     def wake(self) -> None:
-        """Let the thread look at once: something was changed from outside."""
+        """Let the thread serve the ports immediately after an external change."""
         with suppress(OSError):
             os.write(self._wake_write, b"x")
 
     def catch_up(self) -> None:
-        """Bring the twin to the present; the lock must be held."""
+        """Advance the twin to the present; the lock must be held."""
         self._clock.advance_to(self.real.now_s())
 
     def _run(self) -> None:
@@ -104,7 +104,7 @@ class PtyPorts:
                         self._opened(name)
                     if port.is_open and port.master is not None:
                         poller.register(port.master, select.POLLIN)
-                # Of the time that was served: what fell due since then must not be slept over.
+                # Relative to the served time: events since then must not be delayed by sleeping.
                 wait_s = (self._clock.next_s() - self.real.now_s()) / self.real.speed
             closed = any(not port.is_open or port.holds_back for port in self._ports.values())
             wait_s = min(max(wait_s, 0.0), LOOK_AGAIN_S if closed else LONGEST_WAIT_S)
@@ -127,11 +127,11 @@ class _Port:
 
     @property
     def holds_back(self) -> bool:
-        """Whether there is something that could not be sent yet."""
+        """Whether there are bytes that could not be sent yet."""
         return bool(self._unsent)
 
     def plug(self) -> None:
-        """Make a new pseudo-terminal, raw from the start, and let the link lead to it."""
+        """Create a pseudo-terminal in raw mode, and point the link to it."""
         self.master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self.master, False)
@@ -143,7 +143,7 @@ class _Port:
         self.is_open = False
 
     def pull(self) -> None:
-        """Close the master, as a pulled cable does."""
+        """Close the master, as a disconnected cable does."""
         if self.master is not None:
             os.close(self.master)
             self.master = None
@@ -152,7 +152,7 @@ class _Port:
         self._unsent = b""
 
     def serve(self, now_s: float) -> bool:
-        """Carry bytes between the terminal and the line; return whether a program has just opened the port."""
+        """Transfer bytes between terminal and line; return whether a program has just opened the port."""
         if self.line.plugged != (self.master is not None):
             self.plug() if self.line.plugged else self.pull()
         if self.master is None:
@@ -164,7 +164,7 @@ class _Port:
         just_opened = not hung_up and not self.is_open
         if just_opened:
             self._quiet_until_s = time.monotonic() + QUIET_S
-        if flags & select.POLLIN:  # what was written before a hang-up comes first
+        if flags & select.POLLIN:  # bytes written before a hang-up are read first
             self._take(now_s)
         self.is_open = not hung_up
         self._send()
@@ -187,7 +187,7 @@ class _Port:
     def _send(self) -> None:
         self._unsent += self.line.take()
         if not self.is_open:
-            self._unsent = b""  # nobody listens
+            self._unsent = b""  # no program is reading
         if not self._unsent or self.master is None or time.monotonic() < self._quiet_until_s:
             return
         with suppress(BlockingIOError):

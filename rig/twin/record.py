@@ -1,4 +1,4 @@
-"""Record of the true state at each picture of the emulated rig, by picture content.
+"""Record of the true state in the twin's pictures, by their content.
 
 It identifies the files of a scan, also after a restart.
 """
@@ -13,28 +13,28 @@ import numpy as np
 
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 
 @dataclass(frozen=True, kw_only=True)
 class TakenShot:
-    """One picture that the twin's camera took."""
+    """One picture taken by the twin's camera."""
 
     pixels: str
-    """SHA-256 of its pixels (`digest_of`)."""
+    """SHA-256 of its pixels (`picture_digest`)."""
     time_s: float
     """Virtual time of the exposure's middle."""
     sight: Sight
 
 
-def digest_of(image: Grey) -> str:
+def picture_digest(image: Grey) -> str:
     """Return the SHA-256 of a picture's size, depth and pixels, in hexadecimal."""
     head = f"{image.shape} {image.dtype}".encode()
     return hashlib.sha256(head + np.ascontiguousarray(image).tobytes()).hexdigest()
 
 
 class Record:
-    """The pictures taken, in memory and, once `keep_in` was called, in a file of JSON lines."""
+    """The pictures taken, in memory and, after `keep_in`, in a file of JSON lines."""
 
     def __init__(self) -> None:
         self.shots: list[TakenShot] = []
@@ -42,45 +42,45 @@ class Record:
         self._path: Path | None = None
 
     def keep_in(self, path: Path) -> None:
-        """Take up the shots of an earlier run from a file, and append to it from now on.
+        """Load the shots of an earlier run from a file, and append further ones to it.
 
         Raises
         ------
         UserError
-            When the file cannot be read or written.
+            If the file cannot be read or written.
         """
         try:
             lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
             for line in lines:
-                shot = _parsed(line)
+                shot = _parse_line(line)
                 if shot is not None:
                     self._known[shot.pixels] = shot
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("a", encoding="utf-8") as file:
                 file.writelines(_line(shot) for shot in self.shots)
         except OSError as error:
-            raise UserError(f"{path} cannot be used for the record of the emulated rig ({error.strerror})") from error
+            raise UserError(f"{path}: cannot be used for the twin's record ({error.strerror})") from error
         self._path = path
 
     def end(self) -> None:
-        """Remove the file: it is needed no more."""
+        """Remove the file, which is no longer needed."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
             self._path = None
 
     def add(self, image: Grey, sight: Sight, time_s: float) -> None:
-        """Remember a picture.
+        """Record a picture.
 
         Parameters
         ----------
         image : (H, W) uint8 or uint16 array
-            As the camera stored it.
+            Picture as stored by the camera.
         sight : Sight
-            State of the world.
+            State of the world in the picture.
         time_s : float
-            When.
+            Time of the picture.
         """
-        shot = TakenShot(pixels=digest_of(image), time_s=time_s, sight=sight)
+        shot = TakenShot(pixels=picture_digest(image), time_s=time_s, sight=sight)
         self.shots.append(shot)
         self._known[shot.pixels] = shot
         if self._path is not None:
@@ -88,8 +88,8 @@ class Record:
                 file.write(_line(shot))
 
     def shot_of(self, image: Grey) -> TakenShot | None:
-        """Return the shot that gave a picture; None when this twin did not take it."""
-        return self._known.get(digest_of(image))
+        """Return the shot of a picture; None if it was not taken by this twin."""
+        return self._known.get(picture_digest(image))
 
 
 def _line(shot: TakenShot) -> str:
@@ -97,8 +97,8 @@ def _line(shot: TakenShot) -> str:
     return json.dumps({"pixels": shot.pixels, "time_s": shot.time_s, "sight": sight}) + "\n"
 
 
-def _parsed(line: str) -> TakenShot | None:
-    """Read a line back; None for one that a killed run left unfinished."""
+def _parse_line(line: str) -> TakenShot | None:
+    """Parse a line; return None for an incomplete one of a killed run."""
     try:
         plain: dict[str, Any] = json.loads(line)
         sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}

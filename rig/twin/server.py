@@ -1,7 +1,4 @@
-"""Standalone emulated rig in real time.
-
-It provides serial ports for any program, a camera over HTTP, and a rig file with their addresses.
-"""
+"""Standalone twin in real time: serial ports for any program, a camera over HTTP, and a matching rig file."""
 
 import os
 import select
@@ -23,7 +20,7 @@ from rhizotwin.scenes import toml_text
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import save_scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.schema import to_plain
 
 Say = Callable[[str], None]
@@ -36,25 +33,25 @@ class TwinServer:
     Parameters
     ----------
     twin
-        Nothing else may use it meanwhile.
+        Twin, for exclusive use.
     folder
-        Gets the ports' links.
+        Folder of the ports' links.
     speed
-        How much faster than real its time passes.
+        Speed relative to real time.
     camera_port
-        Of the camera server on this computer; 0 takes a free one.
+        Port of the camera server on this computer; 0 selects a free one.
     say
-        Gets lines for people.
+        Receives lines for the user.
     """
 
     def __init__(self, twin: Twin, folder: Path, *, speed: float = 1.0, camera_port: int = 0, say: Say = lambda _: None) -> None:
         self.twin = twin
-        self._ports = PtyPorts(twin.lines, twin.clock, folder, speed=speed, opened=self._opened)
-        self._camera = CameraServer(self._camera_of(twin.rig.camera), port=camera_port, reopen=self._reopen, say=say)
+        self._ports = PtyPorts(twin.lines, twin.clock, folder, speed=speed, opened=self._on_open)
+        self._camera = CameraServer(self._open_camera(twin.rig.camera), port=camera_port, reopen=self._reopen, say=say)
 
     @property
     def rig(self) -> RigFile:
-        """The rig file that leads here."""
+        """Rig file that refers to this twin."""
         rig, paths = self.twin.rig, self._ports.paths
         return replace(
             rig,
@@ -64,7 +61,7 @@ class TwinServer:
         )
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to serve the ports."""
         self._ports.start()
         self._camera.start()
 
@@ -74,13 +71,13 @@ class TwinServer:
         self._ports.stop()
 
     def inject(self, fault: Fault) -> None:
-        """Trigger a fault."""
+        """Add a fault."""
         with self._ports.lock:
             self.twin.inject(fault)
         self._ports.wake()
 
     def where(self) -> str:
-        """Describe the true state of the devices."""
+        """Return a description of the devices' true state."""
         with self._ports.lock:
             self._ports.catch_up()
             world = self.twin.world
@@ -88,18 +85,18 @@ class TwinServer:
             lamps = f"panel {world.panel.level:.3f}, front light {world.front.level:.3f}"
             return f"true state: table {world.table_deg:.3f} deg; joints {joints} deg; {lamps}"
 
-    def _opened(self, name: str) -> None:
+    def _on_open(self, name: str) -> None:
         if name == "table":
-            self.twin.board_opened()
+            self.twin.on_board_opened()
 
     def _reopen(self, settings: CameraSettings) -> Camera:
-        return self._camera_of(replace(self.twin.rig.camera, exposure_s=settings.exposure_s, gain=settings.gain))
+        return self._open_camera(replace(self.twin.rig.camera, exposure_s=settings.exposure_s, gain=settings.gain))
 
-    def _camera_of(self, part: CameraPart) -> Camera:
+    def _open_camera(self, part: CameraPart) -> Camera:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:
-        """Read the state of the world, and render it without blocking the ports."""
+        """Capture the present state of the world, and render it without blocking the ports."""
         with self._ports.lock:
             self._ports.catch_up()
             sight = self.twin.world.sight(exposure=exposure)
@@ -107,7 +104,7 @@ class TwinServer:
 
 
 def rig_text(rig: RigFile) -> str:
-    """Return a rig file's text, which `rig.rig_file.load_rig` reads back to an equal rig."""
+    """Return the text of a rig file, from which `rig.rig_file.load_rig` reads an equal rig."""
     return toml_text.dumps(_without_none(to_plain(rig)))
 
 
@@ -117,23 +114,23 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
     Parameters
     ----------
     twin : Twin
-        Nothing else may use it meanwhile.
+        Twin, for exclusive use.
     speed : float
-        How much faster than real its time passes.
+        Speed relative to real time.
     write_rig : path or None
-        Where the rig file goes, with the scene as a lab would know it beside it (``NAME_scene.toml``); None: neither is
-        written.
+        Path of the rig file, beside which the scene as known to a laboratory is written (``NAME_scene.toml``); None to
+        write neither.
     say : Say
-        Gets lines for people.
+        Receives lines for the user.
     camera_port : int
-        Of the camera's HTTP server on this computer; 0 takes a free one.
+        Port of the camera's HTTP server on this computer; 0 selects a free one.
     commands : int or None
-        Descriptor that console lines are read from; None: stdin's.
+        File descriptor of console input; None for stdin.
 
     Raises
     ------
     UserError
-        When a file cannot be written.
+        If a file cannot be written.
     """
     if speed <= 0.0:
         raise UserError(f"speed {speed:g} must be positive; 1 is real time")
@@ -151,8 +148,8 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
                 save_scene(twin.calibrated_scene(), scene_path, new=True)
                 say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
             server.start()
-            say(f"running at {speed:g} times real time; press Ctrl-C to stop. Commands: {HELP}")
-            for word in _lines(_typed_at() if commands is None else commands):
+            say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")
+            for word in _lines(_console_descriptor() if commands is None else commands):
                 if word == "quit":
                     break
                 say(_answer(server, word))
@@ -160,11 +157,8 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
             server.stop()
 
 
-def _typed_at() -> int | None:
-    """Return stdin's descriptor, or None.
-
-    None: there is none, or it belongs to a program in the foreground while this one is not.
-    """
+def _console_descriptor() -> int | None:
+    """Return stdin's descriptor; None if there is none, or it belongs to another program in the foreground."""
     try:
         descriptor = sys.stdin.fileno()
         behind = os.isatty(descriptor) and os.tcgetpgrp(descriptor) != os.getpgrp()
@@ -174,7 +168,7 @@ def _typed_at() -> int | None:
 
 
 def _lines(descriptor: int | None) -> Iterator[str]:
-    """Give each line that is typed; when there are no more, wait for Ctrl-C."""
+    """Yield each typed line; after the last one, wait for Ctrl-C."""
     buffer = b""
     while data := b"" if descriptor is None else os.read(descriptor, 4096):
         *lines, buffer = (buffer + data).split(b"\n")
@@ -199,5 +193,5 @@ def _answer(server: TwinServer, word: str) -> str:
 
 
 def _without_none(value: Any) -> Any:
-    """Drop None, which TOML does not have: only a rig without an arm has it."""
+    """Remove None, which TOML does not support; it only occurs for a rig without an arm."""
     return {key: _without_none(item) for key, item in value.items() if item is not None} if isinstance(value, dict) else value

@@ -1,11 +1,11 @@
-"""Model of a bus servo: position control at uniform speed, backlash, gravity, heat, and supply.
+"""Model of a bus servo: position control at uniform speed, backlash, gravity, temperature and supply.
 
-It is independent of the protocol.
+It is independent of protocols.
 
-Positions are counts of the servo (0.24 degrees each). ``sensed`` is measured by its potentiometer, ``true`` is the
+Positions are counts of the servo (0.24 degrees each). ``sensed`` is the reading of its potentiometer, ``true`` the
 position of its output:
 
-    true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the play + error of this move + sag
+    true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the backlash + error of this move + sag
 """
 
 import math
@@ -16,50 +16,50 @@ from rhizotwin.rig.twin.imperfections import Imperfections, Key
 
 DEG_PER_COUNT = 0.24
 MAX_SPEED = 60.0 / 0.22 / DEG_PER_COUNT
-"""Counts/s: 60 degrees in 0.22 s."""
+"""Maximum speed in counts/s: 60 degrees in 0.22 s."""
 STOPS = (-60.0, 1060.0)
-"""Where the gears run against their ends, counts."""
+"""Mechanical end stops, counts."""
 FRICTION = 0.45
-"""Torque, as a fraction of the stretched arm's at the shoulder, under which a servo without current does not turn:
-its gears are hard to drive backwards."""
+"""Torque, as a fraction of that of the stretched arm at the shoulder, below which a servo without current does not
+turn, because of the friction of its gears."""
 FALL_SPEED = 400.0
-"""Counts/s of an unloaded servo at torque 1 beyond friction."""
+"""Speed of an unpowered servo at torque 1 beyond friction, counts/s."""
 SEEN_SAG = 0.5
-"""Part of the sag that the potentiometer feels; the rest is in the gears behind it."""
+"""Fraction of the sag that the potentiometer measures; the rest is in the gears behind it."""
 IDLE_VOLT = 7.58
 AMBIENT_CELSIUS = 24.0
 WARM_UP_S = 300.0
 """Time constant of heating and cooling."""
 COOL_BELOW = 5.0
-"""An overheated servo holds again when it is this far below its limit, degrees."""
+"""Temperature below the limit, in degrees, at which an overheated servo holds again."""
 _ZERO, _MOVE = 1, 2
 
 
 class Supply:
-    """The arm's power supply."""
+    """Power supply of the arm."""
 
     def __init__(self, *, key: Key) -> None:
         self._volt = IDLE_VOLT + float(np.random.default_rng(key).uniform(-0.05, 0.05))
         self._low_for_s = 0.0
         self.load_volt = 0.0
-        """Drop by the servos that move now."""
+        """Voltage drop by moving servos."""
 
     @property
     def millivolt(self) -> int:
-        """The voltage now."""
+        """Present voltage."""
         return round(1000.0 * ((4.2 if self._low_for_s > 0.0 else self._volt) - self.load_volt))
 
     @property
     def up(self) -> bool:
-        """Whether it is enough for the servos' processors to run."""
+        """Whether the voltage is sufficient for the servos' processors."""
         return self._low_for_s <= 0.0
 
     def brown_out(self, for_s: float) -> None:
-        """Break down for a while."""
+        """Fail for a given time."""
         self._low_for_s = for_s
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         self._low_for_s = max(self._low_for_s - dt_s, 0.0)
 
 
@@ -69,11 +69,11 @@ class Servo:
     Parameters
     ----------
     start_counts
-        Where its potentiometer stands when the power comes.
+        Reading of the potentiometer at power-up.
     imperfections
-        Zero, scale, repeatability, play, sag, dead band.
+        Errors of zero, scale, repeatability, backlash, sag and dead band.
     key
-        Of its random streams; the error of move n depends on the key and n only.
+        Key of its random streams; the error of move n depends on the key and n only.
     """
 
     def __init__(self, *, start_counts: float, imperfections: Imperfections, key: Key) -> None:
@@ -90,23 +90,24 @@ class Servo:
         self._moves = 0
         self._celsius = AMBIENT_CELSIUS + self._warmth
         self._sensed = start_counts
-        self._error = 0.0  # repeatability and play as they are now
-        self._from = (start_counts, 0.0)  # sensed and error where the move began
+        self._error = 0.0  # present error of repeatability and backlash
+        self._from = (start_counts, 0.0)  # sensed position and error at the start of the move
         self._to = (start_counts, 0.0)
         self._into_s = 0.0
         self._duration_s = 0.0
         self.torque = 0.0
-        """Of gravity, in the direction of growing counts, as a fraction of the stretched arm's at the shoulder."""
+        """Torque of gravity, in the direction of increasing counts, as a fraction of that of the stretched arm at the
+        shoulder."""
         self.stalled = False
-        """Something blocks it."""
+        """Whether the servo is blocked."""
         self.power_up()
 
     def power_up(self) -> None:
-        """Forget what does not survive the power: torque off, no command, default limits."""
+        """Reset the state that is lost without power: torque off, no command, default limits."""
         self.torque_on = False
         self.hot = False
         self.command = (min(max(round(self._sensed), 0), 1000), 0)
-        """Last position and time (ms) that it was told."""
+        """Last commanded position and duration (ms)."""
         self.waiting: tuple[int, int] | None = None
         self.commanded = False
         self.temperature_limit = 85
@@ -114,7 +115,7 @@ class Servo:
 
     @property
     def counts(self) -> int:
-        """The position as the servo itself reads it; may lie outside 0 to 1000."""
+        """Position reported by the servo; may be outside 0 to 1000."""
         return round(self._sensed + SEEN_SAG * self._sag())
 
     @property
@@ -129,28 +130,28 @@ class Servo:
 
     @property
     def celsius(self) -> int:
-        """Temperature of its case."""
+        """Temperature of the case."""
         return round(self._celsius)
 
     @property
     def holds(self) -> bool:
-        """Whether the servo is powered."""
+        """Whether the torque is on."""
         return self.torque_on and not self.hot
 
     @property
     def moving(self) -> bool:
-        """Whether the servo is moving."""
+        """Whether a move is in progress."""
         return self._into_s < self._duration_s and self.holds
 
     @property
     def falls(self) -> bool:
-        """Whether gravity rotates the servo."""
+        """Whether gravity turns the servo."""
         return not self.holds and abs(self.torque) > FRICTION and STOPS[0] < self._sensed < STOPS[1]
 
     def move(self, counts: int, duration_ms: int) -> None:
-        """Go to a position at uniform speed within a time, as fast as it can if that is too short.
+        """Move to a position at uniform speed within a given time, or at maximum speed if that is too short.
 
-        Switches the torque on.
+        This switches the torque on.
         """
         self.command = (counts, duration_ms)
         self.commanded = True
@@ -167,7 +168,7 @@ class Servo:
         self._duration_s = max(duration_ms / 1000.0, abs(way) / MAX_SPEED, 1e-3)
 
     def load(self, on: bool) -> None:
-        """Switch the torque; when on, the servo moves to its last command at full speed, or holds its position."""
+        """Switch the torque; when on, the servo moves to its last command at maximum speed, or holds its position."""
         if on and not self.torque_on:
             if self.commanded:
                 self.move(self.command[0], 0)
@@ -181,7 +182,7 @@ class Servo:
         self.stop()
 
     def stop(self) -> None:
-        """Hold the current position."""
+        """Hold the present position."""
         self._into_s = self._duration_s = 0.0
 
     def heat(self, celsius: float) -> None:
@@ -190,7 +191,7 @@ class Servo:
         self._guard()
 
     def cool_down(self) -> None:
-        """Take the temperature of a servo at rest, unless it is cooler."""
+        """Set the temperature to that of a servo at rest, unless it is cooler."""
         self.heat(min(self._celsius, AMBIENT_CELSIUS + self._warmth))
 
     def advance(self, dt_s: float) -> None:
@@ -209,7 +210,7 @@ class Servo:
         self._guard()
 
     def _guard(self) -> None:
-        """Switch the current off above the limit of temperature, on again when cool: it then holds where it stands."""
+        """Switch the current off above the temperature limit, and on again after cooling, in the present position."""
         if self.hot and self._celsius < self.temperature_limit - COOL_BELOW:
             self.hot = False
             self.stop()

@@ -1,10 +1,8 @@
-"""Pictures drawn in milliseconds, without Mitsuba.
+"""Fast pictures without Mitsuba: the marker strip exactly as seen by the camera, the panel, and root-like lines.
 
-They show the marker strip and the panel exactly, and an approximate root.
-
-The strip is outside the canister, so that no ray to it is refracted: every pixel's ray is met with the net pot's
-cylinder. What hangs below it is drawn without the water's refraction and is no specimen: pictures for tests of the rig,
-not of a reconstruction.
+The strip is outside the canister, so that rays to it are not refracted: every pixel's ray is intersected with the net
+pot's cylinder. The lines below it are drawn without refraction and are not a specimen: these pictures are for tests of
+the rig, not of reconstructions.
 """
 
 from typing import Any
@@ -17,30 +15,30 @@ from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.markers import marker_cells
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.picture_codec import Grey
 
 INK = 0.05
-"""Reflectance of the black cells; paper is 1."""
+"""Reflectance of black cells; that of paper is 1."""
 MM_PER_TEXEL = 0.125
 ROOT = 0.02
 ROOTS = 5
 ROOT_DEPTH_MM = 90.0
-_SHIFT = 4  # bits after the point in OpenCV's drawing
+_SHIFT = 4  # fractional bits in OpenCV's drawing functions
 
 Light = NDArray[np.float32]
 
 
 class Sketch:
-    """Fast drawing of a scene's pictures.
+    """Draws the view of a scene's camera.
 
     Parameters
     ----------
     scene
-        Camera, strip, net pot and lights.
+        Scene with camera, strip, net pot and lights.
     distortion
-        Of the real lens: k1, k2, p1, p2, k3.
+        Distortion of the real lens: k1, k2, p1, p2, k3.
     canister_from_strip
-        How the net pot really sits, 4x4.
+        True pose of the net pot, 4x4.
     """
 
     def __init__(self, scene: Scene, *, distortion: tuple[float, float, float, float, float], canister_from_strip: frames.Array) -> None:
@@ -55,7 +53,7 @@ class Sketch:
         self._roots_mm = _root_lines(scene)
 
     def picture(self, sight: Sight) -> Grey:
-        """Return a picture without noise."""
+        """Return the picture that a camera without noise stores."""
         bits = self._scene.camera.bits
         numbers = np.rint(np.minimum(self.light(sight), np.float32(1.0)) * np.float32(2**bits - 1))
         return numbers.astype(np.uint8) if bits <= 8 else numbers.astype(np.uint16) << np.uint16(16 - bits)
@@ -81,10 +79,10 @@ class Sketch:
         return np.concatenate([flat, np.ones((height, width, 1))], axis=2).astype(np.float32)
 
     def _draw_strip(self, light: Light, cam_from_strip: frames.Array, front: np.float32) -> None:
-        """Intersect the pixel rays with the skirt of the net pot and sample the printed strip."""
+        """Intersect the pixels' rays with the net pot's skirt and sample the printed strip."""
         pot = self._scene.net_pot
         rows, columns = self._bounds(cam_from_strip)
-        rays = self._rays[rows, columns] @ cam_from_strip[:3, :3].astype(np.float32)  # in the strip's frame
+        rays = self._rays[rows, columns] @ cam_from_strip[:3, :3].astype(np.float32)  # rays in the strip's frame
         if rays.size == 0:
             return
         eye = frames.invert(cam_from_strip)[:3, 3].astype(np.float32)
@@ -103,7 +101,7 @@ class Sketch:
 
     def _draw_roots(self, light: Light, cam_from_canister: frames.Array, panel: np.float32, twist_deg: float) -> None:
         top_mm = self._scene.net_pot.grid_z_mm
-        hanging = [frames.twisted(line, (top_mm - line[:, 2]) / ROOT_DEPTH_MM, twist_deg) for line in self._roots_mm]
+        hanging = [frames.twist(line, (top_mm - line[:, 2]) / ROOT_DEPTH_MM, twist_deg) for line in self._roots_mm]
         lines = [self._project(cam_from_canister, line) for line in hanging]
         for i, line in enumerate(lines):
             if line is not None:
@@ -111,7 +109,7 @@ class Sketch:
                 cv2.polylines(light, [points], False, float(panel) * ROOT, thickness=6 if i == 0 else 2, shift=_SHIFT)
 
     def _project(self, cam_from_b: frames.Array, points_b: frames.Array) -> frames.Array | None:
-        """Return pixels (N, 2); None if a point is behind the camera."""
+        """Return pixels (N, 2); None if a point is not in front of the camera."""
         points = frames.apply(cam_from_b, points_b)
         if points[:, 2].min() < 1.0:
             return None
@@ -120,7 +118,7 @@ class Sketch:
         return found if np.abs(found).max() < 1e5 else None
 
     def _bounds(self, cam_from_strip: frames.Array) -> tuple[slice, slice]:
-        """Return the rows and columns that can show the skirt."""
+        """Return the rows and columns in which the skirt may be visible."""
         pot = self._scene.net_pot
         height, width = self._rays.shape[:2]
         angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
@@ -135,9 +133,9 @@ class Sketch:
 
 
 def _strip_texture(scene: Scene) -> Light:
-    """Paint the unrolled strip: row 0 at the net pot's top.
+    """Paint the unrolled strip, with row 0 at the net pot's top.
 
-    At either end one column is repeated, so that the seam has neighbours.
+    One column is repeated at each end for interpolation at the seam.
     """
     strip, pot = scene.strip, scene.net_pot
     around_mm = 2.0 * np.pi * pot.outer_radius_mm
@@ -157,7 +155,7 @@ def _strip_texture(scene: Scene) -> Light:
 
 
 def _share(texel_mm: NDArray[Any], start_mm: float, side_mm: float, cells: int) -> frames.Array:
-    """Return the fraction of each texel covered by each cell of a marker."""
+    """Return the fraction of each texel (at its centre) that each cell of a marker covers."""
     half = (texel_mm[1] - texel_mm[0]) / 2.0
     edges = start_mm + side_mm / cells * np.arange(cells + 1)
     low = np.maximum(texel_mm[:, None] - half, edges[None, :-1])

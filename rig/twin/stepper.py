@@ -1,9 +1,7 @@
-"""Model of the turntable: a stepper motor with a gear, driven in microsteps through a queue of moves.
+"""Model of the turntable: a stepper motor with a gear, driven in microsteps along a queue of moves.
 
-It is independent of the protocol.
-
-Angles are degrees of the table. The motor's own count starts at 0 when the power comes; where the table then stands is
-the world's affair.
+It is independent of protocols. Angles are degrees of the table. The motor's own count starts at 0 at power-up; the
+corresponding position of the table is stored in the world.
 """
 
 import math
@@ -19,16 +17,16 @@ MICROSTEPS = 32
 ACCELERATION_DEG_PER_S2 = 60.0
 MAX_SPEED_DEG_PER_S = 360.0
 QUEUE = 16
-"""Moves that wait behind the one that runs."""
+"""Maximum number of queued moves behind the present one."""
 
 
 @dataclass(frozen=True)
 class _Move:
-    """One move from rest to rest: speed up, go on, slow down."""
+    """One move from rest to rest: acceleration, constant speed, deceleration."""
 
     start_steps: int
     goal_steps: int
-    speed: float  # steps/s at the top
+    speed: float  # maximum speed, steps/s
     ramp_s: float
     duration_s: float
 
@@ -47,7 +45,7 @@ class _Move:
         return self.start_steps + math.copysign(done, self.goal_steps - self.start_steps)
 
     def pieces(self) -> Iterator[tuple[float, float, float, float]]:
-        """Yield begin, end, speed at the begin and acceleration of speeding up, going on, slowing down."""
+        """Yield begin, end, initial speed and acceleration of the three phases of the move."""
         top = math.copysign(self.speed, self.goal_steps - self.start_steps)
         gain, last_s = top / self.ramp_s, self.duration_s - self.ramp_s
         yield 0.0, self.ramp_s, 0.0, gain
@@ -56,16 +54,16 @@ class _Move:
 
 
 class Stepper:
-    """A motor with its table.
+    """Stepper motor with its table.
 
     Parameters
     ----------
     full_step_deg
         Table angle of one full step.
     imperfections
-        Error within the steps, play, jump.
+        Errors within the steps, backlash, and jump at power-up.
     key
-        Of the random stream.
+        Key of the random stream.
     """
 
     def __init__(self, *, full_step_deg: float, imperfections: Imperfections, key: Key) -> None:
@@ -77,9 +75,9 @@ class Stepper:
         self._phase_rad = rng.uniform(0.0, 2.0 * np.pi)
         self._steps = 0.0
         self._moves: deque[_Move] = deque()
-        self._into_s = 0.0  # time spent in the first move
-        self._shift_deg = 0.0  # what jumps of the rotor have added
-        self._aligned = False  # the rotor has found its phase since power-up
+        self._into_s = 0.0  # time since the start of the first move
+        self._shift_deg = 0.0  # sum of the rotor's jumps
+        self._aligned = False  # whether the rotor has found its phase since power-up
         self._output_deg = 0.0
         self._power_ups = 0
         self.acceleration_deg_per_s2 = ACCELERATION_DEG_PER_S2
@@ -88,36 +86,36 @@ class Stepper:
 
     @property
     def steps(self) -> int:
-        """Microsteps given since power-up."""
+        """Number of microsteps since power-up."""
         return round(self._steps)
 
     @property
     def goal_steps(self) -> int:
-        """Microsteps at the end of the queue."""
+        """Number of microsteps at the end of the queue."""
         return self._moves[-1].goal_steps if self._moves else self.steps
 
     @property
     def true_deg(self) -> float:
-        """Where the table really is, from where it stood when the power came."""
+        """True angle of the table, relative to that at power-up."""
         return self._output_deg
 
     @property
     def moving(self) -> bool:
-        """Whether a move runs."""
+        """Whether a move is in progress."""
         return bool(self._moves)
 
     @property
     def full(self) -> bool:
-        """Whether no further move fits the queue."""
+        """Whether the queue is full."""
         return len(self._moves) > QUEUE
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until no more than ``moves`` moves are left."""
+        """Return the time until at most ``moves`` moves are left."""
         left = list(self._moves)[: max(len(self._moves) - moves, 0)]
         return max(sum(move.duration_s for move in left) - self._into_s, 0.0) if left else 0.0
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
-        """Add a move to an angle of the motor's count; it energises the motor."""
+        """Add a move to an angle of the motor's count; this switches the motor on."""
         self.energise()
         start, goal = self.goal_steps, round(goal_deg * self.steps_per_deg)
         if start == goal:
@@ -129,7 +127,7 @@ class Stepper:
         self._moves.append(_Move(start, goal, speed, speed / gain, way / speed + speed / gain))
 
     def energise(self) -> None:
-        """Switch the coils on: at the first time after power-up the rotor jumps to the driver's phase."""
+        """Switch the coils on; the first time after power-up, the rotor jumps to the driver's phase."""
         if self.energised:
             return
         self.energised = True
@@ -140,20 +138,20 @@ class Stepper:
         self._turn_output()
 
     def release(self) -> None:
-        """Switch the coils off: the rotor falls back to the nearest full step."""
+        """Switch the coils off; the rotor moves to the nearest full step."""
         self.stop()
         self.energised = False
         self._turn_output()
 
     def stop(self) -> None:
-        """Stop at once, dropping the queue."""
+        """Stop immediately and clear the queue."""
         self._steps = float(round(self._steps))
         self._moves.clear()
         self._into_s = 0.0
         self._turn_output()
 
     def power_up(self) -> None:
-        """Start anew: count 0, coils off, wherever the table stands."""
+        """Reset to the state after power-up: count 0, coils off, with the table in its present position."""
         stood_deg = self._output_deg
         self.stop()
         self._steps = 0.0
@@ -166,7 +164,7 @@ class Stepper:
         self._turn_output()
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         if not self._moves:
             return
         self._into_s += dt_s
@@ -182,7 +180,7 @@ class Stepper:
         self._turn_output()
 
     def motion(self, dt_s: float) -> Iterator[tuple[float, float, float]]:
-        """Yield what the table does from now on: seconds, speed at their begin (deg/s), acceleration (deg/s2)."""
+        """Yield the future motion of the table: duration in s, initial speed (deg/s), acceleration (deg/s2)."""
         into_s, left_s = self._into_s, dt_s
         for move in self._moves:
             for begin_s, end_s, speed, gain in move.pieces():
@@ -196,7 +194,7 @@ class Stepper:
             yield left_s, 0.0, 0.0
 
     def _motor_deg(self) -> float:
-        """Where the rotor is: its error repeats with every electrical turn, which is four full steps."""
+        """Angle of the rotor: its error is periodic with the electrical period of four full steps."""
         steps = self._steps
         if not self.energised:
             steps = round(steps / MICROSTEPS) * MICROSTEPS
@@ -204,6 +202,6 @@ class Stepper:
         return self._shift_deg + steps / self.steps_per_deg + self._wrong.table_microstep_deg * math.sin(electrical_rad)
 
     def _turn_output(self) -> None:
-        """Let the table follow the rotor with the play between them."""
+        """Let the table follow the rotor with backlash."""
         motor_deg, half_deg = self._motor_deg(), self._wrong.table_play_deg / 2.0
         self._output_deg = min(max(self._output_deg, motor_deg - half_deg), motor_deg + half_deg)

@@ -1,4 +1,4 @@
-"""How what hangs in the water twists when its pot is turned, and comes to rest after a stop."""
+"""Torsional oscillation of hanging roots when their pot is turned, and its decay after a stop."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,12 +7,13 @@ import numpy as np
 from scipy.linalg import expm
 
 STILL_DEG = 1e-4
-"""A smaller twist is none: 0.05 um at 30 mm from the axis, and pictures at rest stay the same to the last bit."""
+"""Smaller twists are set to zero: 0.05 um at 30 mm from the axis; pictures at rest are then identical to the last bit.
+"""
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """A time of even speeding up."""
+    """An interval of constant acceleration."""
 
     seconds: float
     speed: float  # deg/s at its beginning
@@ -20,29 +21,29 @@ class _Piece:
 
 
 class Swing:
-    """The twist of the lowest tips against the pot.
+    """Twist of the lowest tips relative to the pot.
 
-    The table's motion is taken in by pieces, and worked out when somebody looks.
+    The motion of the table is stored by intervals, and integrated when the twist is requested.
 
     Parameters
     ----------
     hz : float
-        At which it would swing without damping; 0: it never moves.
+        Frequency without damping; 0 for no motion.
     damping : float
-        As a fraction of the critical one.
+        Damping as a fraction of the critical one.
 
     Notes
     -----
-    Roots hang from a pot that turns by ``W(t)``, in water that stays where it is (a turn of a second drags along some
-    millimetre at the wall). Inertia, that of the water which goes with them included, and drag act on their motion in
-    the room, the roots' stiffness on that against the pot, so that with ``d`` the damping and ``w = 2 pi hz``
+    Roots hang from a pot that turns by ``W(t)``, in static water (a turn of one second moves only some millimetres of
+    water at the wall). Inertia, including the added mass of water, and drag depend on the motion relative to the water,
+    and the roots' stiffness on that relative to the pot. With ``d`` the damping and ``w = 2 pi hz``
 
         twist'' + W' + 2 d w (twist' + W) + w^2 twist = 0
     """
 
     def __init__(self, *, hz: float, damping: float) -> None:
         w = 2.0 * math.pi * hz
-        # of twist, its rate, the table's rate, the table's acceleration
+        # twist, its rate, the table's rate, the table's acceleration
         self._change = np.array(
             [[0.0, 1.0, 0.0, 0.0], [-(w**2), -2.0 * damping * w, -2.0 * damping * w, -1.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]]
         )
@@ -51,16 +52,16 @@ class Swing:
         self._later: list[_Piece] = []
 
     def turn(self, seconds: float, speed_deg_per_s: float, gain_deg_per_s2: float) -> None:
-        """Let the pot turn for a while, from a speed on.
+        """Turn the pot for a given time, beginning at a given speed.
 
         Parameters
         ----------
         seconds : float
-            How long.
+            Duration.
         speed_deg_per_s : float
-            At the beginning.
+            Initial speed.
         gain_deg_per_s2 : float
-            By which the speed grows.
+            Acceleration.
         """
         if not self._moves or seconds <= 0.0:
             return
@@ -72,9 +73,9 @@ class Swing:
 
     @property
     def twist_deg(self) -> float:
-        """How far the lowest tips are turned against the pot now."""
+        """Present twist of the lowest tips relative to the pot."""
         for piece in self._later:
-            self._state[1] += self._state[2] - piece.speed  # a jolt: what hangs goes on as it went, in the room
+            self._state[1] += self._state[2] - piece.speed  # a jump of the speed: the roots keep their velocity in space
             self._state[2:] = piece.speed, piece.gain
             self._state = expm(self._change * piece.seconds) @ self._state
         self._later = []

@@ -1,4 +1,4 @@
-"""A whole emulated rig within this process, in virtual time."""
+"""A complete emulated rig within this process, in virtual time."""
 
 import itertools
 import math
@@ -11,13 +11,13 @@ import serial
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.rig_file import ArmPart, BandPart, CameraPart, RigFile
-from rhizotwin.rig.twin import pictures as rendering
 from rhizotwin.rig.twin import protocol_twin
+from rhizotwin.rig.twin import rendered_pictures as rendering
 from rhizotwin.rig.twin.adapter import Adapter
 from rhizotwin.rig.twin.camera import Look, TwinCamera
 from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.faults import Device, Fault, Pending
-from rhizotwin.rig.twin.imperfections import imperfections_of
+from rhizotwin.rig.twin.imperfections import device_errors
 from rhizotwin.rig.twin.line import Line
 from rhizotwin.rig.twin.lsc_adapter import LscAdapter
 from rhizotwin.rig.twin.lx_adapter import LxAdapter
@@ -28,7 +28,7 @@ from rhizotwin.rig.twin.world import Sight, TwinWorld
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.picture_codec import Grey, decode_grey
 
 PictureKind = Literal["render", "sketch"]
 ArmProtocol = Literal["lx", "lsc"]
@@ -37,33 +37,33 @@ _NUMBERS = itertools.count(1)
 
 
 class Painter(Protocol):
-    """What makes the twin's pictures."""
+    """Source of the twin's pictures."""
 
     def picture(self, sight: Sight) -> Grey:
-        """Return what the camera stores for a state of the world."""
+        """Return the picture that the camera stores for a state of the world."""
 
 
 class Twin:
-    """Devices, world, camera and ports of an emulated rig.
+    """An emulated rig with devices, world, camera and ports.
 
     Parameters
     ----------
     scene : Scene
-        With its specimen and disturbances; those of arm and table are left to the devices' own errors.
+        Scene with its specimen and disturbances; those of arm and table are replaced by the errors of the devices.
     seed : int
-        Of every error and all noise; 0 is a seed.
+        Random seed of all errors and noise.
     profile_name : str
-        Which devices' errors: none for ``clean``.
+        Profile of the devices' errors; none for ``clean``.
     faults : iterable of Fault
-        What goes wrong.
+        Faults of the devices.
     pictures : {"render", "sketch"}
-        Rendered by `sim` (Mitsuba's variant has been chosen), or drawn in milliseconds.
+        Rendered by `sim` (Mitsuba's variant must have been selected), or drawn in milliseconds.
     rig : RigFile or None
-        What the devices are; its ports are replaced by those of the twin. None: `default_rig`.
+        Rig file with the devices; its ports are replaced by those of the twin. None for `default_rig`.
     resets_on_open : bool
         Whether opening the table's port resets the board, as on boards with a USB serial chip.
     samples : int or None
-        Rays a pixel of rendered pictures.
+        Rays per pixel of rendered pictures.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Twin:
         samples: int | None = None,
     ) -> None:
         if seed < 0:
-            raise UserError(f"seed {seed} is negative; give 0 or a positive whole number")
+            raise UserError(f"seed {seed} is negative; it must be 0 or a positive integer")
         if protocol_twin.PACKAGE not in serial.protocol_handler_packages:
             serial.protocol_handler_packages.append(protocol_twin.PACKAGE)
         self.scene = scene
@@ -91,10 +91,10 @@ class Twin:
         drawn = rendering.draw(scene, seed=seed)
         self._ring_cameras = drawn.ring_cameras
         self.world = TwinWorld(
-            scene, self.rig, seed=seed, imperfections=imperfections_of(profile_name), table_from_canister=drawn.table_from_canister
+            scene, self.rig, seed=seed, imperfections=device_errors(profile_name), table_from_canister=drawn.table_from_canister
         )
         self.put_camera(0)
-        self._rendered = rendering.Rendered(scene, seed=seed, samples=samples) if pictures == "render" else None
+        self._rendered = rendering.RenderedPictures(scene, seed=seed, samples=samples) if pictures == "render" else None
         self._painter: Painter = self._rendered or Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
         self.board = MarlinAdapter(self.world.table, (self.world.lamp(0), self.world.lamp(1)), outputs_on=self.world.outputs_on)
         self._resets_on_open = resets_on_open
@@ -108,7 +108,7 @@ class Twin:
         self._sockets = []
         for (name, line), url in zip(self.lines.items(), self._urls(), strict=True):
             self.clock.add(line)
-            socket = protocol_twin.Socket(line, self.clock, self.board_opened if name == "table" else _nothing)
+            socket = protocol_twin.Socket(line, self.clock, self.on_board_opened if name == "table" else _do_nothing)
             protocol_twin.register(url, socket)
             self._sockets.append(socket)
 
@@ -118,49 +118,49 @@ class Twin:
         Parameters
         ----------
         part : CameraPart or None
-            Its settings; None: those of the rig file, which give the scene's brightness.
+            Settings of the camera; None for those of the rig file, which give the scene's brightness.
         clock, look : Clock or None, Look or None
-            For a twin in real time: whose time exposures take, and what takes the picture.
+            Clock of exposures and function that takes pictures, for a twin in real time.
 
         Returns
         -------
         TwinCamera
-            Not open yet.
+            Camera, not yet open.
         """
         return TwinCamera(
             look or self.look, clock or self.clock, part=part or self.rig.camera, nominal=self.rig.camera, pending=self.pending
         )
 
     def look(self, exposure: float = 1.0) -> Grey:
-        """Return what the camera stores of the world as it is, and remember what that is."""
+        """Return the picture that the camera stores for the present state of the world, and record it."""
         return self.paint(self.world.sight(exposure=exposure))
 
     def paint(self, sight: Sight) -> Grey:
-        """Return what the camera stores of a state of the world, and remember it."""
+        """Return the picture that the camera stores for a state of the world, and record it."""
         image = self._painter.picture(sight)
         self.record.add(image, sight, self.clock.now_s())
         return image
 
     def calibrated_scene(self) -> Scene:
-        """Return what a lab knows: the nominal scene with the calibrated lens, without specimen and disturbances."""
+        """Return the scene as known to a laboratory: nominal, with the calibrated lens, without specimen."""
         return rendering.calibrated_scene(self.scene)
 
     def put_camera(self, ring: int) -> None:
-        """Without an arm: put the tripod where a ring of the plan wants it, as well as a hand does."""
+        """Move the tripod to the position of a ring, with the accuracy of manual placement; for rigs without an arm."""
         self.world.tripod_cam_from_rig = self._ring_cameras[ring]
 
     def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> bool:
-        """Write the ``truth`` of a dataset that was taken with this twin: solid, skeleton, true poses, masks.
+        """Write the ``truth`` of a dataset taken with this twin: solid, skeleton, true poses, masks.
 
         Returns
         -------
         bool
-            False, and nothing is written, where there is none: sketched pictures, or a scene without a specimen.
+            Whether it was written; False for sketched pictures, and for a scene without a specimen.
 
         Raises
         ------
         UserError
-            When a frame was not taken by this twin, nor by one whose record it has taken up (`Record.keep_in`).
+            If a frame was not taken by this twin, or by one whose record was loaded (`Record.keep_in`).
         """
         if self._rendered is None or not self.scene.is_planted:
             return False
@@ -169,17 +169,17 @@ class Twin:
             path = Path(folder) / frame.file
             shot = self.record.shot_of(decode_grey(path.read_bytes(), where=str(path)))
             if shot is None:
-                raise UserError(f"{path} was not taken by this emulated rig, so that its true pose is unknown")
+                raise UserError(f"{path}: was not taken by this twin, so that its true pose is unknown")
             taken.append((frame.file, shot.sight))
         self._rendered.write_truth(Path(folder), taken)
         return True
 
     def inject(self, fault: Fault) -> None:
-        """Let a fault happen."""
+        """Add a fault."""
         self.pending.add(fault)
 
     def break_device(self, fault: Fault) -> None:
-        """Let a fault of kind "device" happen now."""
+        """Apply a fault of kind "device" now."""
         now_s = self.clock.now_s()
         self.pending.use(fault, now_s)
         until_s = now_s + fault.amount if fault.amount > 0.0 else math.inf
@@ -201,13 +201,13 @@ class Twin:
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
     def repair(self) -> None:
-        """Do what a person does before a stopped scan is taken up.
+        """Perform the repairs of a user before a stopped scan is resumed.
 
-        No fault is left, the arm rests, a refusing board is reset.
+        All faults are removed, the arm is parked, and a halted board is reset.
         """
         self.pending.clear()
         for line in self.lines.values():
-            line.unplug()  # whatever still is on the wire is gone
+            line.unplug()  # bytes in transmission are lost
             line.plug()
         for _, action in self._later:
             action()
@@ -220,17 +220,17 @@ class Twin:
         if self.board.halted or self.board.commands.stopped:
             self._reset("External Reset")
 
-    def board_opened(self) -> None:
-        """Act as the board does when the host opens its port."""
+    def on_board_opened(self) -> None:
+        """Simulate the board's reaction to the opening of its port."""
         if self._resets_on_open:
             self._reset("External Reset")
 
     def next_s(self) -> float:
-        """Return when a fault happens or ends by the clock."""
+        """Return the time of the next begin or end of a fault."""
         return min([self.pending.next_s(), *(at_s for at_s, _ in self._later)])
 
     def advance_to(self, now_s: float) -> None:
-        """Let the devices act up to now; then let happen what is due."""
+        """Advance the devices to now, then apply due faults."""
         self.world.advance(now_s - self._was_s)
         self._was_s = now_s
         for name in self.lines:
@@ -253,14 +253,14 @@ class Twin:
 
 
 def default_rig(protocol: ArmProtocol = "lx", *, scene: Scene | None = None) -> RigFile:
-    """Return the rig that a twin is when nothing else is said.
+    """Return the default rig of a twin.
 
     Parameters
     ----------
     protocol : {"lx", "lsc"}
-        Of the arm's servos.
+        Protocol of the arm's servos.
     scene : Scene or None
-        Of its bands the first with both lights on is white light, and each other has a lamp of its own.
+        Scene, whose first band with both lights on is white light; each of its other bands has its own lamp.
     """
     arm = ArmPart(protocol="lsc", baud=LSC_BAUD) if protocol == "lsc" else ArmPart()
     names = [] if scene is None else [band.name for band in scene.camera.bands]
@@ -277,5 +277,5 @@ def _with_ports(rig: RigFile, base: str) -> RigFile:
     return replace(rig, turntable=table, arm=None if rig.arm is None else replace(rig.arm, port=f"{base}/arm"))
 
 
-def _nothing() -> None:
-    """Nothing happens."""
+def _do_nothing() -> None:
+    """Do nothing."""

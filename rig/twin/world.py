@@ -1,7 +1,4 @@
-"""What the devices have really done, in the frames of `scenes.frames`.
-
-The twin's pictures show this and nothing else.
-"""
+"""True state of the devices, in the frames of `scenes.frames`, which determines the twin's pictures."""
 
 import hashlib
 from dataclasses import dataclass
@@ -18,50 +15,50 @@ from rhizotwin.rig.twin.swing import Swing
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Scene
 
-# One number a device: the second key of its random streams. Those of `sim.world` are below 100.
+# One number per device: the second key of its random streams. Those of `sim.world` are below 100.
 _SERVO, _SUPPLY, _TABLE, _LAMP, _START = 101, 102, 103, 104, 105
 
 FILTER_DEG = 5.0
-"""How far the filter wheel may be from a band's angle: filters are wider than the light's path by more."""
+"""Maximum deviation of the filter wheel from a band's angle, within which the filter covers the light path."""
 GRIPPER = 1
 GRIPPER_CELSIUS = 47.0
-_WEIGHTS = np.array([0.06, 0.06, 0.12])
+_MASSES = np.array([0.06, 0.06, 0.12])
 """Masses at elbow, wrist and camera, kg."""
 _FALLING_STEP_S = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """Everything a picture depends on."""
+    """State on which a picture depends."""
 
     cam_from_rig: frames.Array
     rig_from_canister: frames.Array
     table_deg: float
-    """True table angle, before the canister's offset and tilt."""
+    """True table angle, without the canister's offset and tilt."""
     panel: float
     front: float
-    """Levels of the lamps, fractions of the scene's."""
+    """Levels of the lamps, as fractions of the scene's."""
     exposure: float = 1.0
-    """Exposure time and gain against the nominal ones."""
+    """Exposure time and gain, relative to the nominal ones."""
     band: str = ""
-    """Band of the camera that lamps and filter are set for; empty: none."""
+    """Band of the camera for which lamps and filter are set; empty for none."""
     twist_deg: float = 0.0
-    """How far the lowest tips are turned against the pot; what is higher less, in proportion."""
+    """Twist of the lowest tips relative to the pot; it decreases linearly towards the top."""
 
     @property
     def place_key(self) -> bytes:
-        """Digest of where camera, canister and roots are, to a millionth of a millimetre."""
+        """Digest of the poses of camera, canister and roots, to a millionth of a millimetre."""
         return _digest(self.cam_from_rig, self.rig_from_canister, *self._twist)
 
     @property
     def key(self) -> bytes:
-        """Digest of everything."""
+        """Digest of the complete state."""
         band = np.frombuffer(self.band.encode(), np.uint8).astype(np.float64)
         return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]), *self._twist, band)
 
     @property
     def _twist(self) -> list[frames.Array]:
-        """What tells pictures of moving roots from those at rest."""
+        """Twist of moving roots; empty at rest, so that pictures at rest have the same digest."""
         return [np.array([self.twist_deg])] if self.twist_deg else []
 
 
@@ -71,15 +68,15 @@ class TwinWorld:
     Parameters
     ----------
     scene
-        Strip, canister and plan.
+        Scene with strip, canister and plan.
     rig
-        What the devices are said to be.
+        Nominal devices.
     seed
-        Of every error.
+        Random seed of all errors.
     imperfections
-        How large the errors are.
+        Magnitudes of the errors.
     table_from_canister
-        How the canister really stands on the table, 4x4.
+        True pose of the canister on the table, 4x4.
     """
 
     def __init__(self, scene: Scene, rig: RigFile, *, seed: int, imperfections: Imperfections, table_from_canister: frames.Array) -> None:
@@ -87,7 +84,7 @@ class TwinWorld:
         self.rig = rig
         self.table_from_canister = table_from_canister
         self.tripod_cam_from_rig = plan.views(scene)[0].cam_from_rig
-        """The camera's pose where there is no arm."""
+        """Pose of the camera for a rig without an arm."""
         self.table = Stepper(full_step_deg=rig.turntable.full_step_deg, imperfections=imperfections, key=(seed, _TABLE))
         self.swing = Swing(hz=imperfections.swing_hz, damping=imperfections.swing_damping)
         self._table_start_deg = float(np.random.default_rng([seed, _START]).uniform(0.0, 360.0))
@@ -112,7 +109,7 @@ class TwinWorld:
         return self.panel if strip == self.rig.lights.panel_strip else self.front
 
     def advance(self, dt_s: float) -> None:
-        """Let every device act for a while."""
+        """Advance all devices by a time."""
         for piece in self.table.motion(dt_s):
             self.swing.turn(*piece)
         self.table.advance(dt_s)
@@ -132,42 +129,42 @@ class TwinWorld:
         self.supply.load_volt = 0.08 * sum(servo.moving for servo in self.servos.values())
 
     def brown_out(self, for_s: float) -> None:
-        """Let the arm's voltage break down for a while (0: a moment): every servo starts anew, without torque."""
+        """Let the arm's voltage fail for a time (0 for a moment): all servos restart without torque."""
         self.supply.brown_out(for_s)
         for servo in self.servos.values():
             servo.power_up()
         self._weigh()
 
     def put_arm_to_rest(self) -> None:
-        """Move a limp arm to its resting place by hand."""
+        """Move an unpowered arm to its parking position by hand."""
         for joint, rest_deg in _rest(self.rig):
             self.servos[joint.servo].turn_by_hand(_counts(joint, rest_deg))
         self._weigh()
 
     @property
     def table_deg(self) -> float:
-        """The true table angle: 0 when the strip's seam faces the camera's side."""
+        """True table angle, 0 when the strip's seam faces the camera's side."""
         return self._table_start_deg + self.table.true_deg
 
     @property
     def joints_deg(self) -> tuple[float, ...]:
-        """The true joint angles, base to wrist roll; empty without an arm."""
+        """True joint angles, base to wrist roll; empty without an arm."""
         return () if (arm := self.rig.arm) is None else self._angles(arm, [self.servos[j.servo].true_counts for j in arm.joints])
 
     @property
     def cam_from_rig(self) -> frames.Array:
-        """The true pose (4, 4) of the camera."""
+        """True pose (4, 4) of the camera."""
         if self.rig.arm is None:
             return self.tripod_cam_from_rig
         return kinematics.cam_from_rig(self.rig.arm, self.joints_deg)
 
     @property
     def rig_from_canister(self) -> frames.Array:
-        """Where the canister really is, (4, 4)."""
+        """True pose of the canister, (4, 4)."""
         return plan.rig_from_table(self.scene, self.table_deg) @ self.table_from_canister
 
     def sight(self, *, exposure: float = 1.0) -> Sight:
-        """Return what a picture taken now depends on."""
+        """Return the state of a picture taken now."""
         band, panel, front = self._light()
         return Sight(
             cam_from_rig=self.cam_from_rig,
@@ -181,9 +178,9 @@ class TwinWorld:
         )
 
     def _light(self) -> tuple[str, float, float]:
-        """Return the band that lamps, outputs and filter are set for, and the levels of panel and front light in it.
+        """Return the band for which lamps, outputs and filter are set, and its levels of panel and front light.
 
-        A band's own lamp lights panel and front fully. What fits no band is white light.
+        A band's own lamp counts as full panel and front light. States that match no band count as white light.
         """
         for part in self.rig.camera.bands:
             if self.outputs_on != ({part.output} - {None}) or not self._filter_is_at(part.filter_deg):
@@ -198,14 +195,14 @@ class TwinWorld:
         return "", self.panel.level, self.front.level
 
     def _in_colour(self, lamp: Lamp, rgb: tuple[int, int, int], level: float | None) -> float | None:
-        """Return a lamp's level in a band's colour; None where it shows another one."""
+        """Return a lamp's level in a band's colour; None if it shows another colour."""
         if level == 0.0 or lamp.goal == 0.0:
             return lamp.level if level == 0.0 and lamp.goal == 0.0 else None
         share = lamp.share_of(rgb)
         return None if share is None else lamp.level * share
 
     def _filter_is_at(self, angle_deg: float | None) -> bool:
-        """Tell whether the filter wheel stands where a band wants it."""
+        """Return whether the filter wheel is at a band's angle."""
         wheel = None if self.rig.arm is None else self.rig.arm.filter
         if angle_deg is None or wheel is None:
             return angle_deg is None
@@ -215,20 +212,20 @@ class TwinWorld:
         return tuple(joint.sign * (at - joint.zero_counts) / joint.counts_per_deg for joint, at in zip(arm.joints, counts, strict=True))
 
     def _weigh(self) -> None:
-        """Tell the pitch servos the torque that gravity puts on them in this pose."""
+        """Set the torques of gravity on the pitch servos in this pose."""
         if (arm := self.rig.arm) is None:
             return
         lean_rad = np.cumsum(np.deg2rad(self._angles(arm, [self.servos[j.servo].unbent_counts for j in arm.joints])[1:4]))
         links = np.array(arm.links_mm[1:])
         across = np.concatenate([[0.0], np.cumsum(links * np.sin(lean_rad))])
-        most = float(_WEIGHTS @ np.cumsum(links)) or 1.0
+        most = float(_MASSES @ np.cumsum(links)) or 1.0
         for i, joint in enumerate(arm.joints[1:4]):
-            torque = float(_WEIGHTS[i:] @ (across[i + 1 :] - across[i])) / most
+            torque = float(_MASSES[i:] @ (across[i + 1 :] - across[i])) / most
             self.servos[joint.servo].torque = joint.sign * torque
 
 
 def _rest(rig: RigFile) -> list[tuple[Joint, float]]:
-    """Return the joints with their angles at rest; none without an arm."""
+    """Return the joints with their parking angles; empty without an arm."""
     return [] if rig.arm is None else list(zip(rig.arm.joints, rig.arm.park_deg, strict=True))
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.accuracy import described
+from benchmarks.accuracy import describe_case
 from benchmarks.cases import Case
 
 
@@ -31,6 +31,6 @@ def record_of() -> Callable[..., dict[str, Any]]:
         }
         score = volume | interval | voxels | stages
         taken = {"wall_s": 30.0, "cpu_s": 50.0, "peak_memory_mib": 2048.0, "load": 1.0, "render_s": None}
-        return {"case": described(case), "score": score, **taken}
+        return {"case": describe_case(case), "score": score, **taken}
 
     return record

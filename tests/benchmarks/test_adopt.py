@@ -75,7 +75,7 @@ def test_another_plan_seed_or_renderer_is_refused(copy):
     for old, new, said in (
         ('"seed": 3', '"seed": 4', "does not fit"),
         ('"height_mm": 10.0', '"height_mm": 11.0', "rig or plan"),
-        (first, "0" * 64, "comes out otherwise"),
+        (first, "0" * 64, "differs when it is rendered"),
         ('"profile": "clean"', '"profile": "bench"', "does not fit"),
     ):
         (copy / "dataset.json").write_text(json.dumps(manifest))

@@ -15,7 +15,7 @@ from benchmarks import damages
 from benchmarks.damaged_scan import Damage, Light, Scan
 from rhizotwin import engine
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import TrueView, Truth, save_truth
 
@@ -40,7 +40,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Scan:
     for k in range(VIEWS):
         name, path = f"images/{k:03d}.png", folder / f"images/{k:03d}.png"
         atomic.write_image(path, np.random.default_rng(k).integers(20000, 40000, (120, 160), np.uint16))
-        frames.append(Frame(file=name, sha256=sha256_of(path), table_deg=360.0 * k / VIEWS))
+        frames.append(Frame(file=name, sha256=file_sha256(path), table_deg=360.0 * k / VIEWS))
         views.append(TrueView(file=name, cam_from_canister=ring_pose(2.0 * math.pi * k / VIEWS), table_deg=360.0 * k / VIEWS))
     save_dataset(Dataset(folder=folder, scene=scene, frames=tuple(frames), origin={}))
     (folder / "truth").mkdir()

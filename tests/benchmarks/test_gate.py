@@ -30,7 +30,7 @@ def verdicts(metrics, baseline, **crashed):
 
 def test_the_same_run_passes(baseline):
     findings = gate.compare(RUN, baseline)
-    assert gate.passes(findings)
+    assert gate.all_pass(findings)
     assert len(findings) == 3
     assert "the gate is open" in gate.table(findings)
 
@@ -52,24 +52,24 @@ def test_a_change_is_judged_by_its_direction(baseline, name):
     metric, value, verdict = CHANGES[name]
     changed = [replace(old, value=value) if old is metric else old for old in RUN]
     assert verdicts(changed, baseline)[metric.key] == verdict
-    assert gate.passes(gate.compare(changed, baseline)) == (verdict in ("same", "better"))
+    assert gate.all_pass(gate.compare(changed, baseline)) == (verdict in ("same", "better"))
 
 
 def test_a_run_that_crashed_lacks_adds_or_repeats_a_number_or_measured_nothing_fails(baseline, tmp_path):
     findings = gate.compare(RUN[:2], baseline)
-    assert not gate.passes(findings)
+    assert not gate.all_pass(findings)
     assert "MISSING" in gate.table(findings)
     assert "ball/wall" in gate.table(findings)
     extra = replace(IOU, key="ball/new")
     assert verdicts([*RUN, extra], baseline)["ball/new"] == "UNKNOWN"
     crashed = gate.compare(RUN, baseline, crashed={"ball": "Traceback\nZeroDivisionError: division by zero\n"})
-    assert not gate.passes(crashed)
+    assert not gate.all_pass(crashed)
     assert "division by zero" in gate.table(crashed)
     for run in ([*RUN, extra], [ERROR, IOU, replace(WALL, unit="min")], [*RUN, IOU], []):
-        assert not gate.passes(gate.compare(run, baseline))
+        assert not gate.all_pass(gate.compare(run, baseline))
     (tmp_path / "empty.json").write_text(json.dumps({"schema_version": 1, "metrics": {}}))
-    assert not gate.passes(gate.compare([], gate.read_baseline(tmp_path / "empty.json")))
-    assert not gate.passes([])
+    assert not gate.all_pass(gate.compare([], gate.read_baseline(tmp_path / "empty.json")))
+    assert not gate.all_pass([])
 
 
 def test_a_failed_run_never_becomes_the_baseline(tmp_path):
@@ -98,6 +98,6 @@ def test_a_missed_target_shuts_the_gate_whatever_the_baseline() -> None:
     baseline = gate.Baseline(path=Path("baseline.json"), values={key: 0.03}, units={key: "1"})
     findings = gate.compare([metric], baseline, crashed={})
     assert [finding.verdict for finding in findings] == ["MISSED"]
-    assert not gate.passes(findings)
+    assert not gate.all_pass(findings)
     share = TARGETS["ladder/all/clean/interval_holds"]
     assert [share.reached(value) for value in (0.84, 0.85, math.nan)] == [False, True, False]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import thesis_figures, thesis_page
-from benchmarks.assumptions import Assumptions, Counted, Level
+from benchmarks.assumptions import Assumptions, CountedVolumes, Level
 from benchmarks.cases import Pictures
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.model import Scene
@@ -37,7 +37,7 @@ def test_the_thesiss_plants_are_the_librarys_in_its_order() -> None:
 def test_the_page_shows_numbers_and_dashes_and_what_was_not_measured(tmp_path: Path) -> None:
     found = thesis_page.plants([{"case": {"scene": "radish_day05a", "method": "coverage"}, "score": score(35.0)}])
     levels = [Level(voxel_mm=0.54, thesis_ml=14.0, thesis_s=1.0, ours_ml=9.0, ours_s=0.5)]
-    counted = [Counted(assumed=Assumptions(), kept=0.53, shared=0.2, dropped=-0.11)]
+    counted = [CountedVolumes(assumed=Assumptions(), kept=0.53, shared=0.2, dropped=-0.11)]
     text = (files := thesis_page.write(tmp_path / "page.md", found, levels, counted))[0].read_text()
     assert "| radish 1 | 5 | 0.0348 | 1.7900 | 0.019 | - | - | 0.0350 | 0.0315 to 0.0385 | 0.994 |" in text
     assert "| radish 17 | 30 | 0.3414 | - | - | - | - | - | - | - |" in text

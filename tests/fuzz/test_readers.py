@@ -18,7 +18,7 @@ from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.model import Camera
-from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
 from tests.fuzz.mutate import mutated

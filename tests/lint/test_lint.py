@@ -49,7 +49,7 @@ SOURCES = [
         'def f():\n    raise ValueError(f"{f} is told")\ndef g(warn):\n    warn("hangs on")\n',
         (2, 4),
     ),
-    Source("dialect in a folder that is not rewritten yet", "recon/shoots/a.py", '"""What roots tell."""\n'),
+    Source("dialect in a folder that is not rewritten yet", "rhizotwin/a.py", '"""What roots tell."""\n'),
     Source("dialect in values", "recon/a.py", 'A = "told"\nB = dict(a="untold")\n'),
     Source("meaning in the place of the type", "rig/a.py", documented("a : (N,) where it is. Then.|b|    What.|c : int|    How."), (1, 1)),
 ]

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from rhizotwin.scenes import atomic, frames, plan
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import TrueView, Truth, save_truth
 from tests.recon.hull.exact_pictures import rows
@@ -68,7 +68,7 @@ def scan(tmp_path: Path) -> Callable[..., Scan]:
         for file in files:
             atomic.write_image(dataset / file, np.round(52000.0 * (1.0 - cover)).astype(np.uint16))
             atomic.write_image(dataset / "truth" / "masks" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
-        listed = tuple(Frame(file=file, sha256=sha256_of(dataset / file), table_deg=360.0 * k / VIEWS) for k, file in enumerate(files))
+        listed = tuple(Frame(file=file, sha256=file_sha256(dataset / file), table_deg=360.0 * k / VIEWS) for k, file in enumerate(files))
         save_dataset(Dataset(folder=dataset, scene=scene, frames=listed, seed=0))
         true = ball(RADIUS_MM, CENTRE_MM)
         atomic.write_bytes(dataset / "truth" / "specimen.ply", bytes(true.export(file_type="ply")))
@@ -111,7 +111,7 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
             atomic.write_image(result / "silhouettes" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
             atomic.write_image(result / "seen" / Path(file).name, seen)
     volume = float(mesh.volume)
-    about = {"schema_version": 1, "dataset": "scan", "dataset_sha256": sha256_of(dataset / "dataset.json"), "scene": "ball"}
+    about = {"schema_version": 1, "dataset": "scan", "dataset_sha256": file_sha256(dataset / "dataset.json"), "scene": "ball"}
     run = {
         "timings_s": {"poses": 1.5, "carve": 2.25},
         "peak_memory_mib": 512.0,

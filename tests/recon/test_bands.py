@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.bands import Band

@@ -6,7 +6,7 @@ import pytest
 
 from rhizotwin.recon.calibration.cameras import Camera, Cameras
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError

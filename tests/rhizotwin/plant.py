@@ -24,7 +24,7 @@ from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.root_mesh import tubes as meshed
 from rhizotwin.scenes import atomic, frames, plan
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root
 
@@ -91,7 +91,7 @@ def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:
         atomic.write_image(dataset / file, np.round(230.0 * (1.0 - coverage)).astype(np.uint8))
         pose = tuple(tuple(float(x) for x in row) for row in view.cam_from_canister)
         listed.append(
-            Frame(file=file, sha256=sha256_of(dataset / file), kind="root", ring=0, table_deg=planned.table_deg, cam_from_canister=pose)
+            Frame(file=file, sha256=file_sha256(dataset / file), kind="root", ring=0, table_deg=planned.table_deg, cam_from_canister=pose)
         )
         views.append(FoundCamera(file=file, ring=0, used=True, cam_from_canister=view.cam_from_canister, table_deg=planned.table_deg))
         silhouettes[file] = Silhouette(coverage.astype(np.float32), np.ones(coverage.shape, bool))
@@ -121,7 +121,7 @@ def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:
     )
     result = Result(
         dataset=str(dataset),
-        dataset_sha256=sha256_of(dataset / "dataset.json"),
+        dataset_sha256=file_sha256(dataset / "dataset.json"),
         scene=name,
         solid=solid,
         cameras=tuple(views),

@@ -65,7 +65,7 @@ def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> Non
     made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
     dataset = load_dataset(made.dataset.folder)
     stored = (dataset.folder / dataset.frames[0].file).read_bytes()
-    assert transfer.stated_in(stored) == transfer.LINEAR
+    assert transfer.read_stated_curve(stored) == transfer.LINEAR
     assert read_image(dataset, dataset.frames[0]) / 65535.0 == pytest.approx(light(), abs=4e-4)
     assert any("linear" in note for note in made.notes)
 

@@ -12,9 +12,9 @@ from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import LostError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, RigFile
-from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.homing import Ask
-from rhizotwin.rig.scanning.onlooker import Onlooker
+from rhizotwin.rig.scanning.observer import Observer
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.world import Sight
@@ -248,9 +248,9 @@ def devices(world: World) -> Devices:
     )
 
 
-def run(world: World, folder: Path, *, said: list[str] | None = None, ask: Ask | None = None, onlooker=None, **options) -> Dataset:
-    audience = Audience(say=(said if said is not None else []).append, ask=ask, onlooker=onlooker or Onlooker())
-    return scan(devices(world), world.scene, folder, audience=audience, **options)
+def run(world: World, folder: Path, *, said: list[str] | None = None, ask: Ask | None = None, observer=None, **options) -> Dataset:
+    observers = Observers(say=(said if said is not None else []).append, ask=ask, observer=observer or Observer())
+    return scan(devices(world), world.scene, folder, observers=observers, **options)
 
 
 def angles(dataset: Dataset) -> list[float]:

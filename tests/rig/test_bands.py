@@ -8,7 +8,7 @@ import pytest
 from rhizotwin.rig import bands
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes.bands import Band
@@ -41,7 +41,7 @@ RIG = RigFile(
 def scanned(twin: Twin, folder: Path, **options) -> Dataset:
     devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, twin.calibrated_scene(), folder, audience=Audience(say=lambda _: None), **options)
+        return scan(devices, twin.calibrated_scene(), folder, observers=Observers(say=lambda _: None), **options)
     finally:
         devices.close()
 
@@ -93,9 +93,9 @@ def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
 def test_each_band_of_the_default_twin_can_be_set() -> None:
     rig = default_rig(scene=SCENE)
     check_rig(rig, Place("rig"))
-    bands.refuse_unknown(rig, SCENE)
-    assert bands.part_of(rig, "white") == BandPart(name="white")
-    assert bands.part_of(rig, "") is None
+    bands.check_bands(rig, SCENE)
+    assert bands.band_part(rig, "white") == BandPart(name="white")
+    assert bands.band_part(rig, "") is None
     assert {part.output for part in rig.camera.bands} == {None, 0, 2}
 
 
@@ -106,18 +106,18 @@ def test_a_scene_with_a_band_that_the_rig_lacks_is_refused(tmp_path: Path) -> No
 
 HAT = RIG.hat
 WRONG = {
-    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*needs \[arm.filter\]"),
+    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*requires \[arm.filter\]"),
     "beyond the wheel": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=1, max_deg=20.0))), "between arm.filter's -90 and 20 deg"),
-    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "must differ from the servos of the joints"),
+    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "differ from the joints' servos"),
     "a pin in use": (
         replace(
             RIG,
             turntable=replace(RIG.turntable, kind="hat"),
             camera=replace(RIG.camera, bands=(BandPart(name="nir", output=HAT.step_pin),)),
         ),
-        r"output = 23.*\[hat\] uses already",
+        r"output = 23.*already used by \[hat\]",
     ),
-    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "different for each band"),
+    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "different for each entry"),
 }
 
 

@@ -18,7 +18,7 @@ from rhizotwin.scenes.model import Camera, Disturbances, Scene, Turntable
 from tests.rig.fake_devices import STRIP
 
 SCENE = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))
-ACROSS = {"over the paper of the strip": "159.1", "diameter of the canister": "152.5", "ten markers": ""}
+ACROSS = {"over the strip's paper": "159.1", "across the canister": "152.5", "ten markers": ""}
 
 
 TRIPOD = RigFile(arm=None)
@@ -32,7 +32,7 @@ def answers(no: str = "") -> Answers:
         for words, number in ACROSS.items():
             if words in question:
                 return number
-        return "" if "other observations" in question else "no" if no and no in question else "yes"
+        return "" if "unexpected" in question else "no" if no and no in question else "yes"
 
     return answer
 
@@ -80,10 +80,10 @@ def test_a_table_that_turns_the_other_way_and_a_mirrored_picture_are_found(tmp_p
 
 
 def test_joints_move_and_come_back(tmp_path: Path) -> None:
-    found = walked(tmp_path, ask=answers(no="the shoulder tilt"))
+    found = walked(tmp_path, ask=answers(no="the shoulder lean"))
     joints = [one for one in found if one.step.startswith("joint")]
     assert [one.verdict for one in joints] == ["ok", "wrong", "ok", "ok", "ok"]
-    assert "invert the sign of arm.joints 2" in joints[1].text
+    assert "set sign of arm.joints 2" in joints[1].text
     assert all(one.measured["moved_deg"] == pytest.approx(5.0, abs=1.5) for one in joints)
     # The arm goes nowhere before its joints are right.
     assert [of(found, step).verdict for step in ("arm", "focus", "strip", "panel", "table")] == [*["skipped"] * 4, "ok"]
@@ -95,14 +95,14 @@ def test_a_sound_rig_with_an_arm_is_brought_before_the_canister(tmp_path: Path) 
     assert {one.step: one.verdict for one in found if one.verdict != "skipped"} == dict.fromkeys(
         ("devices", "lamps", *(f"joint {k}" for k in range(1, 6)), "arm", "focus", "strip", "panel", "table", "calipers"), "ok"
     )
-    assert "by the markers" in of(found, "table").text
+    assert "markers turned by" in of(found, "table").text
 
 
 def test_focus_is_not_judged_on_a_bare_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Jog, "shot", lambda _: np.rint(np.tile(np.linspace(48000.0, 50000.0, 400), (300, 1))).astype(np.uint16))
     found = of(walked(tmp_path, rig=TRIPOD), "focus")
     assert found.verdict == "wrong"
-    assert "no dark object is in front of the panel" in found.text
+    assert "no dark object in front of the panel" in found.text
 
 
 def test_an_answer_that_is_missing_leaves_the_rig_safe_and_the_report(tmp_path: Path) -> None:

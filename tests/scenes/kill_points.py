@@ -117,9 +117,9 @@ def scan(work: Path) -> int:
     import numpy as np
 
     from rhizotwin.rig.rig_file import RigFile
-    from rhizotwin.rig.scanning.session import file_of, take_up
+    from rhizotwin.rig.scanning.session import open_session, picture_file
     from rhizotwin.scenes import plan
-    from rhizotwin.scenes.dataset import Frame, load_dataset, sha256_of
+    from rhizotwin.scenes.dataset import Frame, file_sha256, load_dataset
     from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
     goal, scene = work / "goal", Scene(plan=CapturePlan(rings=(Ring(views=3),)))
@@ -128,18 +128,18 @@ def scan(work: Path) -> int:
     def look() -> None:
         if (goal / "dataset.json").is_file():
             for frame in load_dataset(goal).frames:
-                assert not (goal / frame.file).is_file() or sha256_of(goal / frame.file) == frame.sha256
+                assert not (goal / frame.file).is_file() or file_sha256(goal / frame.file) == frame.sha256
 
     def action() -> None:
-        with folders.held(goal):
-            session = take_up(goal, scene, planned, rig=RigFile(name="r"), settings={}, resume=True)
+        with folders.lock_folder(goal):
+            session = open_session(goal, scene, planned, rig=RigFile(name="r"), settings={}, resume=True)
             for view in session.remaining():
-                frame = Frame(file=file_of(view), sha256="", kind="root", ring=0, table_deg=view.table_deg, time_s=1.0)
+                frame = Frame(file=picture_file(view), sha256="", kind="root", ring=0, table_deg=view.table_deg, time_s=1.0)
                 session.record(frame, np.full((4, 6), view.index, np.uint8))
             done = session.save(complete=True)
             session.close()
         assert done.origin["complete"]
-        assert [sha256_of(goal / frame.file) for frame in load_dataset(goal).frames] == [frame.sha256 for frame in done.frames]
+        assert [file_sha256(goal / frame.file) for frame in load_dataset(goal).frames] == [frame.sha256 for frame in done.frames]
         assert len(done.frames) == len(planned)
 
     return every(lambda: None, action, work, reader=look, in_part=True)

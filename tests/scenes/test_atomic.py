@@ -121,9 +121,9 @@ def test_a_new_file_replaces_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    left = atomic.beside(path)
+    left = atomic.temporary_path(path)
     left.write_text("half")
-    other = atomic.beside(tmp_path / "b.json")
+    other = atomic.temporary_path(tmp_path / "b.json")
     other.write_text("of another file")
     in_use, descriptor = atomic._open_beside(path)
     atomic.write_json(path, [1])

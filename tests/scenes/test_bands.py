@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from rhizotwin.scenes import plan
-from rhizotwin.scenes.bands import Band, by_range, vegetation_indices
+from rhizotwin.scenes.bands import Band, bands_by_range, vegetation_indices
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -37,16 +37,16 @@ def test_bands_that_cannot_be_are_refused(scene: Scene, says: str) -> None:
 
 
 def test_views_are_taken_in_the_bands_of_their_ring() -> None:
-    assert plan.bands_of(SCENE, 0) == ("white", "red", "nir")
-    assert plan.bands_of(SCENE, 1) == ("red", "white")
+    assert plan.ring_bands(SCENE, 0) == ("white", "red", "nir")
+    assert plan.ring_bands(SCENE, 1) == ("red", "white")
     assert plan.main_band(SCENE, 1) == "white", "red has no panel"
-    assert plan.bands_of(Scene(), 0) == ("",)
+    assert plan.ring_bands(Scene(), 0) == ("",)
     assert (plan.picture_name(7, "red"), plan.picture_name(7, "")) == ("view_007_red", "view_007")
 
 
 def test_ranges_have_their_nearest_band_and_indices_their_formula() -> None:
     near = Band(name="near", wavelength_nm=800.0)
-    assert by_range((WHITE, RED, NIR, near)) == {"green": "white", "red": "red", "nir": "nir"}
+    assert bands_by_range((WHITE, RED, NIR, near)) == {"green": "white", "red": "red", "nir": "nir"}
     assert vegetation_indices({"red": 0.05, "nir": 0.45}) == {"ndvi": pytest.approx(0.8)}
     assert vegetation_indices({"red": 0.05, "nir": 0.45, "red_edge": 0.25})["ndre"] == pytest.approx(0.2 / 0.7)
     assert vegetation_indices({"red": 0.05}) == {}

@@ -11,7 +11,7 @@ import pytest
 
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
-from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.specimens import GrownSpecimen
@@ -31,7 +31,7 @@ def dataset(tmp_path: Path) -> Dataset:
     for k in range(2):
         path = tmp_path / "images" / f"{k}.png"
         write_image(path, np.full((16, 20), 1000 * k + 7, np.uint16))
-        made.append(Frame(file=f"images/{k}.png", sha256=sha256_of(path), table_deg=9.1 * k, cam_from_canister=nested(POSE)))
+        made.append(Frame(file=f"images/{k}.png", sha256=file_sha256(path), table_deg=9.1 * k, cam_from_canister=nested(POSE)))
     made[1] = replace(made[1], kind="shoot", ring=1, table_read_deg=0.1 + 0.2, joints_deg=(1.0, 2.5), exposure_s=1e-3, time_s=2.0)
     camera, plan = Camera(image_wh=(20, 16), principal_px=(9.5, 7.5)), CapturePlan(rings=(Ring(), Ring()))
     scene = Scene(camera=camera, plan=plan, specimen=GrownSpecimen())
@@ -49,7 +49,7 @@ def test_dataset_and_pictures_survive(dataset: Dataset) -> None:
     loaded = load_dataset(str(dataset.folder))
     assert loaded == dataset
     assert loaded.frames[1].cam_from_canister == nested(POSE)
-    assert loaded.sha256 == saved.sha256 == sha256_of(dataset.folder / "dataset.json")
+    assert loaded.sha256 == saved.sha256 == file_sha256(dataset.folder / "dataset.json")
     for k, frame in enumerate(loaded.frames):
         image = read_image(loaded, frame)
         assert image.dtype == np.uint16
@@ -57,7 +57,7 @@ def test_dataset_and_pictures_survive(dataset: Dataset) -> None:
     without = replace(dataset, frames=tuple(replace(frame, cam_from_canister=None) for frame in dataset.frames))
     again = save_dataset(without)
     assert load_dataset(dataset.folder) == without
-    assert again.sha256 == sha256_of(dataset.folder / "dataset.json") != loaded.sha256
+    assert again.sha256 == file_sha256(dataset.folder / "dataset.json") != loaded.sha256
 
 
 def of_frame(number: int, **changes: Any) -> Callable[[Any], None]:

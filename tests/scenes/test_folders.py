@@ -11,7 +11,7 @@ import pytest
 
 from rhizotwin.scenes import atomic, folders
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.lock import lock_file
 
 KILL_POINTS = Path(__file__).parent / "kill_points.py"
 
@@ -138,7 +138,7 @@ def test_links_mounts_and_the_current_folder_are_goals(tmp_path: Path, monkeypat
 
 def test_one_process_at_a_time(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with folders.held(out):
+    with folders.lock_folder(out):
         with pytest.raises(UserError, match=rf"out: process {os.getpid()} on .* is using it; wait"), folders.new_folder(out):
             pass
         folders.check_readable(out)  # a reader does not mind
@@ -149,8 +149,8 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
     out = made(tmp_path / "out", view_in_a="kept")
     (out / folders.LOCK).write_text('{"pid": 7, "host": "gone", "since": "then"}')
     (out / folders.NEW / "half").mkdir(parents=True)
-    atomic.beside(out / "view" / "b").write_text("half")
-    with folders.held(out):
+    atomic.temporary_path(out / "view" / "b").write_text("half")
+    with folders.lock_folder(out):
         assert names(out / "view") == ["a"]
     assert "process 7 on gone (since then) left it unfinished; continuing" in caplog.text
     assert names(out) == ["view"]
@@ -170,15 +170,15 @@ def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path
 
 def test_without_locks_of_the_file_system_the_words_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rhizotwin.scenes.lock.try_lock", lambda _: None)
-    with locked(tmp_path / "lock", what="out"), pytest.raises(UserError, match="is using it"), locked(tmp_path / "lock", what="out"):
+    with lock_file(tmp_path / "lock", what="out"), pytest.raises(UserError, match="is using it"), lock_file(tmp_path / "lock", what="out"):
         pass
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True, check=True).stdout
     host = os.uname().nodename
     (tmp_path / "lock").write_text(f'{{"pid": {int(ended)}, "host": "{host}", "since": "then"}}')
-    with locked(tmp_path / "lock", what="out") as left:
+    with lock_file(tmp_path / "lock", what="out") as left:
         assert left
     (tmp_path / "lock").write_text(f'{{"pid": {int(ended)}, "host": "another", "since": "then"}}')
-    with pytest.raises(UserError, match="on another"), locked(tmp_path / "lock", what="out"):
+    with pytest.raises(UserError, match="on another"), lock_file(tmp_path / "lock", what="out"):
         pass
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root, of_plant, read_rsml, write_rsml
+from rhizotwin.scenes.rsml import Root, plant_roots, read_rsml, write_rsml
 
 LINE = '<geometry><polyline><point x="0" y="0" z="-1"/><point x="0" y="0" z="-2"/><point x="0" y="0" z="-4"/></polyline></geometry>'
 SAMPLES = '<sample value="0.5"/><sample value="0.4"/><sample value="0.1"/>'
@@ -286,5 +286,5 @@ def test_plants_have_elements_of_their_own_and_names_that_are_read_back(tmp_path
     assert text.index('label="B"') < text.index('label="A"')
     read = read_rsml(tmp_path / "two.rsml")
     assert [(one.plant, one.parent) for one in read] == [("B", -1), ("B", 0), ("A", -1)]
-    assert [one.parent for one in of_plant(read, "B")] == [-1, 0]
-    assert of_plant(read, "C") == ()
+    assert [one.parent for one in plant_roots(read, "B")] == [-1, 0]
+    assert plant_roots(read, "C") == ()

@@ -96,7 +96,7 @@ def test_columns_of_tables() -> None:
     heads = headings([ions, {}])
     assert list(heads)[:3] == ["NO3", "NH4", "H2PO4"]
     assert "Cl" not in heads
-    assert solution.of_summary({}, "result.json") == Solution()
+    assert solution.from_summary({}, "result.json") == Solution()
 
 
 def test_scenes_with_solutions_can_be_keys() -> None:

@@ -31,8 +31,8 @@ def test_scene_files_and_datasets_keep_it_and_one_without_is_read(tmp_path: Path
 
 
 def test_cells_of_a_table_give_it_back() -> None:
-    assert subject.of_cells(subject.as_text(WHOLE), "table.csv, line 2") == WHOLE
-    assert subject.of_cells({"plant": " P7 ", "volume (mm3)": "3"}, "x") == Subject(plant="P7")
+    assert subject.from_cells(subject.as_text(WHOLE), "table.csv, line 2") == WHOLE
+    assert subject.from_cells({"plant": " P7 ", "volume (mm3)": "3"}, "x") == Subject(plant="P7")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhizotwin.scenes import picture_damage
-from rhizotwin.scenes.picture_damage import UnfitError, checked
+from rhizotwin.scenes.picture_damage import UnfitError, check_picture
 
 PICTURE = (np.arange(40 * 30, dtype=np.uint16) * 50).reshape(30, 40)
 
@@ -29,15 +29,15 @@ def tiff(compression: str | None) -> bytes:
 @pytest.mark.parametrize("compression", [None, "zlib", "packbits"])
 def test_common_compressions_need_no_extra(compression: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
-    assert checked(tiff(compression)) == tiff(compression)
+    assert check_picture(tiff(compression)) == tiff(compression)
 
 
 def test_lzw_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     data = tiff("lzw")
-    assert checked(data) == data
+    assert check_picture(data) == data
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     with pytest.raises(UnfitError, match=r"compressed by LZW, .* pip install 'rhizotwin\[tiff\]', or convert it to PNG"):
-        checked(data)
+        check_picture(data)
 
 
 RUNS = st.tuples(st.binary(min_size=1, max_size=1), st.integers(2, 128)).map(lambda run: (bytes([257 - run[1]]) + run[0], run[0] * run[1]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, lines, shown, to_csv
+from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, format_number, lines, to_csv
 from rhizotwin.scenes.traits import Traits, measure_traits
 
 TAP = Root(points_mm=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -25.0]]), diameters_mm=np.array([0.35, 0.35]), order=0, parent=-1)
@@ -45,4 +45,4 @@ def test_a_shape_without_roots_has_dashes():
 
 
 def test_numbers_for_people():
-    assert [shown(value) for value in (None, 95, 1650.944, 0.29933, 0.0)] == ["-", "95", "1650.9", "0.2993", "0"]
+    assert [format_number(value) for value in (None, 95, 1650.944, 0.29933, 0.0)] == ["-", "95", "1650.9", "0.2993", "0"]

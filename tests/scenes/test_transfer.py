@@ -12,7 +12,7 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
-from rhizotwin.scenes.pictures import decode_light
+from rhizotwin.scenes.picture_codec import decode_light
 from rhizotwin.scenes.transfer import LINEAR, SRGB
 
 GREY = Image.fromarray(np.arange(256, dtype=np.uint8).reshape(16, 16))
@@ -59,7 +59,7 @@ STATED: dict[str, tuple[bytes, transfer.Curve | None]] = {
 
 @pytest.mark.parametrize(("data", "expected"), STATED.values(), ids=STATED.keys())
 def test_a_file_says_its_curve(data: bytes, expected: transfer.Curve | None) -> None:
-    found = transfer.stated_in(data)
+    found = transfer.read_stated_curve(data)
     assert (found is None) == (expected is None)
     assert found is None or expected is None or found.same(expected)
 
@@ -67,7 +67,7 @@ def test_a_file_says_its_curve(data: bytes, expected: transfer.Curve | None) -> 
 def test_a_profile_with_a_plain_gamma_is_read() -> None:
     body = b"curv\x00\x00\x00\x00\x00\x00\x00\x01" + round(1.8 * 256).to_bytes(2, "big") + b"\x00\x00"
     profile = bytes(128) + (1).to_bytes(4, "big") + b"kTRC" + (144).to_bytes(4, "big") + len(body).to_bytes(4, "big") + body
-    found = transfer.stated_in(saved("PNG", icc_profile=profile))
+    found = transfer.read_stated_curve(saved("PNG", icc_profile=profile))
     assert found is not None
     assert found.same(transfer.power(1.8))
 
@@ -91,7 +91,7 @@ def test_a_pixel_with_one_full_colour_is_full() -> None:
 
 def test_a_scene_states_a_table_that_rises() -> None:
     camera = Camera(transfer="table", transfer_table=(0.0, 0.1, 1.0))
-    np.testing.assert_allclose(transfer.of_camera(camera).of(np.array([0.25, 0.5, 0.75])), [0.05, 0.1, 0.55])
+    np.testing.assert_allclose(transfer.camera_curve(camera).of(np.array([0.25, 0.5, 0.75])), [0.05, 0.1, 0.55])
     for table in ({"transfer": "table"}, {"transfer_table": (0.0, 1.0)}, {"transfer": "table", "transfer_table": (0.0, 0.7, 0.5)}):
         with pytest.raises(UserError, match="transfer"):
             check_scene(Scene(camera=Camera(**table)))

@@ -11,10 +11,10 @@ from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scen
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.sim import dirt
 from rhizotwin.sim.exposure import expose
-from rhizotwin.sim.hanging import Hanging
+from rhizotwin.sim.hanging import HangingObject
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.specimen import build_specimen
-from rhizotwin.sim.world import as_given, draw_world
+from rhizotwin.sim.world import draw_world, scene_for_reconstruction
 
 pytestmark = pytest.mark.usefixtures("coarse_ball")
 BALL = SphereSpecimen(diameter_mm=20.0, centre_mm=(0.0, 0.0, -60.0))
@@ -43,7 +43,7 @@ def test_a_larger_canister_is_seen_wider_by_as_much() -> None:
 
 def test_what_hangs_sways_in_proportion_to_its_depth() -> None:
     solid = build_specimen(SMALL)
-    hanging = Hanging.of("specimen", solid.vertices, solid)
+    hanging = HangingObject.of("specimen", solid.vertices, solid)
     moved = hanging.at((0.6, -0.2), 0.0) - solid.vertices
     top, middle, tip = (np.argmin(np.abs(solid.vertices[:, 2] - z)) for z in (-50.0, -60.0, -70.0))
     np.testing.assert_allclose(moved[[top, middle, tip]], np.outer([0.0, 0.5, 1.0], [0.6, -0.2, 0.0]), atol=1e-9)
@@ -113,6 +113,6 @@ def test_exposure_and_white_balance_wander_within_their_limits() -> None:
 
 def test_the_reconstruction_knows_the_curve_and_nothing_else() -> None:
     wrong = Disturbances(transfer="srgb", stored_bits=8, wall_error=0.1, canister_radius_error_mm=0.3)
-    given = as_given(replace(SMALL, disturbances=wrong))
+    given = scene_for_reconstruction(replace(SMALL, disturbances=wrong))
     assert (given.camera.transfer, given.camera.bits) == ("srgb", 8)
     assert given.canister == SMALL.canister

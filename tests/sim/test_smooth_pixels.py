@@ -10,7 +10,7 @@ from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.render import Renderer
-from rhizotwin.sim.solids import surface_of, union_of_roots
+from rhizotwin.sim.solids import to_surface, unite_roots
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.world import draw_world
 
@@ -23,8 +23,8 @@ def threads() -> SpecimenSolid:
         roots.append(Root(points_mm=points, diameters_mm=np.full(2, diameter_mm), order=0, parent=-1))
     level = np.array([[5.0, -30.0, -60.3], [5.0, 30.0, -60.3]])
     roots.append(Root(points_mm=level, diameters_mm=np.full(2, 0.3), order=0, parent=-1))
-    solid = union_of_roots(roots)
-    vertices, faces = surface_of(solid)
+    solid = unite_roots(roots)
+    vertices, faces = to_surface(solid)
     return SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=solid.volume())
 
 

@@ -22,15 +22,15 @@ def straight(a: tuple[float, float, float], b: tuple[float, float, float], diame
 
 
 def mesh_of(roots: list[Root]) -> trimesh.Trimesh:
-    vertices, faces = solids.surface_of(solids.union_of_roots(roots))
+    vertices, faces = solids.to_surface(solids.unite_roots(roots))
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
 @pytest.mark.parametrize("diameter_mm", [0.4, 12.0])
 def test_a_straight_tube_has_the_cylinder_s_volume_between_its_caps(diameter_mm: float) -> None:
     """Two lengths: the difference is a cylinder without caps, exact because the polygon's area is the circle's."""
-    short = solids.union_of_roots([straight((1, 2, -20), (4, 6, -20), diameter_mm)]).volume()
-    long = solids.union_of_roots([straight((1, 2, -20), (7, 10, -20), diameter_mm)]).volume()
+    short = solids.unite_roots([straight((1, 2, -20), (4, 6, -20), diameter_mm)]).volume()
+    long = solids.unite_roots([straight((1, 2, -20), (7, 10, -20), diameter_mm)]).volume()
     area_mm2 = np.pi * diameter_mm**2 / 4.0
     assert long - short == pytest.approx(5.0 * area_mm2, rel=1e-9)
     ball_mm3 = np.pi / 6.0 * diameter_mm**3
@@ -42,15 +42,15 @@ def test_a_tapering_tube_has_the_frustum_s_volume() -> None:
     root = tube(line, np.linspace(4.0, 1.0, 7))
     frustum_mm3 = np.pi * 60.0 / 3.0 * (2.0**2 + 2.0 * 0.5 + 0.5**2)
     caps_mm3 = 2.0 / 3.0 * np.pi * (2.0**3 + 0.5**3)
-    assert solids.union_of_roots([root]).volume() == pytest.approx(frustum_mm3 + caps_mm3, abs=0.1 * caps_mm3)
+    assert solids.unite_roots([root]).volume() == pytest.approx(frustum_mm3 + caps_mm3, abs=0.1 * caps_mm3)
 
 
 def test_crossing_tubes_share_steinmetz_s_solid() -> None:
     """Two cylinders of radius r at right angles share 16 r^3 / 3."""
     r = 4.0
     one, two = straight((-20, 0, -50), (20, 0, -50), 2 * r), straight((0, -20, -50), (0, 20, -50), 2 * r)
-    apart = solids.union_of_roots([one]).volume() + solids.union_of_roots([two]).volume()
-    union = solids.union_of_roots([one, two]).volume()
+    apart = solids.unite_roots([one]).volume() + solids.unite_roots([two]).volume()
+    union = solids.unite_roots([one, two]).volume()
     assert union < apart
     assert apart - union == pytest.approx(16.0 * r**3 / 3.0, rel=0.015)
 
@@ -62,8 +62,8 @@ def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
     line = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(200, -50.0)], axis=1)
     line[150:, 1] += np.linspace(0.0, 12.0, 50)  # swing across the first turn
     root = tube(line, 1.0)
-    whole = solids.union_of_roots([root])
-    naive = solids.manifold_of(*solids.tube(line, np.full(200, 0.5), sides=12))
+    whole = solids.unite_roots([root])
+    naive = solids.to_manifold(*solids.tube(line, np.full(200, 0.5), sides=12))
     mesh = mesh_of([root])
     assert whole.volume() < naive.volume() - 0.3
     assert mesh.is_watertight
@@ -85,29 +85,29 @@ def test_a_root_that_tapers_to_nothing_or_repeats_points_is_still_closed() -> No
 
 def test_many_tubes_are_united_by_twos_with_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     roots = [straight((k, 0, -20), (-k, k, -40), 1.0) for k in range(1, 8)]
-    whole, heard = solids.union_of_roots(roots).volume(), []
+    whole, heard = solids.unite_roots(roots).volume(), []
     monkeypatch.setattr(solids, "MOST_AT_ONCE", 3)
     monitor = Monitor(lambda *step: heard.append(step))
-    assert solids.union_of_roots(roots, monitor=monitor).volume() == pytest.approx(whole, rel=1e-9)
+    assert solids.unite_roots(roots, monitor=monitor).volume() == pytest.approx(whole, rel=1e-9)
     assert [done for _, done, _ in heard] == [1, 2, 3, 4, 5, 6]
     monitor.cancel()
     with pytest.raises(Cancelled):
-        solids.union_of_roots(roots, monitor=monitor)
+        solids.unite_roots(roots, monitor=monitor)
 
 
 def test_nothing_to_unite_is_refused() -> None:
     with pytest.raises(UserError, match="no root with a length"):
-        solids.union_of_roots([tube(np.zeros((1, 3)), 1.0)])
+        solids.unite_roots([tube(np.zeros((1, 3)), 1.0)])
 
 
 def test_a_plant_is_scaled_to_its_volume_and_closed() -> None:
     roots = growth.grow(GrownSpecimen(seed=4, age_days=10.0))
-    parts_mm3 = sum(solids.union_of_roots([root]).volume() for root in roots)
-    assert solids.union_of_roots(roots).volume() < parts_mm3
+    parts_mm3 = sum(solids.unite_roots([root]).volume() for root in roots)
+    assert solids.unite_roots(roots).volume() < parts_mm3
     solid, scaled, factor = solids.scale_to_volume(roots, 123.456)
     assert solid.volume() == pytest.approx(123.456, rel=1e-6)
     assert scaled[1].diameters_mm == pytest.approx(factor * roots[1].diameters_mm)
-    vertices, faces = solids.surface_of(solid)
+    vertices, faces = solids.to_surface(solid)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent

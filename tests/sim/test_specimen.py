@@ -132,7 +132,7 @@ def test_rsml_becomes_tubes(tmp_path: Path) -> None:
     assert solid.traits["total_length_mm"] == pytest.approx(50.0)
     assert closed(solid)
     (tmp_path / "deep.rsml").write_text(RSML.format(depth=20))
-    with pytest.raises(UserError, match=r"deep\.rsml reaches 54\.60 mm below the floor"):
+    with pytest.raises(UserError, match=r"deep\.rsml extends 54\.60 mm below the floor"):
         build(RsmlSpecimen(file="deep.rsml"), tmp_path)
 
 
@@ -155,7 +155,7 @@ def test_the_fallen_plant_lies_on_the_wall() -> None:
 
 def test_a_volume_out_of_reach_is_refused() -> None:
     specimen = GrownSpecimen(volume_ml=400.0)
-    with pytest.raises(UserError, match=r"leaves the water|was not reached"):
+    with pytest.raises(UserError, match=r"is not inside the water|was not reached"):
         build(replace(specimen, age_days=3.0))
 
 

@@ -8,7 +8,7 @@ import pytest
 from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.results.result import Result
 from rhizotwin.scenes.atomic import write_image
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.system import snell
 
@@ -41,7 +41,7 @@ def result(tmp_path: Path) -> Result:
         file = f"images/view_{k:03d}.png"
         write_image(folder / file, np.round(65535.0 * light).astype(np.uint16))
         rows = tuple(tuple(float(value) for value in row) for row in pose)
-        frames.append(Frame(file=file, sha256=sha256_of(folder / file), ring=ring, cam_from_canister=rows))
+        frames.append(Frame(file=file, sha256=file_sha256(folder / file), ring=ring, cam_from_canister=rows))
     rings = tuple(Ring(views=VIEWS // 2, height_mm=height, tilt_deg=tilt) for height, tilt, _ in RINGS)
     scene = Scene(name="capsules", camera=Camera().resized(IMAGE_WH), plan=CapturePlan(rings=rings))
     save_dataset(Dataset(folder=folder, scene=scene, frames=tuple(frames), seed=0))

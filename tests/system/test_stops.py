@@ -19,11 +19,11 @@ import rhizotwin.scenes.dataset
 import rhizotwin.scenes.folders
 import rhizotwin.sim.simulate
 from rhizotwin import cli
-from rhizotwin.recon import pictures, reconstruct, shaping
+from rhizotwin.recon import read_pictures, reconstruct, shaping
 from rhizotwin.recon.calibration import markers, poses
 from rhizotwin.recon.coverage import background, silhouettes
 from rhizotwin.recon.results import result
-from rhizotwin.report import pictures as report
+from rhizotwin.report import result_pictures as report
 
 pytestmark = pytest.mark.slow
 
@@ -167,7 +167,7 @@ def test_full_disk_in_reconstruct(moment: Moment, earlier: bool, scan: Path, com
 
 EARLY = [
     Moment(rhizotwin.scenes.dataset, "load_dataset"),
-    Moment(pictures, "read_image", 3),
+    Moment(read_pictures, "read_image", 3),
     Moment(markers, "detect_markers", 2),
     Moment(poses, "find_poses"),
     Moment(background, "estimate"),

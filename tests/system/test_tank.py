@@ -9,7 +9,7 @@ import pytest
 from rhizotwin.recon import shaping
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
-from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.read_pictures import read_pictures
 from rhizotwin.recon.settings import Settings
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError

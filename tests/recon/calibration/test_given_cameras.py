@@ -10,7 +10,7 @@ import pytest
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
-from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene

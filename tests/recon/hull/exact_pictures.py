@@ -8,7 +8,7 @@ from scipy import ndimage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.scenes import atomic, plan
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, save_dataset
 from rhizotwin.scenes.model import Scene
 
 Segment = tuple[tuple[float, float, float], tuple[float, float, float], float]
@@ -35,7 +35,7 @@ def masks(folder: Path, scene: Scene, pictures: dict[int, np.ndarray], **origin:
     listed, every = [], views_of(scene)
     for k, picture in pictures.items():
         atomic.write_image(folder / f"{k}.png", np.round(255.0 * picture).astype(np.uint8))
-        listed.append(Frame(file=f"{k}.png", sha256=sha256_of(folder / f"{k}.png"), cam_from_canister=rows(every[k].cam_from_canister)))
+        listed.append(Frame(file=f"{k}.png", sha256=file_sha256(folder / f"{k}.png"), cam_from_canister=rows(every[k].cam_from_canister)))
     dataset = Dataset(folder=folder, scene=scene, frames=tuple(listed), masks=True, origin=origin)
     save_dataset(dataset)
     return dataset

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from rhizotwin.experiment.measured import read_all
-from rhizotwin.recon.results import by_plant, dividing
+from rhizotwin.recon.results import by_plant, divide_by_plant
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.scenes.errors import UserError
@@ -33,15 +33,15 @@ def root(x: float, long_mm: float, plant: str) -> Root:
 ROOTS = root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")
 
 
-def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
+def divided(*, is_open: bool = False) -> tuple[by_plant.PlantResult, ...]:
     """Divide a shape of two cuboids, 20 and 40 mm long, whose volumes are as 1 to 2."""
     low = np.array([[x, 0, -k] for x, count in ((-10, 20), (10, 40)) for k in range(11, 11 + count)], np.int32)
     ones, half = np.ones(60, np.int32), np.full(60, 0.5, np.float32)
     leaves = Leaves(low=low, size=ones, occupancy=half, origin_mm=np.array([-0.5, -0.5, 0.0]), voxel_mm=1.0)
     boxes = [trimesh.creation.box((1.0, 1.0, h)).apply_translation((x, 0.0, -10.0 - h / 2)) for x, h in ((-10, 20), (10, 40))]
     surface = Mesh.of(trimesh.util.concatenate(boxes))
-    shape = dividing.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
-    return dividing.measure(shape, PlantedRoots(ROOTS, (False, is_open), ()), (A, B), WHOLE)
+    shape = divide_by_plant.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
+    return divide_by_plant.measure(shape, PlantedRoots(ROOTS, (False, is_open), ()), (A, B), WHOLE)
 
 
 def test_every_part_is_of_the_plant_whose_root_is_nearest() -> None:
@@ -59,7 +59,7 @@ def test_what_may_be_anothers_is_in_the_intervals_of_both() -> None:
     assert a.volume_interval_mm3 == pytest.approx((18.0, 1.1 * 60.0))
     assert b.volume_interval_mm3 == pytest.approx((0.0, 44.0))
     assert b.open_mm == pytest.approx(40.0)
-    said = dividing.warnings(PlantedRoots(ROOTS, (False, True), ("C",)), (a, b))
+    said = divide_by_plant.warnings(PlantedRoots(ROOTS, (False, True), ("C",)), (a, b))
     assert "plant C" in said[0]
     assert "67 %" in said[1]
 
@@ -79,7 +79,7 @@ def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
     assert [row["plant"] for row in table if row["trait"] == "total_length_mm"] == ["", "A", "B"]
     summary["plants"][0]["at_mm"] = "here"
     with pytest.raises(UserError, match="at_mm"):
-        by_plant.of_summary(summary, "result.json")
+        by_plant.from_summary(summary, "result.json")
 
 
 def test_each_plant_is_scored_against_its_own_truth() -> None:

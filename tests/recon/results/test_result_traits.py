@@ -27,7 +27,7 @@ THIN = root([0.0, 0.0, -30.0], [30.0, 0.0, -30.0], 0.3, order=1, parent=0)
 
 def of(mesh: trimesh.Trimesh, roots, **given):
     corners = np.zeros(3), np.ones(3)
-    return result_traits.of_shape(Mesh.of(mesh), roots, volume_mm3=500.0, finest_mm=0.14, extents_mm=corners, **given)
+    return result_traits.measure_shape(Mesh.of(mesh), roots, volume_mm3=500.0, finest_mm=0.14, extents_mm=corners, **given)
 
 
 def test_thin_roots_are_measured_as_tubes_and_thick_ones_on_the_mesh():
@@ -48,10 +48,10 @@ def test_a_spreadsheet_of_two_results(scan):
     write_rsml(made.result / "roots.rsml", [root([4.0, -3.0, -45.0], [4.0, -3.0, -55.0], 12.0)])
     rooted = stored_traits.read(made.result)
     rows = list(csv.DictReader(io.StringIO(stored_traits.spreadsheet([("a", summary, plain), ("b, c", summary, rooted)]))))
-    assert [(row["result"], row["total_length_mm"]) for row in rows] == [("a", ""), ("b, c", "10")]
-    assert float(rows[0]["tissue_density_g_per_ml"]) == pytest.approx(0.5 / (summary["volume_mm3"] / 1000.0), rel=1e-5)
-    assert float(rows[0]["volume_mm3_low"]) == pytest.approx(0.95 * summary["volume_mm3"], rel=1e-5)
-    assert json.loads(result_traits.as_text(rooted, summary, mass_g=None)["traits.json"])["mass_g"] is None
+    assert [(row["result"], row["total_length (mm)"]) for row in rows] == [("a", ""), ("b, c", "10")]
+    assert float(rows[0]["tissue_density (g/ml)"]) == pytest.approx(0.5 / (summary["volume_mm3"] / 1000.0), rel=1e-5)
+    assert float(rows[0]["volume_low (mm3)"]) == pytest.approx(0.95 * summary["volume_mm3"], rel=1e-5)
+    assert json.loads(result_traits.trait_files(rooted, summary, mass_g=None)["traits.json"])["mass_g"] is None
     made.edit_summary(mass_g=0.9)  # given at the reconstruction
     assert stored_traits.read(made.result).tissue_density_g_per_ml == pytest.approx(0.9 / (4.0 / 3.0 * np.pi * 0.216), rel=1e-2)
 

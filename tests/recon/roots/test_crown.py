@@ -13,7 +13,7 @@ from rhizotwin.recon.tubes.tubes import SPACING_MM
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import length_mm, of_plant
+from rhizotwin.scenes.rsml import length_mm, plant_roots
 from tests.recon.strings import line, pictured, standing, strung
 
 A, B = Plant(plant="A", at_mm=(-12.0, 0.0)), Plant(plant="B", at_mm=(12.0, 0.0))
@@ -47,7 +47,7 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
     given = plants.assign(system.roots(), (A, B), grid_z_mm=GRID_MM)
     assert not given.missing
     for plant in (A, B):
-        own = of_plant(given.roots, plant.plant)
+        own = plant_roots(given.roots, plant.plant)
         assert [root.order for root in own] == [0, 1, 1]
         np.testing.assert_allclose(own[0].points_mm[0], [*plant.at_mm, -11.0], atol=1.5 * SPACING_MM)  # the crown is no root
         assert length_mm(own) == pytest.approx(true[plant.plant].length_mm, rel=0.02)

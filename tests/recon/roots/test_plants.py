@@ -4,7 +4,7 @@ import numpy as np
 
 from rhizotwin.recon.roots import plants
 from rhizotwin.scenes.plants import Plant
-from rhizotwin.scenes.rsml import Root, length_mm, of_plant
+from rhizotwin.scenes.rsml import Root, length_mm, plant_roots
 from tests.recon.strings import root
 
 GRID_MM = -8.0
@@ -26,7 +26,7 @@ def test_a_tree_that_reaches_both_bases_is_divided_where_they_touch():
     given = plants.assign(roots, (A, B), grid_z_mm=GRID_MM)
     assert not given.missing
     for plant, side in (("A", -1.0), ("B", 1.0)):
-        own = of_plant(given.roots, plant)
+        own = plant_roots(given.roots, plant)
         taproot = own[0]
         assert taproot.parent == -1
         np.testing.assert_allclose(taproot.points_mm[0], [side * 12, 0, -11], atol=1e-9)

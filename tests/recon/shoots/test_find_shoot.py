@@ -49,9 +49,9 @@ def ball(radius_mm: float, at_mm: tuple[float, float, float]) -> np.ndarray:
 def found(points_mm: np.ndarray) -> tuple[float, np.ndarray, float, float]:
     """Return hull volume, bounds of its mesh, half of its surface, and the share of it that leaves would enclose."""
     every = views()
-    silhouettes = shoot_silhouettes.of_ring([drawn(view, points_mm) for view in every], every, SCENE)
-    hull, mesh = shoot_hull.find(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
-    enclosed = shoot_hull.enclosed_share(hull, blades.find(mesh))
+    silhouettes = shoot_silhouettes.ring_silhouettes([drawn(view, points_mm) for view in every], every, SCENE)
+    hull, mesh = shoot_hull.carve_shoot(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
+    enclosed = shoot_hull.enclosed_share(hull, blades.find_blades(mesh))
     return hull.leaves.volume_mm3(), np.asarray(mesh.bounds), 0.5 * float(mesh.area), enclosed
 
 
@@ -76,7 +76,7 @@ def test_a_disc_that_leans_has_its_one_sided_area() -> None:
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
     every = views()
-    found = shoot_silhouettes.of_ring([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)[0]
+    found = shoot_silhouettes.ring_silhouettes([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)[0]
     covered = found.coverage > 0.5
     assert covered.sum() > 300
     assert found.usable[covered].mean() < 0.7

@@ -8,7 +8,7 @@ import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.recon.shoots.shoot_colour import measure_colour
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image

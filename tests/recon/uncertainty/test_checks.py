@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.calibration.exposure import Exposures
-from rhizotwin.recon.pictures import CurveFound
+from rhizotwin.recon.read_pictures import CurveFound
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.recon.uncertainty.picture_checks import check_canister, check_curve, check_exposure, check_scan, check_sharpness, check_views

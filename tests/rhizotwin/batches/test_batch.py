@@ -20,7 +20,7 @@ from rhizotwin.batches.run import LOCK, run
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.lock import lock_file
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.solution import Solution
 from tests.command import Command
@@ -161,7 +161,7 @@ def test_a_full_disk_is_not_the_scans_fault(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_two_batches_do_not_work_in_one_folder(tmp_path: Path) -> None:
-    with locked(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="is using it"):
+    with lock_file(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="is using it"):
         run([job("a", tmp_path)], str(tmp_path))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from rhizotwin.corrections import corrected, lines, log, surface
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import by_plant, dividing, result_traits
+from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.roots import plants as recon_plants
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant as ScenePlant
@@ -172,7 +172,7 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, 
     before, after = (result_files.read_mesh(folder / "shape.ply").vertices_mm for folder in (plant.result, tmp_path / "new"))
     assert after[:, 0].max() < 5.0 < before[:, 0].max()  # root 1 went that way
     assert summary["edits"]["who"] == ["ann", "ben"]
-    told = result_traits.edited(summary)
+    told = result_traits.describe_edits(summary)
     assert told.startswith("2 edits by ann, ben, -")
     assert told in stored_traits.spreadsheet([("a", summary, stored_traits.read(tmp_path / "new"))])
     assert json.loads((tmp_path / "new" / "traits.json").read_text())["edits"] == told
@@ -245,14 +245,14 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     roots = tuple(replace(root, plant="B" if k == 4 else "A") for k, root in enumerate(one.solid.roots))
     known = [ScenePlant(plant="A"), ScenePlant(plant="B", at_mm=(-14.0, -10.0), treatment="low N")]
     planted = recon_plants.check_assignment(roots, known, grid_z_mm=-15.0)
-    shape = dividing.Shape(
+    shape = divide_by_plant.Shape(
         leaves=one.solid.voxels,
         surface=one.solid.surface,
         finest_mm=one.solid.finest_mm,
         volume_mm3=one.solid.volume.mm3,
         interval_mm3=one.solid.volume.interval_mm3,
     )
-    found = dividing.measure(shape, planted, known, Subject(species="Raphanus sativus"))
+    found = divide_by_plant.measure(shape, planted, known, Subject(species="Raphanus sativus"))
     whole = replace(one, solid=replace(one.solid, roots=planted.roots), plants=found, subject=Subject(species="Raphanus sativus"))
     (folder / "pair").mkdir()
     whole.save(folder / "pair")
@@ -262,7 +262,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def own_of(folder: Path) -> dict[str, tuple[float, float, str]]:
     """Return volume, length and treatment of each plant."""
     summary = result_files.read_summary(folder)
-    found = by_plant.of_summary(summary, "result.json")
+    found = by_plant.from_summary(summary, "result.json")
     assert sum(one.volume_mm3 for one in found) == pytest.approx(summary["volume_mm3"])
     return {one.subject.plant: (one.volume_mm3, float(one.traits.total_length_mm or 0.0), one.subject.treatment) for one in found}
 

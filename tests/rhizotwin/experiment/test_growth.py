@@ -55,7 +55,7 @@ def seen_wrongly(roots: list[Root], rng: np.random.Generator) -> tuple[Root, ...
 def plant() -> dict[float, list[Root]]:
     """Return a plant at its ages."""
     scene = files.load_scene("radish_day15b")
-    specimen = series.grown(scene)
+    specimen = series.require_grown(scene)
     return {day: grow(replace(specimen, age_days=day)) for day in DAYS}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.by_plant import PlantResult
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import page
 from rhizotwin.scenes.rsml import Root
@@ -24,7 +24,7 @@ def rod(plant: str, x: float) -> Root:
 def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> None:
     roots = (rod("A", 0.0), rod("B", 9.0))
     plants = [
-        OfPlant(
+        PlantResult(
             subject=Subject(plant=root.plant),
             at_mm=(float(root.points_mm[0, 0]), 0.0),
             volume_mm3=126.0,

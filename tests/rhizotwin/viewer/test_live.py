@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.open import open_devices
-from rhizotwin.rig.scanning.audience import Audience
-from rhizotwin.rig.scanning.onlooker import Look
+from rhizotwin.rig.scanning.observer import Look
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.preflight import Exposure
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.twin import Twin
@@ -80,7 +80,7 @@ def test_a_person_watches_a_scan_of_the_twin(browser: Any, tmp_path: Path):
     served = live_page.serve(live, port=8290)
     devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     scanned = threading.Thread(
-        target=lambda: scan(devices, twin.calibrated_scene(), tmp_path / "d", audience=Audience(say=lambda _: None, onlooker=live)),
+        target=lambda: scan(devices, twin.calibrated_scene(), tmp_path / "d", observers=Observers(say=lambda _: None, observer=live)),
         daemon=True,
     )
     try:

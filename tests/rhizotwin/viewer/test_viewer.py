@@ -14,7 +14,7 @@ from websockets.http11 import Request
 from rhizotwin import root_colours
 from rhizotwin.corrections import log
 from rhizotwin.recon.optics import cameras
-from rhizotwin.scenes import said
+from rhizotwin.scenes import formatting
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored.result_files import read_summary
@@ -120,8 +120,8 @@ def test_roots_drawn_over_pictures_lie_on_the_roots(viewer: Viewer):
 
 def test_names_are_escaped_and_numbers_have_the_digits_they_deserve(viewer: Viewer):
     assert "&lt;b&gt;" in words.note(viewer.shown.session.summary["scene"])
-    assert said.ml(137070.4, half_mm3=9000.0) == "137.1"
-    assert said.ml(58.2967, half_mm3=11.7) == "0.058"
+    assert formatting.ml(137070.4, half_mm3=9000.0) == "137.1"
+    assert formatting.ml(58.2967, half_mm3=11.7) == "0.058"
     assert "<script>" not in words.history([replace(log.edit("cut"), who="<script>")])
     told = {"name": "tips", "value": 3.0, "interval": [2.0, 4.0], "trusted": False, "verdict": "<script>"}
     assert "<script>" not in words.traits(viewer.shown.traits(), edited=False, summary=viewer.shown.session.summary | {"estimates": [told]})

@@ -178,9 +178,9 @@ def test_prepare_commands_the_present_place_before_the_torque(tells: bool) -> No
 
 
 STANDS_WRONG = [
-    (4, -3, r"elbow \(servo 4\) stands at -120\.7 deg \(-3 counts\).*by hand"),
+    (4, -3, r"elbow \(servo 4\) is at -120\.7 deg \(-3 counts\).*by hand"),
     (4, 1004, r"elbow \(servo 4\).*1004 counts"),
-    (6, 60, r"base \(servo 6\) stands at -105\.6 deg.*-90 to 90 deg"),
+    (6, 60, r"base \(servo 6\) is at -105\.6 deg.*-90 to 90 deg"),
 ]
 
 
@@ -222,7 +222,7 @@ def test_prepare_refuses_a_wrong_supply_an_arm_that_is_being_moved_and_torque_th
 def test_prepare_stops_when_a_joint_leaves_its_place(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells, prepared=False)
     bus.blocked = {5: 550.0}
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) went from 0\.0 to -9\.6 deg"):
+    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) moved from 0\.0 to -9\.6 deg"):
         arm.prepare()
     assert bus.names()[-1] == "stop"
     assert not arm.holds()

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
 from rhizotwin.rig.arm.kinematics import arm_from_cam, rig_from_arm
-from rhizotwin.rig.arm.placing import Joints, camera_wanted, joints_for
-from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rhizotwin.rig.arm.placement import Joints, compute_joints, planned_camera_pose
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, minimum_distance, point_to_segment
 from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Bar, Clearance, RigFile
 from rhizotwin.scenes import frames
@@ -23,7 +23,7 @@ ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
 """On a stand so low that it reaches the floor."""
 RIG = RigFile(arm=ARM)
 SCENE = Scene()
-RING = joints_for(RIG, camera_wanted(Ring()))
+RING = compute_joints(RIG, planned_camera_pose(Ring()))
 SOLIDS: tuple[Solid, ...] = (
     Cylinder("can", 76.2, -152.4, 0.0),
     Box("bar", (-30.0, -20.0, 5.0), (40.0, 60.0, 25.0)),
@@ -75,7 +75,7 @@ def test_distance_of_a_link_is_the_least_of_its_points(at: Array, begin: Array, 
     coarse = np.linalg.norm(end - begin) / 4000.0 + 1e-6
     for solid in SOLIDS:
         sampled = solid.distance_mm(along).min()
-        assert sampled - coarse <= float(least_distance(solid, begin[None], end[None])[0]) <= sampled + 1e-4
+        assert sampled - coarse <= float(minimum_distance(solid, begin[None], end[None])[0]) <= sampled + 1e-4
     sampled = np.linalg.norm(along - at, axis=1).min()
     assert sampled - coarse <= float(point_to_segment(at[None], begin[None], end[None])[0]) <= sampled + 1e-6
 
@@ -104,7 +104,7 @@ def test_default_arm_is_clear_at_rest_and_on_its_way_to_the_rings() -> None:
     assert (at_rest.distance_mm > at_rest.margin_mm + 20.0).all()
     at: Joints = arm.park_deg
     for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), shoot_ring_of_the_page(), Ring(height_mm=-65.0)):
-        goal = joints_for(rig, camera_wanted(ring))
+        goal = compute_joints(rig, planned_camera_pose(ring))
         assert plan_path(rig, SCENE, at, goal) == [goal]
         at = goal
     assert plan_path(rig, SCENE, at, arm.park_deg) == [arm.park_deg]
@@ -127,7 +127,7 @@ def test_base_may_be_near_the_floor_but_not_in_the_table_and_a_margin_is_kept_an
     spare = pairs(rig, SCENE, np.array(way[1:])).distance_mm.min()
     assert 5.0 < spare < 40.0
     check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, way)
-    says = rf"within {spare:.1f} mm of the \w+.* \({spare + 0.6:.0f} mm required\) at the end of the way"
+    says = rf"within {spare:.1f} mm of the \w+.* \(minimum {spare + 0.6:.0f} mm\) at the end of the path"
     with pytest.raises(UnsafeError, match=says):
         check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, way)
 
@@ -137,11 +137,15 @@ CRASHES = {
     "canister": (near(), ((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)), r"^arm: the (camera|last link) would touch the canister at the end"),
     "past the canister": (near(), ((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"the camera would touch the net pot 50 % along the path"),
     "second leg": (near(), ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"touch the net pot 75 % along the path"),
-    "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the way"),
-    "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the way"),
+    "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the path"),
+    "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the path"),
     "bar": (replace(RIG, clearance=Clearance(bars=(BAR_BEFORE,))), ((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)), r"the bar 1"),
     "its own upper arm": (RIG, ((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)), r"the camera would touch the arm's own upper arm"),
-    "touches": (near(), ((0, 90, 0, 0, 0), ARM.park_deg), r"the canister where it stands now; move the unpowered arm away by hand"),
+    "touches": (
+        near(),
+        ((0, 90, 0, 0, 0), ARM.park_deg),
+        r"the canister in its present position; move it away by hand with the torque off",
+    ),
 }
 
 
@@ -228,7 +232,7 @@ def test_way_round_goes_through_a_drawn_in_arm() -> None:
     assert len(path) > 1
     assert path[-1] == end
     check_path(near(), SCENE, [begin, *path])
-    with pytest.raises(UnsafeError, match=r"the canister at the end of the way; .*a path with a retracted arm is not free either"):
+    with pytest.raises(UnsafeError, match=r"the canister at the end of the path; .*no clear path with the arm retracted"):
         plan_path(near(), SCENE, ARM.park_deg, (0.0, 90.0, 0.0, 0.0, 0.0))
 
 

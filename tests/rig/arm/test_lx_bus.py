@@ -40,7 +40,7 @@ def test_asks_again_and_then_gives_up(heard: str) -> None:
     with scripted(LxBus, (ASK_POS_1, heard), (ASK_POS_1, POS_1_IS_500)) as bus:
         assert bus.positions([1]) == {1: 500}
     line = ScriptedLine(*[(ASK_POS_1, heard)] * 5)
-    with pytest.raises(NoAnswerError, match="servo 1 does not reply"):
+    with pytest.raises(NoAnswerError, match="servo 1 does not answer"):
         LxBus(line).positions([1])
     assert not line.script
     assert line.clock.at_s < 1.1
@@ -71,7 +71,7 @@ def test_a_target_that_was_not_taken_is_sent_again_before_anything_moves() -> No
         bus.move(TO_500_AND_600, 1.0)
     with (
         scripted(LxBus, *ARMED[:2], *[(WAIT_2, SILENT), (ASK_WAIT_2, "55 55 02 07 08 00 00 00 00 ee")] * 4) as bus,
-        pytest.raises(NoAnswerError, match="servo 2 replies but ignores commands"),
+        pytest.raises(NoAnswerError, match="servo 2 answers but does not accept commands"),
     ):
         bus.move(TO_500_AND_600, 1.0)
 
@@ -126,10 +126,10 @@ def test_stop_asks_nothing() -> None:
 
 def test_silence_of_the_adapter_is_distinguished_from_silence_of_a_servo() -> None:
     silence = [(ASK_POS_1, SILENT)] * 5
-    with pytest.raises(NoAnswerError, match="the adapter sends no echo"):
+    with pytest.raises(NoAnswerError, match="not even the adapter's echo"):
         LxBus(ScriptedLine(*silence), echo="yes").positions([1])
     for bus in (LxBus(ScriptedLine(*silence, echo=True), echo="yes"), LxBus(ScriptedLine(*silence), echo="no")):
-        with pytest.raises(NoAnswerError, match="check the supply of the servos"):
+        with pytest.raises(NoAnswerError, match="check the servos' supply"):
             bus.positions([1])
 
 

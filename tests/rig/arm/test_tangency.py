@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rhizotwin.rig.arm.inverse import inverse
 from rhizotwin.rig.arm.kinematics import cam_from_rig, rig_from_arm
-from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent, turned_to
+from rhizotwin.rig.arm.tangency import azimuth_rad, correct, rotate_to_azimuth, tangent_pose
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
@@ -33,27 +33,27 @@ def printed_desired(camera: Array) -> Array:
 
 def seen_off_mm(measured: Array) -> float:
     """Return by how much the camera misses the ring, at whatever azimuth: its shift, and the picture's at the axis by its rotation."""
-    off_mm, off_deg = frames.pose_error(measured, turned_to(RING, measured))
+    off_mm, off_deg = frames.pose_error(measured, rotate_to_azimuth(RING, measured))
     return off_mm + 400.0 * np.deg2rad(off_deg)
 
 
 @given(camera=cameras)
 def test_tangent_pose_faces_the_axis_level_and_upright_from_the_same_place(camera: Array) -> None:
-    np.testing.assert_allclose(frames.invert(tangent(camera)), printed_desired(camera), atol=1e-9)
+    np.testing.assert_allclose(frames.invert(tangent_pose(camera)), printed_desired(camera), atol=1e-9)
 
 
 def test_tangent_pose_in_front_is_the_plans_level_camera() -> None:
     tilted = frames.from_rotvec(np.array([0.1, -0.2, 0.3]), np.zeros(3)) @ RING
-    np.testing.assert_allclose(tangent(tilted), RING, atol=1e-9)
+    np.testing.assert_allclose(tangent_pose(tilted), RING, atol=1e-9)
     behind = frames.invert(frames.from_rotvec(np.zeros(3), np.array([-300.0, 200.0, 0.0])))
     assert azimuth_rad(behind) == pytest.approx(np.pi - np.arctan(200.0 / 300.0))
 
 
 @given(camera=cameras, like=cameras)
 def test_turning_round_the_axis_changes_the_azimuth_only(camera: Array, like: Array) -> None:
-    turned = turned_to(camera, like)
+    turned = rotate_to_azimuth(camera, like)
     assert np.cos(azimuth_rad(turned) - azimuth_rad(like)) == pytest.approx(1.0)
-    np.testing.assert_allclose(tangent(turned) @ frames.invert(turned), tangent(camera) @ frames.invert(camera), atol=1e-9)
+    np.testing.assert_allclose(tangent_pose(turned) @ frames.invert(turned), tangent_pose(camera) @ frames.invert(camera), atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(2))

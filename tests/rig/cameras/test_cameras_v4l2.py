@@ -187,7 +187,7 @@ def test_a_camera_that_does_not_suit_is_refused(device: _Device) -> None:
     with pytest.raises(RigError, match="gives pictures of 16x12 pixels, not 32x24; set image_wh"):
         opened()
     device.there = False
-    with pytest.raises(RigError, match="camera /dev/video7: cannot be opened; look for it with ls /dev/video"):
+    with pytest.raises(RigError, match="camera /dev/video7: cannot be opened; search for it with ls /dev/video"):
         opened("/dev/video7")
     assert device.opened_with == [(0, cv2.CAP_V4L2), ("/dev/video7", cv2.CAP_V4L2)]
     assert device.released == 2
@@ -196,7 +196,7 @@ def test_a_camera_that_does_not_suit_is_refused(device: _Device) -> None:
 def test_pulled_out_opened_anew_and_closed(device: _Device) -> None:
     camera = opened()
     device.frames_left = 5
-    with pytest.raises(RigError, match="gives no pictures any more; check its cable"):
+    with pytest.raises(RigError, match="no longer delivers pictures; check its cable"):
         camera.capture()
     device.frames_left = 100
     camera.prepare()

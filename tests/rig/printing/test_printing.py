@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from rhizotwin.rig.printing.print_board import board_page
-from rhizotwin.rig.printing.print_files import figure_of, write_pages
+from rhizotwin.rig.printing.print_files import to_figure, write_pages
 from rhizotwin.rig.printing.print_page import PAGES_MM, Line, Page, Paper
 from rhizotwin.rig.printing.print_strip import strip_pages
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
@@ -26,7 +26,7 @@ SCENE = Scene()
 
 def drawn(page: Page) -> NDArray[np.uint8]:
     """Return the page as a printer of 300 dpi would put it on paper, grey."""
-    canvas = FigureCanvasAgg(figure_of(page))
+    canvas = FigureCanvasAgg(to_figure(page))
     canvas.figure.set_dpi(DPI)
     canvas.draw()
     return np.asarray(cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2GRAY), np.uint8)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
-from rhizotwin.rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, nearest_turn, wrap_angle
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames
@@ -32,7 +32,7 @@ def sighting(table_deg: float, *, camera: np.ndarray | None = None, seat: np.nda
 
 
 def difference(a: float, b: float) -> float:
-    return abs(wrapped(a - b))
+    return abs(wrap_angle(a - b))
 
 
 @given(angle=ANGLES, direction=st.sampled_from([1, -1]))
@@ -64,7 +64,7 @@ def test_one_wrong_reference_among_several_does_no_harm() -> None:
 
 @given(angle=st.floats(-1e4, 1e4), near=st.floats(LEAST_DEG, MOST_DEG))
 def test_of_all_turns_the_nearest_that_the_table_takes(angle: float, near: float) -> None:
-    found = turns_near(angle, near)
+    found = nearest_turn(angle, near)
     assert LEAST_DEG <= found <= MOST_DEG
     assert difference(found, angle) < 1e-6
     others = [found + 360.0 * k for k in (-2, -1, 1, 2)]
@@ -75,7 +75,7 @@ def test_where_nothing_is_seen_the_given_angle_counts_and_otherwise_a_person_is_
     assert find_angle(None, [], SCENE, near_deg=0.0, given_deg=370.0).table_deg == pytest.approx(10.0)
     answers = iter(["somewhere", "nan", "1e9", " 45 deg"])
     found = find_angle(None, [], SCENE, near_deg=0.0, ask=lambda _: next(answers))
-    assert (found.table_deg, found.source) == (45.0, "as the operator said")
+    assert (found.table_deg, found.source) == (45.0, "given by the operator")
     assert find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
 
 
@@ -84,10 +84,10 @@ def test_markers_to_be_expected_are_read_but_not_those_of_another_strip() -> Non
     image = sketch.picture(Sight(cam_from_rig=level(), rig_from_canister=np.eye(4), table_deg=0.0, panel=1.0, front=1.0))
     read = read_strip(image, SCENE)
     assert read is not None
-    assert why_unread(image, SCENE) == ""
+    assert unread_reason(image, SCENE) == ""
     assert abs(visible_markers(SCENE, level()) - read.markers) <= 6
     assert visible_markers(SCENE, level(Ring(height_mm=-200.0))) == 0
     other = replace(SCENE, strip=replace(SCENE.strip, columns=20))
     assert read_strip(image, other) is None
-    assert "do not fit the scene's strip" in why_unread(image, other)
-    assert "no markers" in why_unread(np.zeros_like(image), SCENE)
+    assert "do not fit the scene's strip" in unread_reason(image, other)
+    assert "no markers" in unread_reason(np.zeros_like(image), SCENE)

@@ -10,7 +10,7 @@ from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import load_dataset, read_image
@@ -37,7 +37,7 @@ def test_complete_scan_is_the_plan(tmp_path: Path) -> None:
 
 
 def test_angle_zero_is_the_seam_toward_the_camera_whatever_a_person_says(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match=r"said to stand at 30 deg, but the markers show 7[67]\.\d deg"):
+    with pytest.raises(RigError, match=r"declared to be at 30 deg, but the markers show 7[67]\.\d deg"):
         run(World(), tmp_path / "d", table_angle_deg=30.0)
     world = World(table_true_deg=123.4)
     run(world, tmp_path / "e")
@@ -61,7 +61,7 @@ def test_without_markers_a_person_is_asked_for_the_angle_and_it_is_not_guessed(t
     assert not (tmp_path / "d" / "dataset.json").exists()
     run(world, tmp_path / "d", ask=lambda question: asked.append(question) or next(answers))
     assert "no markers were found" in asked[0]
-    assert "'north' is no angle" in asked[1]
+    assert "'north' is not an angle" in asked[1]
     assert (world.table_true_deg - world.counter_deg) % 360.0 == pytest.approx(0.0)
 
 
@@ -77,8 +77,8 @@ def test_angle_that_was_given_is_taken_once(tmp_path: Path) -> None:
 
 REFUSALS = {
     "jitter": (with_rings(Ring(jitter_mm=1.0)), None, "plan.rings 1: jitter_mm and jitter_deg must be 0"),
-    "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg brings the table to -180 deg"),
-    "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but the rig has no arm"),
+    "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg moves the table to -180 deg"),
+    "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but no arm"),
     "out of reach": (with_rings(Ring(views=2), Ring(views=2, height_mm=900.0)), ArmPart().park_deg, r"arm: .*reach"),
 }
 
@@ -93,7 +93,7 @@ def test_refused_before_anything_moves(scene: Scene, joints_deg: tuple[float, ..
 
 
 def test_dark_and_saturated_pictures_and_those_of_another_size_are_refused(tmp_path: Path) -> None:
-    quiet, full = Audience(say=lambda _: None), np.full((300, 400), 65520, np.uint16)
+    quiet, full = Observers(say=lambda _: None), np.full((300, 400), 65520, np.uint16)
     for level, image, scene, named in (
         (0.1, None, SCENE, "too dark"),
         (1.0, full, SCENE, "at full scale"),
@@ -105,7 +105,7 @@ def test_dark_and_saturated_pictures_and_those_of_another_size_are_refused(tmp_p
         if image is not None:
             opened.camera.capture = lambda: Shot(image=full, exposure_s=1.0, gain=1.0)
         with pytest.raises(RigError, match=named):
-            scan(opened, scene, tmp_path / named[:8], audience=quiet)
+            scan(opened, scene, tmp_path / named[:8], observers=quiet)
         assert (world.panel, world.front) == (0.0, 0.0)
 
 

@@ -132,7 +132,7 @@ def keep_dark(world: World) -> None:
 
 STOPS = {
     "camera: no picture": Trouble("", "camera.capture", 3, keep_failing("camera", RigError("camera: no picture"))),
-    "turntable: unplugged.*did not come back": Trouble("", "table.move", 3, keep_failing("table", LostError("turntable: unplugged"))),
+    "turntable: unplugged.*did not reappear": Trouble("", "table.move", 3, keep_failing("table", LostError("turntable: unplugged"))),
     "lights: the panel is": Trouble("", "camera.capture", 3, keep_dark),
 }
 """Faults that stay, by what is said of them."""
@@ -161,7 +161,7 @@ def slip(deg: float) -> Trouble:
 def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
     world = World()
     slip(7.2).arm(world)
-    with pytest.raises(RigError, match=r"the markers of images/view_002\.png show \+7\.\d\d deg beside the commanded 180 deg"):
+    with pytest.raises(RigError, match=r"the markers of images/view_002\.png deviate by \+7\.\d\d deg from the commanded 180 deg"):
         run(world, tmp_path / "d")
     assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
     assert [frame.placement for frame in taken_up(world, tmp_path / "d").frames] == [0, 0, 1, 1]
@@ -245,7 +245,7 @@ def test_table_that_only_says_that_it_turns_is_noticed_at_the_second_picture(
 ) -> None:
     world = World(scene=scene, table_true_deg=77.0)
     noisy(monkeypatch, shown_deg=lambda _: 77.0)
-    named = "looks like the picture before" if scene is BLIND else r"view_00[01]\.png show [+-]\d+\.\d\d deg beside"
+    named = "does not differ from the previous picture" if scene is BLIND else r"view_00[01]\.png deviate by [+-]\d+\.\d\d deg from"
     with pytest.raises(RigError, match=named):
         run(world, tmp_path / "d", table_angle_deg=given_deg)
     assert sum(name == "camera.capture" for name in world.calls) <= 4
@@ -271,7 +271,7 @@ def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
         made = replace(devices(world), rig=RigFile(arm=None, turntable=TurntablePart(full_step_deg=step_deg)))
         return scan_module.scan(made, SCENE, tmp_path / str(step_deg))
 
-    with pytest.raises(RigError, match=r"view_002\.png show \+0\.[67]\d deg beside the commanded 180"):
+    with pytest.raises(RigError, match=r"view_002\.png deviate by \+0\.[67]\d deg from the commanded 180"):
         scanned(0.18)
     assert len(load_dataset(tmp_path / "0.18").frames) == 2
     assert scanned(1.8).origin["complete"]

@@ -7,7 +7,7 @@ import pytest
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices, open_devices
-from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.faults import FOR_GOOD, MENU, Fault, FaultKind
 from rhizotwin.rig.twin.imperfections import BENCH
@@ -39,7 +39,7 @@ def opened(twin: Twin) -> Devices:
 def run(twin: Twin, folder: Path, **options) -> Dataset:
     devices = opened(twin)
     try:
-        return scan(devices, twin.calibrated_scene(), folder, audience=Audience(say=lambda _: None), **options)
+        return scan(devices, twin.calibrated_scene(), folder, observers=Observers(say=lambda _: None), **options)
     finally:
         devices.close()
         twin.clock.sleep(1.0)  # the lamps fade
@@ -93,7 +93,7 @@ def test_table_that_was_reset_is_found_within_a_tenth_of_a_degree(tmp_path: Path
         return move(angle_deg)
 
     devices.table.move_to = move_and_reset
-    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", audience=Audience(say=lambda _: None))
+    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", observers=Observers(say=lambda _: None))
     offsets = off_deg(twin, made)
     before = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 0]
     after = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 1]

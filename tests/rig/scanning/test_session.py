@@ -10,13 +10,13 @@ import pytest
 
 from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.rig.scanning import session as session_module
-from rhizotwin.rig.scanning.session import Session, file_of, take_up
+from rhizotwin.rig.scanning.session import Session, open_session, picture_file
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Frame, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import LOCK, held
+from rhizotwin.scenes.folders import LOCK, lock_folder
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from rhizotwin.scenes.pictures import encode_png
+from rhizotwin.scenes.picture_codec import encode_png
 
 SCENE = Scene(camera=Camera().resized((64, 48)), plan=CapturePlan(rings=(Ring(views=4),)))
 VIEWS = plan.views(SCENE)
@@ -26,7 +26,7 @@ RIG = RigFile(arm=ArmPart())
 def begin(folder: Path, **changes: Any) -> Session:
     options = {"rig": RIG, "settings": {"twin": None}, "seed": None} | changes
     scene = options.pop("scene", SCENE)
-    return take_up(folder, scene, plan.views(scene), **options)
+    return open_session(folder, scene, plan.views(scene), **options)
 
 
 def picture(index: int) -> np.ndarray:
@@ -35,7 +35,9 @@ def picture(index: int) -> np.ndarray:
 
 def frame(index: int, **changes: Any) -> Frame:
     view = VIEWS[index]
-    return Frame(file=file_of(view), sha256="", ring=view.ring, kind=view.kind, table_deg=view.table_deg, time_s=float(index), **changes)
+    return Frame(
+        file=picture_file(view), sha256="", ring=view.ring, kind=view.kind, table_deg=view.table_deg, time_s=float(index), **changes
+    )
 
 
 def taken(folder: Path, *indices: int) -> None:
@@ -53,7 +55,7 @@ def test_frames_are_listed_with_the_hash_of_what_is_on_the_disk(tmp_path: Path) 
     assert all(np.array_equal(read_image(dataset, frame), picture(k)) for k, frame in enumerate(dataset.frames))
     assert not dataset.origin["complete"]
     (tmp_path / "d" / "images" / "view_000.png").write_bytes(encode_png(picture(9)))
-    with pytest.raises(UserError, match=r"view_000\.png: is not the picture that was recorded; remove it"):
+    with pytest.raises(UserError, match=r"view_000\.png: differs from the recorded picture; remove it"):
         begin(tmp_path / "d", resume=True)
 
 
@@ -76,7 +78,7 @@ def test_a_listed_frame_without_its_picture_is_taken_again(tmp_path: Path) -> No
     assert (made.next_placement(0), made.next_placement(1), made.begun_s) == (1, 0, 2.0)
     made.record(frame(3, placement=1), picture(3))
     made.record(frame(1, placement=1), picture(1))
-    assert [frame.file for frame in made.save(complete=True).frames] == [file_of(view) for view in VIEWS]
+    assert [frame.file for frame in made.save(complete=True).frames] == [picture_file(view) for view in VIEWS]
     made.close()
     assert load_dataset(tmp_path / "d").origin["complete"]
 
@@ -95,20 +97,20 @@ DIFFERENCES = {
 def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0)
     for named, changes in DIFFERENCES.items():
-        with pytest.raises(UserError, match=f"begun with another {named}: give the same"):
+        with pytest.raises(UserError, match=f"a scan with another {named}: use the same"):
             begin(tmp_path / "d", resume=True, **changes)
     with pytest.raises(UserError, match="stopped after 1 pictures: add --resume"):
         begin(tmp_path / "d")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("x")
-    with pytest.raises(UserError, match="not empty and holds no stopped scan"):
+    with pytest.raises(UserError, match="not empty and contains no stopped scan"):
         begin(tmp_path / "other", resume=True)
     moved = replace(RIG, turntable=replace(RIG.turntable, port="/dev/ttyUSB7"), arm=replace(RIG.arm, port="/dev/ttyACM3"), name="renamed")
     made = begin(tmp_path / "d", resume=True, rig=moved)
     assert len(made.remaining()) == 3
     made.close()
     save_dataset(replace(load_dataset(tmp_path / "d"), origin={"program": "rhizotwin simulate"}))
-    with pytest.raises(UserError, match="was not made by scanning"):
+    with pytest.raises(UserError, match="was not made by a scan"):
         begin(tmp_path / "d", resume=True)
 
 
@@ -118,7 +120,7 @@ def test_what_a_killed_scan_left_half_written_is_removed(tmp_path: Path) -> None
     for path in left:
         path.write_bytes(b"half")
     (tmp_path / "d" / LOCK).write_text('{"pid": 77, "host": "bench", "since": "yesterday"}')
-    with held(tmp_path / "d"):
+    with lock_folder(tmp_path / "d"):
         begin(tmp_path / "d", resume=True).close()
         assert not any(path.exists() for path in left)
 

@@ -190,7 +190,7 @@ def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.Monkey
     with pytest.raises(RigError, match="gpio_claim_output of GPIO 23 failed"):
         open_board(RIG, clock=driver.clock)[0].prepare()
     monkeypatch.setitem(sys.modules, "lgpio", None)
-    with pytest.raises(RigError, match="the library lgpio is not installed"):
+    with pytest.raises(RigError, match="the library lgpio is missing"):
         open_board(RIG, clock=VirtualClock())
 
 

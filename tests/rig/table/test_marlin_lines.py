@@ -2,7 +2,7 @@
 
 import pytest
 
-from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, numbered, read_line
+from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, encode_line, read_line
 
 SENT = [
     (0, "M110 N0", b"N0 M110 N0*125\n"),
@@ -14,10 +14,10 @@ SENT = [
 
 def test_lines_have_number_and_checksum() -> None:
     for number, text, sent in SENT:
-        assert numbered(number, text) == sent
+        assert encode_line(number, text) == sent
     for text in ("G1 X1;", "M117 *", "G1\nG1", "M117 é", "M117 " + "x" * 90):
         with pytest.raises(ValueError):
-            numbered(1, text)
+            encode_line(1, text)
 
 
 MEANINGS = {

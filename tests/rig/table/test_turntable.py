@@ -31,8 +31,8 @@ def test_a_board_after_power_up_does_not_know_its_angle_until_it_is_declared(boa
     assert board.energised
     assert not table.knows_zero()
     assert "Marlin 2.1.2.5" in table.describe()
-    assert "angle not known" in table.describe()
-    with pytest.raises(LostError, match="does not know the table's angle"):
+    assert "angle unknown" in table.describe()
+    with pytest.raises(LostError, match="the table's angle is unknown"):
         table.move_to(9.0)
     table.declare(117.25)
     assert board.x_deg == 477.25
@@ -66,7 +66,7 @@ WAYS = {
     "down": (0.0, (90.0, 45.0), (90.0, 41.4, 45.0), 3.6),
     "first move to where it stands": (10.0, (10.0,), (6.4, 10.0), 3.6),
     "small moves up later": (0.0, (9.0, 10.0, 10.0), (9.0, 10.0, 10.0), 3.6),
-    "many turns": (0.0, (720.0, 0.0), (720.0, -3.6, 0.0), 3.6),
+    "by full turns": (0.0, (720.0, 0.0), (720.0, -3.6, 0.0), 3.6),
     "without approach": (0.0, (90.0, 45.0), (90.0, 45.0), 0.0),
 }
 """Where the table stands, the angles that it is sent to, where its motor goes, and how far it approaches; in degrees."""
@@ -119,7 +119,7 @@ def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
     board.reply_faults = {board.printed + 2: damaged(b"445.00")}
     assert table.position_deg() == 45.0
     board.reply_faults = {board.printed + 2 * k: damaged(b"40%d.00" % k) for k in range(6)}
-    with pytest.raises(NoAnswerError, match="another angle every time"):
+    with pytest.raises(NoAnswerError, match="a different angle at every reading"):
         table.position_deg()
 
 
@@ -131,7 +131,7 @@ def test_a_move_that_was_not_made_is_noticed_beyond_the_tolerance(make_board: An
         carry_out = board.carry_out
         board.carry_out = lambda text, ok, *, do=carry_out, goes=goes: do(text.replace("X450", goes), ok)
         if goes == "X400":
-            with pytest.raises(LostError, match=r"stands at 40.00 deg after it was told 90.00 deg"):
+            with pytest.raises(LostError, match=r"reports 40.00 deg after a move to 90.00 deg"):
                 table.move_to(90.0)
         else:
             assert table.move_to(90.0) == 89.75
@@ -147,7 +147,7 @@ def test_a_reset_in_a_move_is_noticed_and_the_angle_is_gone(banner: str, at: int
             action()
     table.prepare()
     assert not table.knows_zero()
-    with pytest.raises(LostError, match="does not know"):
+    with pytest.raises(LostError, match="angle is unknown"):
         table.move_to(9.0)
 
 
@@ -157,7 +157,7 @@ def test_a_reset_that_the_lights_came_upon_first_is_not_overlooked(board: Any) -
     table.move_to(9.0)
     board.reset("")
     table._link.start()
-    with pytest.raises(LostError, match="does not know"):
+    with pytest.raises(LostError, match="angle is unknown"):
         table.move_to(18.0)
 
 

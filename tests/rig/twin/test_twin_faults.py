@@ -7,7 +7,7 @@ import pytest
 
 from rhizotwin.rig.twin.adapter import Reply
 from rhizotwin.rig.twin.faults import KIND_NAMES, MENU, Fault, Pending, draw_faults, parse_fault
-from rhizotwin.rig.twin.line import Line, corrupted
+from rhizotwin.rig.twin.line import Line, corrupt
 from rhizotwin.scenes.errors import UserError
 
 BAUD = 10_000  # a byte takes a millisecond
@@ -116,8 +116,8 @@ def test_a_device_breaks_at_its_message_and_unplugged_nothing_passes() -> None:
 def test_one_bit_is_turned() -> None:
     data = bytes(range(1, 12))
     for amount in (0.0, 0.31, 1.0):
-        assert sum((a ^ b).bit_count() for a, b in zip(data, corrupted(data, amount), strict=True)) == 1
-        assert corrupted(b"", amount) == b""
+        assert sum((a ^ b).bit_count() for a, b in zip(data, corrupt(data, amount), strict=True)) == 1
+        assert corrupt(b"", amount) == b""
 
 
 def test_every_kind_is_drawn_within_its_menu() -> None:

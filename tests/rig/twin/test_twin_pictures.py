@@ -12,7 +12,7 @@ from rhizotwin.recon.calibration.markers import detect_markers
 from rhizotwin.rig.rig_file import CameraPart
 from rhizotwin.rig.twin.camera import TwinCamera
 from rhizotwin.rig.twin.faults import Pending
-from rhizotwin.rig.twin.pictures import Rendered, draw
+from rhizotwin.rig.twin.rendered_pictures import RenderedPictures, draw
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.rig.twin.world import Sight
@@ -86,13 +86,13 @@ def test_a_rendered_picture_is_that_of_sim() -> None:
     scene = scene_of((200, 150))
     world, solid = draw_world(scene, seed=2), build_specimen(scene)
     image, _ = Renderer(scene, world, solid, samples=4).view(4)
-    np.testing.assert_array_equal(Rendered(scene, seed=2, samples=4).light(sight_of(scene, 4, seed=2)), image)
+    np.testing.assert_array_equal(RenderedPictures(scene, seed=2, samples=4).light(sight_of(scene, 4, seed=2)), image)
     assert image.max() > 0.4
 
 
 def test_lamps_add_up_and_noise_belongs_to_the_state() -> None:
     scene = scene_of((64, 48), replace(WRONG, full_well_e=8000.0, read_noise_e=3.0))
-    rendered = Rendered(scene, seed=0, samples=4)
+    rendered = RenderedPictures(scene, seed=0, samples=4)
     full = sight_of(scene, 0)
     both = rendered.light(full)
     panel = rendered.light(replace(full, front=0.0))
@@ -100,7 +100,7 @@ def test_lamps_add_up_and_noise_belongs_to_the_state() -> None:
     np.testing.assert_allclose(mixed, (both + panel) / 2.0, atol=1e-6)
     assert rendered.light(replace(full, panel=0.0, front=0.0)).max() == 0.0
     one, other = rendered.picture(full), rendered.picture(replace(full, table_deg=full.table_deg, front=0.999999))
-    np.testing.assert_array_equal(one, Rendered(scene, seed=0, samples=4).picture(full))
+    np.testing.assert_array_equal(one, RenderedPictures(scene, seed=0, samples=4).picture(full))
     assert (one != other).mean() > 0.2
     brighter = rendered.picture(replace(full, exposure=1.2))
     assert brighter.mean() == pytest.approx(1.2 * one.mean(), rel=0.01)

@@ -53,7 +53,7 @@ def test_a_read_ends_with_its_bytes_or_its_time_out_or_not_for_ever() -> None:
         board.write(b"G4 S5\n")
         assert board.read(5) == b"echo:"
         assert board.read(42) == b"busy: processing\necho:busy: processing\nok\n"
-        with pytest.raises(serial.SerialException, match="for ever"):
+        with pytest.raises(serial.SerialException, match="forever"):
             board.read(1000)
 
 

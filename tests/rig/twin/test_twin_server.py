@@ -60,7 +60,7 @@ def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> Non
         rig.turntable.port,
         rig.camera.address,
         "true state: table",
-        'unknown fault "rest"',
+        'there is no fault "rest"',
         "reset on the table",
         "brown_out (arm)",
     ):

@@ -90,18 +90,18 @@ class Refused:
 
 
 REFUSED = [
-    Refused("name of another site", 403, "not called 'evil.example'", headers={"Host": "evil.example:8471"}),
-    Refused("name that ends like ours", 403, "not called", headers={"Host": f"{socket.gethostname()}.evil.example"}),
-    Refused("broken host", 403, "not called", headers={"Host": "[::1"}),
+    Refused("name of another site", 403, "'evil.example' is not a name of this computer", headers={"Host": "evil.example:8471"}),
+    Refused("name that ends like ours", 403, "not a name of this computer", headers={"Host": f"{socket.gethostname()}.evil.example"}),
+    Refused("broken host", 403, "not a name of this computer", headers={"Host": "[::1"}),
     Refused("form of another site", 415, "application/json", headers={"Content-Type": "text/plain"}),
     Refused("no length", 411, "length", headers={"Content-Length": ""}, body=b""),
     Refused("too long", 413, "4096 bytes", body=b" " * 5000 + PREPARE),
-    Refused("no JSON", 400, "no JSON", body=b"{"),
-    Refused("nested too deeply", 400, "no JSON|must be a table", body=b"[" * 4000),
+    Refused("no JSON", 400, "not JSON", body=b"{"),
+    Refused("nested too deeply", 400, "not JSON|must be a table", body=b"[" * 4000),
     Refused("unknown key", 400, "unknown key", body=PREPARE.replace(b"image_wh", b"image_hw")),
     Refused("strange session", 400, "32 hexadecimal digits", body=PREPARE.replace(b"aa", b"../")),
     Refused("exposure for ever", 400, "must be between", body=PREPARE.replace(b'"image_wh": [32, 24]', b'"exposure_s": 1e9')),
-    Refused("no such page", 404, "only /describe", path="/../etc/passwd"),
+    Refused("no such page", 404, "available paths are /describe", path="/../etc/passwd"),
     Refused("not prepared", 409, "started again", path="/capture", body=CAPTURE),
 ]
 

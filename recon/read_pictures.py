@@ -1,0 +1,170 @@
+"""Reading of the pictures for a reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import PurePath
+from typing import Any, Literal
+
+from rhizotwin.recon.bands import measure_bands
+from rhizotwin.recon.settings import PictureSettings
+from rhizotwin.scenes import transfer
+from rhizotwin.scenes.dataset import Dataset, Frame, file_sha256, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.picture_codec import Grey
+from rhizotwin.scenes.transfer import Curve
+
+LeftOut = tuple[Frame, str]
+"""A frame whose picture is excluded, and the reason."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveFound:
+    """Transfer curve with which pictures are decoded, and its agreement with the edges of the markers."""
+
+    curve: Curve
+    stated: Curve
+    bend: float | None
+    """Excess brightness of medium greys at the markers' edges, relative to the contrast, decoded by ``curve``; None if
+    too few were measured."""
+    stated_bend: float | None
+    """The same, decoded by ``stated``."""
+    markers: int
+
+    @property
+    def is_known(self) -> bool:
+        """Return whether the curve in use was stated, or is one of the known curves."""
+        return self.curve.same(self.stated) or any(self.curve.same(known) for known in (transfer.LINEAR, transfer.SRGB))
+
+    @property
+    def warning(self) -> str | None:
+        """Return a warning if the curve in use differs from the stated one; otherwise None."""
+        if self.curve.same(self.stated):
+            return None
+        off = 100.0 * (self.stated_bend or 0.0)
+        return (
+            f"the markers' edges contradict the stated curve, {self.stated.name} (their greys deviate by {off:.0f} % of the contrast): "
+            f"{self.curve.name} is used instead"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pictures:
+    """Pictures of the roots in a dataset, or those of the shoot."""
+
+    dataset: Dataset
+    frames: tuple[Frame, ...]
+    """(F,) frames, all of one kind."""
+    images: tuple[Grey, ...] = field(repr=False)
+    """(F,) pictures (H, W), linear in light."""
+    curve: CurveFound | None = None
+    """Transfer curve with which they were decoded; None if no edges were measured."""
+    bands: Mapping[str, float] = field(default_factory=dict)
+    """Signal-to-noise ratio in each band of the camera, the selected band first; empty if the camera has no bands, or
+    the settings state the band."""
+    warnings: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    """Frames of the dataset whose pictures are excluded."""
+    measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
+    """`Markers` of the images that were measured to determine the curve, by index."""
+
+
+def read_pictures(
+    dataset: Dataset,
+    *,
+    kind: Literal["root", "shoot"] = "root",
+    settings: PictureSettings = PictureSettings(),
+    monitor: Monitor,
+) -> Pictures:
+    """Read a dataset's pictures of the roots, or of the shoot.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Dataset with scene and frames.
+    kind : {"root", "shoot"}
+        Subject of the pictures.
+    settings : PictureSettings
+        Pictures to exclude, and the band of those of the roots; by default the band with the largest signal-to-noise
+        ratio.
+    monitor : Monitor
+        Receives the progress.
+
+    Raises
+    ------
+    UserError
+        If there are no pictures, a picture to exclude is not in the dataset, or one is missing or damaged and the
+        settings are not tolerant.
+    """
+    given = settings.band if kind == "root" else ""
+    ratios = {} if given else measure_bands(dataset, kind, monitor=monitor)
+    band = given or next(iter(ratios), "")
+    listed = tuple(frame for frame in dataset.frames if frame.kind == kind and frame.band == band)
+    if not listed:
+        taken = f" in the band {band}" if band else ""
+        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}{taken}; take or import some.")
+    unwanted = _files_to_leave_out(dataset, settings.leave_out)
+    with monitor.stage("read"):
+        read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
+    known = [(frame, image) for frame, image in read if not isinstance(image, str)]
+    left_out = [(frame, "as chosen") for frame in listed if frame.file in unwanted]
+    left_out += [(frame, reason) for frame, reason in read if isinstance(reason, str)]
+    if not known:
+        raise UserError(f"{dataset.folder}: every picture of the {kind} is left out ({left_out[-1][1]})")
+    frames = tuple(frame for frame, _ in known)
+    said = [f"{frame.file} is left out: {reason}" for frame, reason in left_out]
+    said += () if dataset.masks else _contradictions(dataset, frames)
+    images = tuple(image for _, image in known)
+    return Pictures(dataset=dataset, frames=frames, images=images, bands=ratios, warnings=tuple(said), left_out=tuple(left_out))
+
+
+def _files_to_leave_out(dataset: Dataset, names: Sequence[str]) -> set[str]:
+    """Return the files of the frames to exclude.
+
+    Raises
+    ------
+    UserError
+        If a name matches no frame.
+    """
+    found: set[str] = set()
+    for name in names:
+        end = PurePath(name).parts
+        files = {frame.file for frame in dataset.frames if PurePath(frame.file).parts[-len(end) :] == end}
+        if not files:
+            raise UserError(f"--leave-out {name}: {dataset.folder / 'dataset.json'} lists no such picture")
+        found |= files
+    return found
+
+
+def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | str]:
+    """Read a picture; if it cannot be read and this is tolerated, return the reason."""
+    try:
+        return frame, read_image(dataset, frame)
+    except UserError as error:
+        if tolerant:
+            return frame, str(error)
+        raise
+
+
+def picture_hash(dataset: Dataset, frame: Frame) -> str:
+    """Return the hash of a picture's file, from the dataset or else computed from the file."""
+    return frame.sha256.lower() or file_sha256(dataset.folder / frame.file)
+
+
+def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:
+    """Return the transfer curve stated in the first picture's file, or else by the scene."""
+    return transfer.read_stated_curve(dataset.folder / frames[0].file) or transfer.camera_curve(dataset.scene.camera)
+
+
+def _contradictions(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, ...]:
+    """Return a warning if the curves stated in the files differ from each other or from the scene's."""
+    scene = transfer.camera_curve(dataset.scene.camera)
+    words = [transfer.read_stated_curve(dataset.folder / frame.file) or scene for frame in frames]
+    if not all(word.same(words[0]) for word in words):
+        names = ", ".join(sorted({word.name for word in words}))
+        return (f"the picture files state different transfer curves ({names}); each is decoded by its own",)
+    if words[0].same(scene):
+        return ()
+    return (f"the picture files state the transfer curve {words[0].name}, the scene's camera {scene.name}; that of the files is used",)

@@ -1,0 +1,112 @@
+"""Division of a shape among several plants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results.by_plant import Pair, PlantResult
+from rhizotwin.recon.results.parts import Leaves, Mesh
+from rhizotwin.recon.roots.plants import PlantedRoots
+from rhizotwin.scenes import rsml, tube_surface
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.subject import Subject
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """The whole solid, which is divided among plants."""
+
+    leaves: Leaves
+    surface: Mesh
+    finest_mm: float
+    """Edge length of the voxels from which the surface was extracted."""
+    volume_mm3: float
+    interval_mm3: Pair
+
+
+def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[PlantResult, ...]:
+    """Divide a shape among plants: each part is assigned to the plant with the nearest root surface.
+
+    Parameters
+    ----------
+    shape : Shape
+        Shape with voxels, surface and volume.
+    planted : Planted
+        Roots assigned to plants.
+    plants : sequence of Plant
+        Plants of the scene.
+    whole : Subject
+        Properties common to all plants.
+
+    Returns
+    -------
+    tuple of PlantResult
+        Plants with roots, in the given order.
+    """
+    names = [plant.plant for plant in plants if any(root.plant == plant.plant for root in planted.roots)]
+    unsure = [root for root, is_open in zip(planted.roots, planted.open, strict=True) if is_open]
+    sides = [[root for root in planted.roots if root.plant == name] for name in names]
+    cell_mm = shape.leaves.voxel_mm * shape.leaves.size.astype(np.float64)
+    middle = shape.leaves.origin_mm + shape.leaves.voxel_mm * shape.leaves.low + 0.5 * cell_mm[:, None]
+    mm3 = shape.leaves.occupancy.astype(np.float64) * cell_mm**3
+    height = np.stack([_height_mm(middle, side) for side in sides])
+    owner, is_open = height.argmin(axis=0), _height_mm(middle, unsure) <= height.min(axis=0)
+    scale = shape.volume_mm3 / float(mm3.sum())
+    own = scale * np.bincount(owner, weights=mm3, minlength=len(names))
+    loose = scale * np.bincount(owner[is_open], weights=mm3[is_open], minlength=len(names))
+    vertices_mm, triangles = shape.surface.vertices_mm, shape.surface.faces
+    corners = vertices_mm[triangles].mean(axis=1)
+    face_of = np.stack([_height_mm(corners, side) for side in sides]).argmin(axis=0)
+    low, high = (end / shape.volume_mm3 for end in shape.interval_mm3)
+    found = []
+    for k, name in enumerate(names):
+        plant = next(one for one in plants if one.plant == name)
+        roots, faces = rsml.plant_roots(planted.roots, name), triangles[face_of == k]
+        used = np.unique(faces)
+        points = np.concatenate([vertices_mm[used], *(root.points_mm for root in roots)])
+        found.append(
+            PlantResult(
+                subject=plant.subject(whole),
+                at_mm=plant.at_mm,
+                volume_mm3=float(own[k]),
+                volume_interval_mm3=(float(low * (own[k] - loose[k])), float(high * (own[k] + loose.sum() - loose[k]))),
+                open_mm=rsml.length_mm(root for root in unsure if root.plant == name),
+                traits=result_traits.measure_shape(
+                    Mesh(vertices_mm=vertices_mm[used], faces=np.searchsorted(used, faces)),
+                    roots,
+                    volume_mm3=float(own[k]),
+                    finest_mm=shape.finest_mm,
+                    extents_mm=(points.min(axis=0).tolist(), points.max(axis=0).tolist()),
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def warnings(planted: PlantedRoots, found: Sequence[PlantResult]) -> tuple[str, ...]:
+    """Return warnings about missing plants and ambiguous roots."""
+    said = [
+        f"no root base of plant {name} was found near its position; its roots may be assigned to another plant" for name in planted.missing
+    ]
+    total, open_mm = rsml.length_mm(planted.roots), sum(one.open_mm for one in found)
+    if open_mm > 0.0:
+        said.append(
+            f"{100.0 * open_mm / total:.0f} % of the root length cannot be assigned with certainty; it is assigned to the nearest plant"
+        )
+    return tuple(said)
+
+
+def _height_mm(points_mm: Floats, roots: Sequence[Root]) -> Floats:
+    """Return the signed distance of points (P, 3) from the surface of the nearest root; infinite without roots."""
+    if not roots:
+        return np.full(len(points_mm), np.inf)
+    tubes = tube_surface.stations(roots)
+    return result_traits.height_mm(points_mm, tubes.centre_mm, tubes.radius_mm)

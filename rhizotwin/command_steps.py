@@ -1,0 +1,163 @@
+"""Steps used by several commands: start the engine, reconstruct a dataset, write its report."""
+
+import gc
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rhizotwin import engine
+from rhizotwin.arguments import Page, Progress
+from rhizotwin.calls import SHARES
+from rhizotwin.front_door import Method, reconstruct
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import contents, new_folder, recover
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.settings import PictureSettings, Settings
+    from rhizotwin.scenes.model import Scene
+
+
+def start_engine(device: str, *, quiet: bool = False) -> None:
+    """Start the compute engine on a device and print its name."""
+    chosen = engine.start(device)
+    gc.freeze()  # exclude loaded modules from the forty garbage collections of a reconstruction
+    if not quiet:
+        print(chosen)
+
+
+def open_page(address: str, port: int, page: Page) -> None:
+    """Print the address of a page, and open it in a browser unless ``--no-browser`` is given."""
+    print(address, flush=True)
+    print(f"from another computer: run ssh -L {port}:localhost:{port} THIS_COMPUTER, then open the same address", flush=True)
+    if not page.no_browser:
+        webbrowser.open(address)
+
+
+def refuse_place(output: Path, source: Path) -> None:
+    """Check the output folder of a result, after recovery from an interrupted run.
+
+    Parameters
+    ----------
+    output : Path
+        Output folder.
+    source : Path
+        Dataset or result that is the input.
+
+    Raises
+    ------
+    UserError
+        If other files would be overwritten.
+    """
+    from rhizotwin.stored.result_files import RESULT_NAMES
+
+    recover(output)
+    there = contents(output)
+    if there and not (output / "result.json").is_file():
+        raise UserError(f"{output} is not empty and is not a result; choose a new folder for the result")
+    strange = [name for name in there if name not in RESULT_NAMES]
+    if strange:
+        raise UserError(f"{output} contains {strange[0]}, which would be deleted with the earlier result; move it or choose a new folder")
+    if output.resolve() == source.resolve() or output.resolve() in source.resolve().parents:
+        raise UserError(f"the result would overwrite its input {source}; choose another folder for the result")
+
+
+@contextmanager
+def _exclude_from_collection() -> Iterator[None]:
+    """Exclude existing objects, such as all modules, from garbage collection.
+
+    A reconstruction runs the collector about fifty times to free memory.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "PictureSettings | None" = None) -> "Settings":
+    """Load the settings of a reconstruction from a TOML file, or use the defaults.
+
+    Parameters
+    ----------
+    file : Path, optional
+        TOML file, see `recon.settings`.
+    voxel_mm : float, optional
+        Edge length of the smallest voxels; overrides the file.
+    pictures : PictureSettings, optional
+        Pictures to exclude in addition to those of the file.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be read or is invalid.
+    """
+    from rhizotwin.recon.settings import Settings, load_settings
+
+    chosen = Settings() if file is None else load_settings(file)
+    chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
+    return chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
+
+
+def reconstruct_whole(
+    dataset: Path,
+    output: Path,
+    *,
+    settings: "Settings | None" = None,
+    mass_g: float | None = None,
+    keep_stages: bool = False,
+    method: Method = "ours",
+    progress: Progress = Progress(),
+) -> list[Path]:
+    """Reconstruct a dataset and write the complete result folder atomically, with figures and report.
+
+    Return the paths of the figures and the report.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        As returned by `settings_of`.
+    keep_stages : bool
+        Save the intermediate results in the folder ``stages`` of the result.
+    method : str
+        As in `front_door.reconstruct`.
+    progress : Progress
+        Progress output.
+
+    Raises
+    ------
+    UserError
+        If the dataset cannot be used, or ``output`` contains anything but a result.
+    """
+    refuse_place(output, dataset)
+    from rhizotwin.report import page
+    from rhizotwin.report.result_pictures import write_pictures
+    from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.scoring.score import truth_mesh_path
+    from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh
+
+    # load once, so that later changes of the folder have no effect
+    loaded = load_dataset(dataset)
+    truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
+    if truth_mesh is not None:
+        read_mesh(truth_mesh)  # report a damaged file before the long computation
+    with new_folder(output, replaces=RESULT_NAMES) as building, _exclude_from_collection():
+        with progress.bar(**SHARES) as monitor:
+            kept = building / "stages" if keep_stages else None
+            reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
+            with monitor.stage("pictures"):
+                written = write_pictures(building, loaded, truth_mesh=truth_mesh)
+                written.append(page.write(building, dataset=loaded))
+        names = [path.relative_to(building) for path in written]
+    return [output / name for name in names]
+
+
+def print_marker_warnings(scene: "Scene") -> None:
+    """Print a warning for each ring from which too few markers are visible for the camera poses."""
+    from rhizotwin.scenes import plan
+
+    for warning in plan.marker_warnings(scene):
+        print(f"warning: {warning}")

@@ -1,0 +1,319 @@
+"""Joint angles for a ring of the plan, and their correction from the markers.
+
+Angles are in degrees here, and in radians in the modules below.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.rig.arm.inverse import Branches, NewtonSolution, inverse, newton
+from rhizotwin.rig.arm.kinematics import forward, rig_from_arm
+from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent_pose
+from rhizotwin.rig.errors import RigError, UnsafeError
+from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Ring
+
+Joints = tuple[float, ...]
+
+JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
+LEFT_OVER_RAD = 1e-9
+MOST_AZIMUTH_DEG = 15.0
+"""Maximum azimuth about the table's axis, beyond which the camera would no longer face the backlight."""
+MOST_CORRECTION_DEG = 25.0
+"""Maximum correction of a joint; larger ones indicate a wrong picture or rig file instead of a calibration error."""
+ROUNDING_DEG = 1e-6
+MOST_ASIDE_DEG = 0.5
+"""Tolerance of a target direction, within the accuracy of the servos."""
+UPRIGHT = 1e-3
+"""Minimum sine of the angle from the vertical at which the picture's up direction is defined."""
+_TESTED = 1001
+"""Number of positions tested between target and shoulder."""
+
+
+def planned_camera_pose(ring: Ring) -> Array:
+    """Return the planned ``cam_from_rig`` of a ring.
+
+    Parameters
+    ----------
+    ring : Ring
+        Ring with distance, height and tilt.
+
+    Returns
+    -------
+    (4, 4) array
+        Pose of the camera, on the rig's +x side.
+    """
+    return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+
+
+def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
+    """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
+
+    If five joints cannot reach the orientation (for an arm that is not exactly in front of the table), the camera is
+    rotated about the table's axis until they can, which the rotation of the canister compensates.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Rig with position and joints of the arm.
+    cam_from_rig : (4, 4) array
+        Target pose.
+
+    Returns
+    -------
+    Joints
+        Five joint angles, deg.
+
+    Raises
+    ------
+    UnsafeError
+        If the pose is out of reach or beyond a joint's limit; the message states the numbers.
+    """
+    part = require_arm(rig)
+    arm_from_rig = frames.invert(rig_from_arm(part))
+    target = arm_from_rig @ frames.invert(cam_from_rig)
+    branches = inverse(part, target)
+    _refuse_beyond_reach(part, branches, cam_from_rig)
+    joints_rad = branches.joints_rad
+    if branches.left_over_rad > LEFT_OVER_RAD:
+        joints_rad = _rotate_about_table(part, arm_from_rig, target, branches, cam_from_rig)
+    excess, joints_deg = _fit_joints(part, joints_rad)
+    if excess.min() > ROUNDING_DEG:
+        raise UnsafeError(
+            f"arm: {_describe_position(cam_from_rig)} cannot be reached within the joints' limits: "
+            f"{_describe_excess(part, joints_deg[excess.argmin()])}; move the ring or the arm's base"
+        )
+    elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
+    return _clip_joints(part, joints_deg[int(np.argmax(elbow_up))])
+
+
+def camera_pose_from_direction(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
+    """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction, rig frame.
+
+    Raises
+    ------
+    UnsafeError
+        For a direction of length 0, or a vertical one, for which upright is undefined.
+    """
+    forward_ = np.asarray(direction, float)
+    right = np.cross(forward_, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < UPRIGHT * np.linalg.norm(forward_) or not np.linalg.norm(forward_) > 0.0:
+        raise UnsafeError("arm: the camera cannot look straight up or down and be upright; give another direction")
+    forward_, right = forward_ / np.linalg.norm(forward_), right / np.linalg.norm(right)
+    rig_from_cam = np.eye(4)
+    rig_from_cam[:3, :3] = np.column_stack([right, np.cross(forward_, right), forward_])
+    rig_from_cam[:3, 3] = position_mm
+    return frames.invert(rig_from_cam)
+
+
+def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
+    """Return joint angles for a given position and viewing direction of the camera.
+
+    Five joints can place the camera anywhere in reach, but its optical axis remains in the vertical plane through the
+    base's axis and the camera.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Rig with position and joints of the arm.
+    position_mm, direction : tuple of float
+        Centre and optical axis of the camera, rig frame.
+
+    Raises
+    ------
+    UnsafeError
+        If the position is out of reach, the direction is not possible there, or a joint would exceed its limits; the
+        message states the nearest possible values.
+    """
+    part, wanted = require_arm(rig), camera_pose_from_direction(position_mm, direction)
+    arm_from_rig = frames.invert(rig_from_arm(part))
+    branches = inverse(part, arm_from_rig @ frames.invert(wanted))
+    at = ", ".join(f"{value:.4g}" for value in position_mm)
+    if np.isnan(branches.joints_rad).all():
+        nearest = _nearest_in_reach(part, wanted)
+        raise UnsafeError(f"arm: ({at}) mm is out of reach with that direction; the nearest reachable position is ({nearest}) mm")
+    joints_rad = branches.joints_rad[~np.isnan(branches.joints_rad).any(axis=-1)]
+    if branches.left_over_rad > np.deg2rad(MOST_ASIDE_DEG):
+        axis = (rig_from_arm(part) @ forward(part.links_mm, joints_rad[0]))[:3, 2]
+        near = ", ".join(f"{value:.4f}" for value in axis)
+        raise UnsafeError(
+            f"arm: at ({at}) mm five joints cannot reach that direction: it would be {np.rad2deg(branches.left_over_rad):.1f} deg off; "
+            f"the nearest direction is ({near})"
+        )
+    excess, joints_deg = _fit_joints(part, joints_rad)
+    if excess.min() > ROUNDING_DEG:
+        raise UnsafeError(
+            f"arm: ({at}) mm cannot be reached within the joints' limits: {_describe_excess(part, joints_deg[excess.argmin()])}"
+        )
+    elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
+    return _clip_joints(part, joints_deg[int(np.argmax(elbow_up))])
+
+
+def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
+    """Return the nearest position toward the shoulder at which the camera can keep its direction, as text."""
+    arm_from_rig, rig_from_cam = frames.invert(rig_from_arm(part)), frames.invert(wanted)
+    shoulder = frames.apply(rig_from_arm(part), np.array([[0.0, 0.0, part.links_mm[0]]]))[0]
+    for share in np.linspace(0.0, 1.0, _TESTED):
+        tried = rig_from_cam.copy()
+        tried[:3, 3] += share * (shoulder - rig_from_cam[:3, 3])
+        if not np.isnan(inverse(part, arm_from_rig @ tried).joints_rad).all():
+            return ", ".join(f"{value:.1f}" for value in tried[:3, 3])
+    return "none on the way to the shoulder"
+
+
+def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
+    """Return corrected joint angles that bring the camera nearer to its target, at any azimuth.
+
+    The correction starts from the pose measured by the markers.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Rig with position and joints of the arm.
+    joints_deg : Joints
+        Joint angles commanded at the measurement.
+    cam_from_rig_measured : (4, 4) array
+        Pose measured by the markers.
+    cam_from_rig_wanted : (4, 4) array or None
+        Target pose; None for the thesis's correction, which keeps distance and height and makes the image plane tangent
+        to the canister.
+
+    Returns
+    -------
+    Joints
+        Five joint angles, deg.
+
+    Raises
+    ------
+    UnsafeError
+        If no such pose is within reach and limits, or the correction is implausibly large; the message states the
+        numbers.
+    """
+    part = require_arm(rig)
+    wanted = tangent_pose(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
+    found = correct(part, np.deg2rad(joints_deg), cam_from_rig_measured, wanted)
+    if not _is_reached(found)[()]:
+        left = np.linalg.norm(found.left_over[:3])
+        raise UnsafeError(
+            f"arm: {_describe_position(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
+        )
+    excess, fitted = _fit_joints(part, found.joints_rad[None], near_deg=joints_deg)
+    change = np.abs(fitted[0] - joints_deg)
+    if change.max() > MOST_CORRECTION_DEG:
+        k = int(change.argmax())
+        raise UnsafeError(
+            f"arm: by the markers the {JOINT_NAMES[k]} would have to move from {joints_deg[k]:.1f} to {fitted[0, k]:.1f} deg, more than "
+            f"a correction of {MOST_CORRECTION_DEG:g} deg: check joints, links_mm and position_mm in the rig file"
+        )
+    if excess[0] > ROUNDING_DEG:
+        raise UnsafeError(
+            f"arm: the camera's place cannot be corrected within the joints' limits: {_describe_excess(part, fitted[0])}; move the ring"
+        )
+    return _clip_joints(part, fitted[0])
+
+
+def require_arm(rig: RigFile) -> ArmPart:
+    """Return the rig's arm; raise an error if it has none."""
+    if rig.arm is None:
+        raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
+    return rig.arm
+
+
+def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
+    """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera.
+
+    Parameters
+    ----------
+    cam_from_rig : (4, 4) array
+        Pose of the camera.
+
+    Returns
+    -------
+    tuple of float
+        Distance and height in mm, tilt in degrees.
+    """
+    rig_from_cam = frames.invert(cam_from_rig)
+    x, y, z = rig_from_cam[:3, 3]
+    return float(np.hypot(x, y)), float(z), float(np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0))))
+
+
+def check_limits(part: ArmPart, joints_deg: Joints) -> None:
+    """Raise an error for joint angles beyond the limits."""
+    for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
+        if not joint.min_deg <= angle <= joint.max_deg:
+            raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
+
+
+def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
+    """Return the branches (n, 5) of the target pose, rotated about the table's axis until five joints can reach it."""
+    found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
+    met = _is_reached(found)
+    left_deg = float(np.rad2deg(branches.left_over_rad))
+    if not met.any():
+        raise UnsafeError(
+            f"arm: {_describe_position(cam_from_rig)} is {left_deg:.2f} deg from the nearest orientation of five joints; "
+            "place the arm's base in front of the table, upright (position_mm and rotation_deg in the rig file)"
+        )
+    turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
+    if turn_deg > MOST_AZIMUTH_DEG:
+        raise UnsafeError(
+            f"arm: for {_describe_position(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, and at most "
+            f"{MOST_AZIMUTH_DEG:g} deg face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
+        )
+    return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
+
+
+def _is_reached(found: NewtonSolution) -> NDArray[np.bool_]:
+    """Return whether the targets were reached, and not only approached."""
+    left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
+    return found.converged & (left < 1.0)
+
+
+def _fit_joints(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
+    """Return joint angles (n, 5) in degrees, and the excess of the worst joint over its limit.
+
+    Multiples of a full turn are chosen to fit the limits.
+    """
+    low, high = _limits_deg(part)
+    middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)
+    joints_deg = np.rad2deg(joints_rad)
+    joints_deg = joints_deg - 360.0 * np.round((joints_deg - middle) / 360.0)
+    return np.maximum(low - joints_deg, joints_deg - high).max(axis=-1), joints_deg
+
+
+def _clip_joints(part: ArmPart, joints_deg: Array) -> Joints:
+    return tuple(round(float(angle), 9) + 0.0 for angle in np.clip(joints_deg, *_limits_deg(part)))  # + 0.0 avoids -0.0
+
+
+def _limits_deg(part: ArmPart) -> tuple[Array, Array]:
+    return np.array([joint.min_deg for joint in part.joints]), np.array([joint.max_deg for joint in part.joints])
+
+
+def _refuse_beyond_reach(part: ArmPart, branches: Branches, cam_from_rig: Array) -> None:
+    if not np.isnan(branches.joints_rad).any():
+        return
+    _, upper, fore, _ = part.links_mm
+    raise UnsafeError(
+        f"arm: {_describe_position(cam_from_rig)} is out of reach: the wrist would have to be "
+        f"{branches.wrist_mm:.0f} mm from the shoulder, the links reach "
+        f"{abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the arm's base"
+    )
+
+
+def _describe_excess(part: ArmPart, joints_deg: Array) -> str:
+    low, high = _limits_deg(part)
+    return ", ".join(
+        f"{name} {angle:.1f} deg (limits {least:g} to {most:g})"
+        for name, angle, least, most in zip(JOINT_NAMES, joints_deg, low, high, strict=True)
+        if not least - ROUNDING_DEG <= angle <= most + ROUNDING_DEG
+    )
+
+
+def _describe_position(cam_from_rig: Array) -> str:
+    """Return a description of the camera's position in terms of a ring."""
+    distance_mm, height_mm, tilt_deg = camera_position(cam_from_rig)
+    beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
+    beside = f", {beside_deg:.1f} deg from the x axis" if abs(beside_deg) > 0.05 else ""
+    return f"the camera at distance {distance_mm:.0f} mm, height {height_mm:.0f} mm, tilt {tilt_deg:.0f} deg{beside}"

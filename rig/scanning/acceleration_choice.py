@@ -1,0 +1,87 @@
+"""Choice of the table's acceleration and of the pause before each picture, so that pictures are still soonest."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.rig_file import TurntablePart
+from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
+from rhizotwin.rig.scanning.settling_time import MARGIN, WATCH_S, measure_settling_time, take_series
+from rhizotwin.scenes.picture_codec import Grey
+
+GENTLER = (1.0, 0.5, 0.25, 0.125)
+"""Factors of the rig file's acceleration that are tried in turn, as long as a view could be ready sooner. A turn of 9
+degrees at 60 degrees per second squared takes 0.8 s, and at an eighth of it 2.2 s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurnTiming:
+    """Duration of a turn by one view's step, and of the pause after it."""
+
+    acceleration_deg_per_s2: float
+    turn_s: float
+    moves_s: float | None
+    """Time for which the picture moves after the stop; None if it moves until the end of the measurement."""
+    rest_s: float
+    """Pause before each picture."""
+
+    @property
+    def view_s(self) -> float:
+        """Time from the beginning of a turn to its picture; endless motion counts as longest."""
+        return self.turn_s + self.rest_s + (0.0 if self.moves_s is not None else 1e3)
+
+    def text(self) -> str:
+        """Return the result as text."""
+        at = f"at {self.acceleration_deg_per_s2:g} deg/s2"
+        if self.moves_s is None:
+            return (
+                f"{at} and above the picture still moves {WATCH_S:g} s after a turn: a slower speed_deg_per_s or a gentler "
+                f"acceleration_deg_per_s2 is needed; each picture waits {self.rest_s:.2f} s"
+            )
+        return f"{at} the picture moves for {self.moves_s:.2f} s after a turn; each picture waits {self.rest_s:.2f} s"
+
+
+def choose_acceleration(
+    turntable: ScanTurntable, look: Callable[[], Grey], clock: Clock, *, angles_deg: Sequence[float], part: TurntablePart
+) -> TurnTiming:
+    """Turn by a view's step at several accelerations, measure the motion of the picture, and set the best acceleration.
+
+    Parameters
+    ----------
+    turntable : ScanTurntable
+        Turntable with a known angle.
+    look : callable
+        Function that takes a picture.
+    clock : Clock
+        Clock for waiting times.
+    angles_deg : (N,) float
+        Angles of the next views, two or more; each trial turns from one to the next.
+    part : TurntablePart
+        Section of the rig file with the highest acceleration and the minimum pause.
+
+    Returns
+    -------
+    TurnTiming
+        Result with the shortest time from the beginning of a turn to its picture.
+    """
+    turntable.accelerate(part.acceleration_deg_per_s2)
+    turntable.turn(angles_deg[0])
+    clock.sleep(WATCH_S)  # so that no trial is affected by a previous turn
+    best: TurnTiming | None = None
+    for share, angle_deg in zip(GENTLER, angles_deg[1:], strict=False):
+        tried = share * part.acceleration_deg_per_s2
+        turntable.accelerate(tried)
+        begun_s = clock.now_s()
+        turntable.turn(angle_deg)
+        turn_s = clock.now_s() - begun_s
+        moves_s = measure_settling_time(*take_series(look, clock)).rest_s
+        rest_s = max(part.settle_s, WATCH_S if moves_s is None else MARGIN * moves_s)
+        found = TurnTiming(acceleration_deg_per_s2=tried, turn_s=turn_s, moves_s=moves_s, rest_s=rest_s)
+        if best is None or found.view_s < best.view_s or best.moves_s is None:
+            best = found
+        if turn_s + part.settle_s >= best.view_s:  # lower accelerations take even longer
+            break
+    if best is None:
+        raise ValueError(f"{angles_deg=} but expected two or more")
+    turntable.accelerate(best.acceleration_deg_per_s2)
+    return best

@@ -1,0 +1,305 @@
+"""Turntable of a scan: its angle is determined at the start, verified for every picture, and restored after a loss."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rhizotwin.rig import bands
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.scanning.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrap_angle
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, unread_reason
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
+from rhizotwin.rig.scanning.session import Session
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.picture_codec import Grey, decode_grey
+
+WAIT_S = 20.0
+"""Time-out for a lost board, during which it can be reconnected."""
+PAUSE_S = 1.0
+MOST_REFERENCES = 6
+BESIDE_DEG = 20.0
+"""Maximum azimuth of a camera on a tripod, from the x axis."""
+FINE_DEG = 0.02
+"""Accuracy of the angle between two pictures."""
+LOST_STEPS = 4
+"""Steps lost when a motor loses synchronism: a multiple of the period of its field, which is four full steps."""
+MOST_SLIPPED_DEG = 1.0
+"""Deviation from the commanded angle beyond which a picture was not taken there, for any motor."""
+UNSURE_DEG = 0.1
+"""Error of the markers in a single picture (0.6 px at 350 px of the strip's radius at 400x300), below which no slip is
+detected."""
+
+Taken = tuple[float, Path]
+"""Commanded angle and file of a picture."""
+
+
+class BoardFaultError(Exception):
+    """A failure of the board of table and lights that reconnecting may correct."""
+
+    def __init__(self, cause: RigError) -> None:
+        super().__init__(str(cause))
+        self.cause = cause
+
+
+@contextmanager
+def convert_board_errors() -> Iterator[None]:
+    """Convert failures of the board into `BoardFaultError`, to distinguish them from those of other devices."""
+    try:
+        yield
+    except (LostError, NoAnswerError) as error:
+        raise BoardFaultError(error) from error
+
+
+class ScanTurntable:
+    """The turntable with the state of its angle."""
+
+    def __init__(
+        self,
+        devices: Devices,
+        scene: Scene,
+        camera: ScanCamera,
+        *,
+        ask: Ask | None,
+        given_deg: float | None,
+        note: Callable[[str, str], None],
+    ) -> None:
+        self._devices = devices
+        self._scene = scene
+        self._camera = camera
+        self._ask = ask
+        self._given_deg = given_deg
+        self._note = note
+        self._looks: list[Reference] = []
+        self.pictures: list[Taken] = []
+        """Pictures of the scan from the camera's present position."""
+        self._acceleration: float | None = None  # chosen acceleration; None for that of the rig file
+        self.band = ""
+        """Band for which the lamps are set."""
+        self.lost = False
+        """Whether the board was lost and has not been recovered."""
+
+    @property
+    def slip_deg(self) -> float:
+        """Difference between measured and commanded angle beyond which steps were lost (half of the smallest loss)."""
+        return max(UNSURE_DEG, min(MOST_SLIPPED_DEG, LOST_STEPS / 2.0 * self._devices.rig.turntable.full_step_deg))
+
+    def off_deg(self, table_deg: float, seen: Sighting) -> float:
+        """Return the difference between a picture's measured and its commanded angle.
+
+        The first picture serves as the reference.
+        """
+        if not self._looks:
+            self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
+        return wrap_angle(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
+
+    def forget_references(self) -> None:
+        """Discard the pictures used to restore the angle, as the camera has moved."""
+        self._looks.clear()
+        self.pictures.clear()
+
+    def add_sighting(self, seen: Sighting | None) -> None:
+        """Store a measurement of the strip at a known angle."""
+        if seen is not None:
+            self._looks.append(Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister))
+
+    @staticmethod
+    def pictures_of(session: Session) -> list[Taken]:
+        """Return the pictures of the camera's last position in an earlier run, which may not have been verified."""
+        return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
+
+    def add_picture(self, table_deg: float, path: Path) -> None:
+        """Store a picture of the scan from the camera's present position."""
+        self.pictures.append((table_deg, path))
+
+    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], near_deg: float) -> None:
+        """Determine the table's angle before the first picture of a run.
+
+        Parameters
+        ----------
+        seen, image : Sighting or None, uint8 or uint16 array
+            Present measurement of the strip, and its picture.
+        earlier : list of Taken
+            Angles and pictures of the same ring from an earlier run, with which a table that kept its angle is
+            compared.
+        near_deg : float
+            Next target angle.
+        """
+        references = self._read(earlier)
+        kept_deg = self._kept_deg()
+        if kept_deg is not None and (seen is not None or self._given_deg is None):
+            shown_deg, most_deg = kept_deg, DISAGREE_DEG
+            if seen is not None and references:
+                shown_deg = angle_against(seen.cam_from_canister, references, self._scene)
+            elif seen is not None:
+                shown_deg, most_deg = facing_angle(seen, self._scene), BESIDE_DEG
+            if abs(wrap_angle(shown_deg - kept_deg)) <= most_deg:
+                checked = "not checked by markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
+                self._note("angle", f"turntable: kept its angle, {kept_deg:.2f} deg ({checked})")
+                return
+            self._note("angle", f"turntable: reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg: it was turned")
+        self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
+
+    def angle_deg(self) -> float:
+        """Return the measured table angle."""
+        kept_deg = self._kept_deg()
+        if kept_deg is None:
+            raise BoardFaultError(LostError("turntable: was reset and lost its angle"))
+        return kept_deg
+
+    def check_board(self) -> None:
+        """Verify the connection to the board.
+
+        A board that was reset has switched the lights off, which must not be mistaken for a fault of the camera.
+        """
+        with convert_board_errors():
+            self._devices.table.position_deg()
+
+    def turn(self, angle_deg: float) -> float:
+        """Turn the table; return the measured angle, which agrees with the commanded one within the tolerance."""
+        with convert_board_errors():
+            read_deg = self._devices.table.move_to(angle_deg)
+        self._compare(angle_deg, read_deg)
+        return read_deg
+
+    def accelerate(self, deg_per_s2: float) -> None:
+        """Set the acceleration of subsequent moves."""
+        with convert_board_errors():
+            self._devices.table.accelerate(deg_per_s2)
+        self._acceleration = deg_per_s2
+
+    def verify(self, angle_deg: float) -> None:
+        """Verify the angle after a picture, as a board that was reset since the move has lost it."""
+        with convert_board_errors():
+            read_deg = self._devices.table.position_deg()
+        self._compare(angle_deg, read_deg)
+
+    def light(self, band: str | None = None) -> None:
+        """Switch the lights on for a band of the camera; None for the previous one."""
+        self.band = self.band if band is None else band
+        with convert_board_errors():
+            bands.light(self._devices.lights, self._devices.rig, self.band)
+
+    def recover(self, fault: BoardFaultError, *, near_deg: float, again: bool) -> bool:
+        """Reconnect the board and restore the angle; return whether it had to be determined again.
+
+        Parameters
+        ----------
+        fault : BoardFaultError
+            Failure of the board.
+        near_deg : float
+            Next target angle.
+        again : bool
+            Whether this is a repeated attempt. A board that only failed to answer is not reconnected at the first
+            attempt, since many boards reset on connection and lose the angle.
+
+        Returns
+        -------
+        bool
+            Whether the angle had to be determined again.
+
+        Raises
+        ------
+        RigError
+            If the board does not reappear, or the angle cannot be determined.
+        """
+        if not again and not isinstance(fault.cause, LostError):
+            self._note("fault", f"{fault.cause}; trying again")
+            self.angle_deg()
+            return False
+        self.lost = True
+        self._note("fault", f"{fault.cause}; reconnecting")
+        self._reconnect(fault.cause)
+        shot, seen = self._camera.look()
+        references = [*self._looks, *self._read(self.pictures)]
+        kept_deg = self._kept_deg()
+        if kept_deg is not None:
+            shown_deg = angle_against(seen.cam_from_canister, references, self._scene) if seen is not None and references else kept_deg
+            if abs(wrap_angle(shown_deg - kept_deg)) <= self.slip_deg:
+                self._note("angle", f"turntable: is reconnected and kept its angle, {kept_deg:.2f} deg")
+                self.lost = False
+                return False
+        self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
+        if seen is not None and references:
+            self._refine(references, near_deg)
+        self.lost = False
+        return True
+
+    def find_slipped(self, pictures: list[Taken]) -> list[Path]:
+        """Return the pictures whose markers show another angle than commanded.
+
+        Pictures are checked from the last one back to the first that agrees, since lost steps affect all subsequent
+        pictures. They are compared with earlier measurements from the same position, or else with the first of them.
+        """
+        references = self._looks or self._read(pictures[:1])
+        found: list[Path] = []
+        for table_deg, path in reversed(pictures):
+            shown = self._read([(table_deg, path)])
+            if not references or not shown:
+                break
+            if abs(wrap_angle(angle_against(shown[0].cam_from_canister, references, self._scene) - table_deg)) <= self.slip_deg:
+                break
+            found.append(path)
+        return found[::-1]
+
+    def _refine(self, references: list[Reference], angle_deg: float) -> None:
+        """Measure the angle again after the table has arrived from its usual side.
+
+        At the loss of the board, the backlash was in an unknown state.
+        """
+        read_deg = self.turn(angle_deg)
+        self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
+        _, seen = self._camera.look()
+        if seen is None:
+            return
+        off_deg = wrap_angle(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
+        if abs(off_deg) > FINE_DEG:
+            self._declare(Angle(table_deg=read_deg + off_deg, source=f"{seen.markers} markers, without backlash"))
+
+    def _kept_deg(self) -> float | None:
+        """Return the angle stored in the board, or None."""
+        table = self._devices.table
+        with convert_board_errors():
+            return table.position_deg() if table.knows_zero() else None
+
+    def _find_angle(
+        self, seen: Sighting | None, image: Grey, references: list[Reference], near_deg: float, *, given_deg: float | None
+    ) -> Angle:
+        why = "" if seen is not None else unread_reason(image, self._scene)
+        return find_angle(seen, references, self._scene, near_deg=near_deg, given_deg=given_deg, ask=self._ask, why=why)
+
+    def _declare(self, angle: Angle) -> None:
+        with convert_board_errors():
+            self._devices.table.declare(angle.table_deg)
+        self._note("homed", f"turntable: is at {angle.table_deg:.2f} deg ({angle.source})")
+
+    def _compare(self, wanted_deg: float, read_deg: float) -> None:
+        if not abs(read_deg - wanted_deg) <= self._devices.rig.turntable.tolerance_deg:
+            raise BoardFaultError(LostError(f"turntable: is at {read_deg:.3f} deg instead of {wanted_deg:.3f} deg"))
+
+    def _reconnect(self, cause: RigError) -> None:
+        clock = self._devices.clock
+        until_s = clock.now_s() + WAIT_S
+        while True:
+            try:
+                self._devices.reconnect_board()
+                self._devices.table.prepare()
+                if self._acceleration is not None:
+                    self._devices.table.accelerate(self._acceleration)
+                bands.light(self._devices.lights, self._devices.rig, self.band)
+            except RigError as error:
+                if clock.now_s() >= until_s:
+                    raise type(cause)(f"{cause}; it did not reappear within {WAIT_S:.0f} s ({error})") from error
+                clock.sleep(PAUSE_S)
+            else:
+                return
+
+    def _read(self, pictures: list[Taken]) -> list[Reference]:
+        """Detect the strip in some of the pictures, evenly distributed."""
+        step = max(1, -(-len(pictures) // MOST_REFERENCES))
+        found: list[Reference] = []
+        for table_deg, path in pictures[::step]:
+            seen = read_strip(decode_grey(path.read_bytes(), where=str(path)), self._scene)
+            if seen is not None:
+                found.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
+        return found

@@ -1,0 +1,100 @@
+"""Duration of the motion in pictures after a stop of the table, from which the pause before a picture is derived."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhizotwin.rig.clock import Clock
+from rhizotwin.scenes.picture_codec import Grey
+
+WATCH_S = 12.0
+"""Duration of the measurement: water of 15 cm sloshes at 2 to 3 Hz and is still after some ten periods; roots swing
+more slowly."""
+LATE = 1.0 / 3.0
+"""Last fraction of the pictures, which must be still, and determine the noise."""
+ABOVE_NOISE = 1.15
+"""Ratio of a picture's difference to the noise above which it has moved: the rms over 1e5 pixels varies far less."""
+MARGIN = 1.5
+"""Safety factor of a duration measured after one move, applied to the others."""
+STRIDE = 2
+"""Step of the sampled pixels in both directions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettlingTime:
+    """Motion after a stop."""
+
+    rest_s: float | None
+    """Time after which nothing moves beyond noise; None if motion continued to the end."""
+    moved: float
+    """Ratio of the first picture's difference from the still ones to the difference by noise alone."""
+
+
+def measure_settling_time(pictures: Sequence[Grey], times_s: Sequence[float]) -> SettlingTime:
+    """Measure the time at which pictures stopped moving.
+
+    Parameters
+    ----------
+    pictures : (N) of (H, W)
+        Pictures in the order of time, beginning at the stop; at least 6.
+    times_s : (N) float
+        Times after the stop.
+
+    Returns
+    -------
+    SettlingTime
+        Its rest is the time of the first picture after which none differs from the mean of the late ones by more than
+        noise.
+
+    Notes
+    -----
+    With M late pictures of noise s, an early one differs from their mean by ``s sqrt(1 + 1/M)`` (rms), a late one by
+    ``s sqrt(1 - 1/M)``. Motion that continues to the end is detected by a disagreement of two estimates of the noise:
+    the spread of the late pictures, and the difference of neighbours.
+    """
+    if len(pictures) < 6 or len(pictures) != len(times_s):
+        raise ValueError(f"{len(pictures)=} and {len(times_s)=} but expected 6 or more of both")
+    stack = np.stack([picture[::STRIDE, ::STRIDE].astype(np.float32) for picture in pictures])
+    late = stack[-max(3, round(LATE * len(stack))) :]
+    count = len(late)
+    mean = late.mean(axis=0)
+    noise = float(np.sqrt(np.mean((late - mean) ** 2) * count / (count - 1)))
+    steps = np.diff(late, axis=0)
+    stepping = float(np.sqrt(np.mean(steps**2) / 2.0))  # the difference of neighbours contains sqrt(2) times the noise
+    apart = np.sqrt(np.mean((stack - mean) ** 2, axis=(1, 2)))
+    floor = min(noise, stepping) * np.sqrt(1.0 + 1.0 / count)
+    moving = apart > ABOVE_NOISE * max(floor, 1e-9)
+    still_moves = max(noise, stepping) > ABOVE_NOISE * max(min(noise, stepping), 1e-9) or moving[-count:].any()
+    last = int(np.flatnonzero(moving).max(initial=-1))
+    rest = None if still_moves or last + 1 >= len(times_s) else float(times_s[last + 1])
+    return SettlingTime(rest_s=rest, moved=float(apart[0] / max(floor, 1e-9)))
+
+
+def take_series(
+    look: Callable[[], Grey], clock: Clock, *, seconds: float = WATCH_S, every_s: float = 0.25
+) -> tuple[list[Grey], list[float]]:
+    """Take pictures for a given duration, and return them with their start times.
+
+    Parameters
+    ----------
+    look : callable
+        Function that takes a picture.
+    clock : Clock
+        Clock for the times.
+    seconds : float
+        Duration.
+    every_s : float
+        Pause between pictures.
+
+    Returns
+    -------
+    list of (H, W) arrays, list of float
+        At least six pictures, and their times in seconds from the call.
+    """
+    begun_s, pictures, times_s = clock.now_s(), list[Grey](), list[float]()
+    while (now_s := clock.now_s() - begun_s) < seconds or len(pictures) < 6:
+        times_s.append(now_s)
+        pictures.append(look())
+        clock.sleep(every_s - (clock.now_s() - begun_s - now_s))
+    return pictures, times_s

@@ -1,0 +1,77 @@
+"""Verification of the table's rotation in each picture of a scan, while the next one is being taken."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from rhizotwin.rig.scanning.markers import Sighting, read_strip
+from rhizotwin.rig.scanning.observer import Look, Observer
+from rhizotwin.rig.scanning.picture_change import LEAST_SHARE, changed_share
+from rhizotwin.rig.scanning.preflight import measure_exposure
+from rhizotwin.rig.scanning.scan_turntable import ScanTurntable
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.picture_codec import Grey
+
+
+class TurnCheck:
+    """Detects the strip in each picture during the next movement.
+
+    Without a strip it checks whether the rotation changed the picture.
+    """
+
+    def __init__(self, turntable: ScanTurntable, scene: Scene, observer: Observer) -> None:
+        self._turntable = turntable
+        self._scene = scene
+        self._observer = observer
+        self._reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="reader")
+        self._before: tuple[Frame, Grey] | None = None
+        self._pending: tuple[Frame, Future[tuple[Sighting | None, float | None]]] | None = None
+        self.unread: list[str] = []
+        """Files whose angle is not confirmed by markers."""
+
+    def begin_ring(self) -> None:
+        """Discard the previous picture, as the camera has moved."""
+        self._before = self._pending = None
+
+    def begin_look(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
+        """Begin to check a picture; the result for the previous one must have been read (`wrong`).
+
+        Parameters
+        ----------
+        frame : Frame
+            Frame of the picture.
+        image : (H, W) uint8 or uint16 array
+            The picture.
+        again : (H, W) uint8 or uint16 array or None
+            Second picture at the same stop; None if there is none.
+        """
+        before = None if self._before is None or self._before[0].table_deg == frame.table_deg else self._before[1]
+        self._pending = frame, self._reader.submit(self._look, frame, image, before, again)
+        self._before = frame, image
+
+    def wrong(self) -> tuple[str, str] | None:
+        """Return the file of the last picture and a description of its fault; None if it is as expected."""
+        if self._pending is None:
+            return None
+        frame, looked = self._pending
+        self._pending = None
+        seen, changed = looked.result()
+        commanded_deg = frame.table_deg or 0.0
+        if seen is not None:
+            off_deg = self._turntable.off_deg(commanded_deg, seen)
+            if abs(off_deg) > self._turntable.slip_deg:
+                return frame.file, f"the markers of {frame.file} deviate by {off_deg:+.2f} deg from the commanded {commanded_deg:g} deg"
+            return None
+        if changed is not None and changed < LEAST_SHARE:
+            return frame.file, f"{frame.file} does not differ from the previous picture, although the table was turned"
+        self.unread.append(frame.file)
+        return None
+
+    def close(self) -> None:
+        """Stop the reader."""
+        self._reader.shutdown(wait=True, cancel_futures=True)
+
+    def _look(self, frame: Frame, image: Grey, before: Grey | None, again: Grey | None) -> tuple[Sighting | None, float | None]:
+        seen = read_strip(image, self._scene)
+        motion = None if again is None else changed_share(again, image)
+        self._observer.on_look(Look(frame=frame, image=image, exposure=measure_exposure(image), sighting=seen, motion=motion))
+        return seen, None if seen is not None or before is None else changed_share(image, before)

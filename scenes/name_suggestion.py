@@ -1,0 +1,36 @@
+"""Suggestion of the known name that a misspelt one most resembles."""
+
+import difflib
+import re
+from collections.abc import Iterable
+
+ALIKE = 0.6
+"""Minimum similarity (`difflib`) of a suggestion."""
+
+
+def most_similar(word: str, known: Iterable[str]) -> str | None:
+    """Return the known name that is most similar to a word, or None.
+
+    Names that begin with the word come first (``wall``: ``wall_mm``, not ``n_wall``), ignoring leading zeros of numbers
+    (``radish_day5``: ``radish_day05a``, not ``radish_day15a``), then the most similar name.
+    """
+    names = list(known)
+    typed = _plain(word)
+    begun = [name for name in names if _begins(typed, _plain(name))]
+    if typed and begun:
+        return min(begun, key=len)
+    alike = difflib.get_close_matches(word, names, n=1, cutoff=ALIKE)
+    return alike[0] if alike else None
+
+
+def _plain(name: str) -> str:
+    """Return a name with its numbers written without leading zeros."""
+    return re.sub(r"\d+", lambda number: str(int(number[0])), name.casefold())
+
+
+def _begins(word: str, name: str) -> bool:
+    """Return whether a name begins with a word that ends at a separator, or between digits and letters."""
+    rest = name[len(word) :]
+    if not name.startswith(word):
+        return False
+    return not rest or rest[0] in "_-. " or (word[-1:].isdigit() and not rest[0].isdigit())

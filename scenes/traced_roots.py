@@ -1,0 +1,172 @@
+"""Preparation of manually traced roots as truth.
+
+Gaps to the parent are closed if the file states the node of attachment, and stretches shared by several roots are
+counted once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.scenes import polyline, rsml
+from rhizotwin.scenes.rsml import Root, RsmlFile
+
+Array = NDArray[np.float64]
+
+FARTHEST = 2.0
+"""Maximum ratio of the distance to the parent's named node and that to the nearest node; beyond it, the nodes are
+numbered differently, and no gap is closed."""
+SHARED = 0.5
+"""Maximum distance of lines of one root, relative to the thinner one's radius; two real roots are at least a radius
+apart."""
+LEAST_SHARED_MM = 2.0
+"""Minimum length of a shared stretch, which exceeds any width of separately traced roots; shorter ones are crossings or
+branch points."""
+MOST_LATEST = 2000
+"""Maximum number of points collected before the search tree of all points is rebuilt; building a tree of this size
+takes a millisecond."""
+STEP_MM = 0.2
+"""Spacing of the points at which lines are compared."""
+
+
+def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
+    """Connect roots that begin at a distance from their parent to the node stated in the file.
+
+    Returns
+    -------
+    roots : tuple of Root
+    closed : int
+        Number of connected roots.
+    """
+    closed, roots = 0, list(file.roots)
+    for index, (root, node) in enumerate(zip(file.roots, file.parent_nodes, strict=True)):
+        if root.parent < 0 or node is None or node >= len(file.roots[root.parent].points_mm):
+            continue
+        parent = file.roots[root.parent]
+        away_mm = np.linalg.norm(parent.points_mm - root.points_mm[0], axis=1)
+        reach_mm = (parent.diameters_mm[node] + root.diameters_mm[0]) / 2.0
+        if reach_mm < away_mm[node] <= FARTHEST * away_mm.min():
+            points_mm = np.concatenate([parent.points_mm[node : node + 1], root.points_mm])
+            roots[index] = replace(root, points_mm=points_mm, diameters_mm=np.concatenate([root.diameters_mm[:1], root.diameters_mm]))
+            closed += 1
+    return tuple(roots), closed
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A centre line with equally spaced points."""
+
+    points_mm: Array
+    diameters_mm: Array
+
+    @staticmethod
+    def of(root: Root) -> "_Line":
+        """Return a root's centre line with points `STEP_MM` apart."""
+        along_mm = polyline.arc_length_mm(root.points_mm)
+        at_mm = np.linspace(0.0, along_mm[-1], max(2, int(np.ceil(along_mm[-1] / STEP_MM)) + 1))
+        points = polyline.interpolate(root.points_mm, along_mm, at_mm)
+        return _Line(points, np.interp(at_mm, along_mm, root.diameters_mm))
+
+
+def merge_shared_stretches(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
+    """Remove stretches that roots share with earlier ones in the list, so that each is counted once.
+
+    The remainder of a partly shared root becomes a lateral of the root with which it shares the stretch. A completely
+    shared root is removed, and its laterals are assigned to the other root.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        Parents before children.
+
+    Returns
+    -------
+    roots : tuple of Root
+        The same roots if nothing is shared.
+    shared_mm : float
+        Length that was counted more than once.
+    """
+    kept: list[Root] = []
+    owner: list[int] = []  # for each of ``roots``, the index in ``kept`` of the root of which it is a part
+    seen = _KnownLines()
+    for root in roots:
+        line = _Line.of(root)
+        parent = owner[root.parent] if root.parent >= 0 else -1
+        runs, host = _unshared_stretches(line, seen)
+        whole = runs == [(0, len(line.points_mm))]
+        first = len(kept)
+        for number, (start, stop) in enumerate(runs):
+            above = parent if host is None or start == 0 else host
+            piece = line.points_mm[start:stop], line.diameters_mm[start:stop]
+            points_mm, diameters_mm = (root.points_mm, root.diameters_mm) if whole else piece
+            order = kept[above].order + 1 if above >= 0 else 0
+            seen_tip = root.tip_seen if number == len(runs) - 1 else True
+            kept.append(replace(root, points_mm=points_mm, diameters_mm=diameters_mm, parent=above, order=order, tip_seen=seen_tip))
+            seen.add(_Line(*piece), len(kept) - 1)
+        owner.append(first if runs else host if host is not None else parent)
+    return tuple(kept), rsml.length_mm(roots) - rsml.length_mm(kept)
+
+
+class _KnownLines:
+    """Previous lines, with a search for their nearest points.
+
+    One search tree contains most of the points; a second one, with the latest points, is rebuilt.
+    """
+
+    def __init__(self) -> None:
+        self._old: tuple[cKDTree, Array, NDArray[np.int64]] | None = None
+        self._lines: list[_Line] = []
+        self._owners: list[NDArray[np.int64]] = []
+
+    def add(self, line: _Line, owner: int) -> None:
+        """Add a line with the index of its root."""
+        self._lines.append(line)
+        self._owners.append(np.full(len(line.points_mm), owner))
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return distance, radius and root of the line point nearest to each of the points (N, 3).
+
+        The distance is infinite if there is none.
+        """
+        found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm)), np.full(len(points_mm), -1)
+        trees = [] if self._old is None else [self._old]
+        if self._lines:
+            points = np.concatenate([line.points_mm for line in self._lines])
+            diameters: Array = np.concatenate([line.diameters_mm for line in self._lines])
+            owners: NDArray[np.int64] = np.concatenate(self._owners)
+            if len(points) > MOST_LATEST:
+                if self._old is not None:
+                    points = np.concatenate([self._old[0].data, points])
+                    diameters, owners = np.concatenate([self._old[1], diameters]), np.concatenate([self._old[2], owners])
+                self._lines, self._owners = [], []
+                latest = cKDTree(points), diameters, owners
+                self._old, trees = latest, [latest]
+            else:
+                trees.append((cKDTree(points), diameters, owners))
+        for tree, diameters, owners in trees:
+            away, near = tree.query(points_mm)
+            nearer = away < found[0]
+            for part, values in zip(found, (away, diameters[near], owners[near]), strict=True):
+                part[nearer] = values[nearer]
+        return found
+
+
+def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int, int]], int | None]:
+    """Return the unshared stretches of a line as (start, stop), and the root with which it shares the most."""
+    count = len(line.points_mm)
+    away_mm, diameter_mm, owner = seen.nearest(line.points_mm)
+    limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, diameter_mm) / 2.0, STEP_MM / 2.0)
+    with_whom = np.where(away_mm <= limit_mm, owner, -1)
+    least = int(np.ceil(LEAST_SHARED_MM / STEP_MM))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], with_whom >= 0, [False]]).astype(np.int8)))
+    long = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > least]
+    if not long:
+        return [(0, count)], None
+    host = int(np.bincount(with_whom[np.concatenate([np.arange(a, b) for a, b in long])]).argmax())
+    # keep the joint with the shared stretch
+    bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]
+    runs = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > least]
+    return runs, host

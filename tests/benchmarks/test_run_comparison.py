@@ -1,0 +1,54 @@
+"""Two runs compared case by case."""
+
+import json
+import math
+
+import pytest
+
+from benchmarks import __main__ as command
+from benchmarks import run_comparison
+from benchmarks.cases import ladder
+from rhizotwin.scenes.errors import UserError
+
+CASES = ladder(scenes=("radish_day05*", "radish_day10*"), profiles=("clean", "bench"), methods=("coverage",))
+
+
+def test_mean_interval_and_sign_test_by_hand():
+    found = run_comparison.difference([5.0, 4.0, 6.0, 8.0], [3.0, 3.0, 3.0, 6.0], name="error", unit="%", smaller_is_better=True)
+    assert (found.before, found.after, found.mean) == (5.75, 3.75, -2.0)
+    reach = 3.182446 * math.sqrt(2.0 / 3.0) / 2.0  # t(0.975, 3) sd / sqrt(n)
+    assert (found.low, found.high) == (pytest.approx(-2.0 - reach, abs=1e-5), pytest.approx(-2.0 + reach, abs=1e-5))
+    assert (found.better, found.worse, found.p_sign) == (4, 0, pytest.approx(0.125))
+
+
+def write(path, records):
+    path.write_text(json.dumps({"about": {}, "metrics": {}, "details": {record["case"]["name"]: record for record in records}}))
+    return path
+
+
+def test_the_command_names_what_got_better_and_worse(tmp_path, record_of, capsys):
+    before = [record_of(case, volume_error=0.05) for case in CASES]
+    after = [record_of(case, volume_error=-0.08 if case.pictures.scene == "radish_day10c" else 0.02) for case in CASES[1:]]
+    a, b = write(tmp_path / "a.json", before), write(tmp_path / "b.json", after)
+    assert command.main(["compare", str(a), str(b)]) == 0
+    said = capsys.readouterr().out
+    assert "11 cases in both, 1 only in A, 0 only in B" in said
+    assert "volume error (size)        5.00     3.09    -1.91" in said
+    worse, better = said.split("volume worse (most first):")[1].split("volume better (most first):")
+    assert "radish_day10c/clean" in worse
+    assert "+5.00 % -> -8.00 % (+3.00 in size)" in worse
+    assert worse.count("radish") == 2
+    assert better.count("radish") == 9
+    assert "bench only:" in said
+
+
+def test_runs_that_share_nothing_and_files_that_are_none_are_refused(tmp_path, record_of, capsys):
+    a, b = (write(tmp_path / f"{k}.json", [record_of(case)]) for k, case in enumerate(CASES[:2]))
+    assert command.main(["compare", str(a), str(b)]) == 2
+    assert "have no case" in capsys.readouterr().err
+    path = tmp_path / "run.json"
+    for content in (None, "{", "[]", "{}", '{"details": {"a": 3}}', '{"details": {}}'):
+        if content is not None:
+            path.write_text(content)
+        with pytest.raises(UserError, match=r"run\.json"):
+            run_comparison.read_records(path)

@@ -1,0 +1,75 @@
+"""The pictures and the page of a result, and the small renderer behind them."""
+
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin import shading
+from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.report import result_pictures
+from rhizotwin.scenes.dataset import load_dataset, save_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root, write_rsml
+
+
+def ball(radius_mm: float, at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
+    return Mesh.of(trimesh.creation.icosphere(subdivisions=4, radius=radius_mm).apply_translation(at_mm))
+
+
+def test_a_picture_of_a_ball_has_its_area_depth_and_normals_and_light_from_the_upper_left():
+    seen = shading.rasterise(ball(4.0, (1.0, 2.0, -30.0)), shading.FRONT, box_mm=(-5.0, 9.0, -40.0, -20.0), px_mm=0.05)
+    assert seen.hit.shape == (400, 280)
+    assert seen.hit.sum() * 0.05**2 == pytest.approx(np.pi * 16.0, rel=5e-3)
+    rows, columns = np.nonzero(seen.hit)
+    assert columns.mean() * 0.05 - 5.0 + 0.025 == pytest.approx(2.0, abs=0.01)  # y of the centre
+    assert -20.0 - (rows.mean() + 0.5) * 0.05 == pytest.approx(-30.0, abs=0.01)
+    assert seen.depth_mm[seen.hit].max() == pytest.approx(5.0, abs=0.01)  # towards +x
+    assert seen.normal[200, 140] == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+    picture = shading.shade(seen, (0.8, 0.5, 0.2), px_mm=0.05, shrink=2)
+    assert picture.shape == (200, 140, 4)
+    assert (picture[100, 70, 3], picture[0, 0, 3]) == (1.0, 0.0), "transparent off the surface and opaque on it"
+    assert 0.0 <= picture.min() <= picture.max() <= 1.0
+    assert picture[75, 45, :3].mean() > picture[125, 95, :3].mean()
+
+
+def test_all_pictures_of_a_result_with_roots(scan):
+    made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,), voxel_mm=1.0)
+    turn = np.linspace(0.0, 3.0, 30)
+    tap = Root(points_mm=np.stack([4.0 * turn, -turn, -45.0 - 3.0 * turn], 1), diameters_mm=np.full(30, 1.5), order=0, parent=-1)
+    write_rsml(made.result / "roots.rsml", [tap])
+    written = result_pictures.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
+    assert {path.name for path in written} == {"inputs.png", "cameras.png", "shape.png", "shape_and_truth.png", "roots.png", "lengths.png"}
+    for path in written:
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert min(picture.shape[:2]) > 300
+        assert picture.std() > 5.0
+
+
+def test_without_silhouettes_and_truth_there_are_still_pictures_and_they_repeat_exactly(scan):
+    made = scan(voxel_mm=1.0)
+    shutil.rmtree(made.result / "silhouettes")
+    shutil.rmtree(made.dataset / "truth")
+    written = result_pictures.write_pictures(made.result, made.dataset)
+    assert [path.name for path in written] == ["cameras.png", "shape.png"]
+    first = [path.read_bytes() for path in written]
+    assert first == [path.read_bytes() for path in result_pictures.write_pictures(made.result, made.dataset)]
+
+
+def test_a_dataset_that_changes_meanwhile_does_not_spoil_the_report(scan, caplog):
+    """A resumed scan takes a frame out, and a person deletes a picture, while the shape is being found."""
+    made = scan(voxel_mm=1.0)
+    loaded = load_dataset(made.dataset)
+    save_dataset(replace(loaded, frames=loaded.frames[1:]))
+    (made.dataset / loaded.frames[0].file).unlink()
+    assert "inputs.png" in [path.name for path in result_pictures.write_pictures(made.result, loaded)]
+    assert "view_000.png: the picture is missing" in caplog.text
+    assert "leaves this picture out" in caplog.text
+    shutil.rmtree(made.result / "pictures")
+    with pytest.raises(UserError, match="was not reconstructed from"):
+        result_pictures.write_pictures(made.result, made.dataset)
+    assert not (made.result / "pictures").exists()

@@ -1,0 +1,188 @@
+"""Pictures: grey levels kept, damage named."""
+
+import struct
+import tracemalloc
+import zlib
+from io import BytesIO
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.picture_codec import decode_grey
+from rhizotwin.scenes.picture_damage import is_sealed
+
+RNG = np.random.default_rng(7)
+GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)
+
+
+def encoded(image: Any, suffix: str = ".png", *options: int) -> bytes:
+    ok, data = cv2.imencode(suffix, image, options)
+    assert ok
+    return bytes(data.tobytes())
+
+
+def with_thumbnail(jpeg: bytes) -> bytes:
+    """Put a small whole JPEG into an application segment, as cameras do: its end marker is not the picture's."""
+    inner = encoded(GREY[:8, :8], ".jpg")
+    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(inner) + 2) + inner + jpeg[2:]
+
+
+WHOLE = {
+    "png": encoded(GREY),
+    "jpeg": encoded(GREY, ".jpg"),
+    "progressive jpeg": encoded(GREY, ".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    "jpeg with restarts": encoded(GREY, ".jpg", cv2.IMWRITE_JPEG_RST_INTERVAL, 2),
+    "jpeg with a thumbnail": with_thumbnail(encoded(GREY, ".jpg")),
+}
+
+
+@pytest.mark.parametrize("data", WHOLE.values(), ids=WHOLE.keys())
+def test_whole_pictures_are_read_and_truncated_ones_named(data: bytes) -> None:
+    assert decode_grey(data, where="a").shape == GREY.shape
+    assert decode_grey(data + b"trailer of some phone \xff\xd8\xff", where="a").shape == GREY.shape
+    for kept in (0.2, 0.5, 0.9, 0.999):
+        with pytest.raises(UserError, match=r"view_003\.png: the picture is truncated"):
+            decode_grey(data[: int(kept * len(data))], where="view_003.png")
+
+
+def flipped(data: bytes, at: int, *, by: int = 1) -> bytes:
+    return data[:at] + bytes([data[at] ^ by]) + data[at + 1 :]
+
+
+NO_PICTURE = {
+    "flipped bit": (flipped(WHOLE["png"], len(WHOLE["png"]) // 2), "damaged"),
+    "text": (b"hello", "is not a supported picture"),
+    "zeros": (b"\x00" * 100, "is not a supported picture"),
+    "gif": (b"GIF89a" + b"\x00" * 9, "is not a supported picture"),
+    "svg": (b"<svg/>", "is not a supported picture"),
+    "empty": (b"", "empty"),
+    "png without pixels": (b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND")), "is not a supported picture"),
+    "floats": (encoded(np.ones((4, 4), np.float32), ".tiff"), "8 or 16-bit"),
+}
+
+
+@pytest.mark.parametrize(("data", "says"), NO_PICTURE.values(), ids=NO_PICTURE.keys())
+def test_what_is_no_picture(data: bytes, says: str) -> None:
+    with pytest.raises(UserError, match=says):
+        decode_grey(data, where="a")
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_levels_and_depth_are_kept(kind: type) -> None:
+    grey = RNG.integers(0, np.iinfo(kind).max, (6, 9), dtype=kind, endpoint=True)
+    for suffix in (".png", ".tiff"):
+        found = decode_grey(encoded(grey, suffix), where="a")
+        assert found.dtype == kind
+        np.testing.assert_array_equal(found, grey)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_colours_by_luminance_without_alpha(kind: type) -> None:
+    blue_green_red = RNG.integers(0, np.iinfo(kind).max, (6, 9, 3), dtype=kind, endpoint=True)
+    luminance = blue_green_red @ np.array([0.114, 0.587, 0.299])
+    for image in (blue_green_red, np.concatenate([blue_green_red, np.zeros((6, 9, 1), kind)], axis=2)):
+        found = decode_grey(encoded(image), where="a")
+        assert found.dtype == kind
+        np.testing.assert_allclose(found, luminance, atol=1.0, rtol=5e-5)  # OpenCV's weights are rounded to 14 bits
+
+
+COMPRESSIONS = {"bare": 1, "LZW": 5, "Deflate": 8, "old Deflate": 32946, "PackBits": 32773}
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS.values(), ids=COMPRESSIONS.keys())
+def test_tiffs_are_read_whole_and_refused_truncated(compression: int) -> None:
+    for kind in (np.uint8, np.uint16):
+        grey = RNG.integers(0, np.iinfo(kind).max, (40, 60), dtype=kind, endpoint=True)
+        data = encoded(grey, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, compression)
+        np.testing.assert_array_equal(decode_grey(data, where="a"), grey)
+        for kept in (0.2, 0.5, 0.9):
+            with pytest.raises(UserError, match=r"the picture is (truncated|damaged)"):
+                decode_grey(data[: int(kept * len(data))], where="a")
+
+
+def test_flipped_bytes_in_a_compressed_tiff() -> None:
+    """OpenCV gives the rows black that it cannot unpack."""
+    data = encoded(RNG.integers(100, 140, (120, 160), dtype=np.uint8), ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 8)
+    assert decode_grey(data, where="a").min() >= 100
+    for at in range(100, len(data) - 500, 997):
+        with pytest.raises(UserError, match=r"a\.tiff: the picture is damaged"):
+            decode_grey(flipped(flipped(data, at, by=0x41), at + 1, by=0x41), where="a.tiff")
+
+
+def test_what_has_a_checksum_is_known() -> None:
+    tiffs = {name: encoded(GREY, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, COMPRESSIONS[name]) for name in ("bare", "LZW", "Deflate")}
+    assert [name for name, data in (WHOLE | tiffs).items() if is_sealed(data)] == ["png", "Deflate"]
+
+
+def test_half_a_jpeg_with_an_end_marker() -> None:
+    whole = WHOLE["jpeg"]
+    for kept in (0.6, 0.8, 0.95):
+        with pytest.raises(UserError, match=r"a\.jpg: the picture is damaged"):
+            decode_grey(whole[: int(kept * len(whole))] + b"\xff\xd9", where="a.jpg")
+
+
+def png_of(header: bytes, pixels: bytes) -> bytes:
+    """Return a PNG whose checksums are all right."""
+    chunks = [(b"IHDR", header), (b"tEXt", b"Comment\0x" * 20), (b"iCCP", b"nonsense"), (b"IDAT", pixels), (b"IEND", b"")]
+    coded = [struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(c, zlib.crc32(k))) for k, c in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(coded)
+
+
+def test_a_png_that_lies_with_right_checksums(capfd: pytest.CaptureFixture[str]) -> None:
+    rows = b"".join(b"\0" + bytes(range(60)) for _ in range(40))
+    header = struct.pack(">IIBBBBB", 60, 40, 8, 0, 0, 0, 0)
+    assert decode_grey(png_of(header, zlib.compress(rows)), where="a").shape == (40, 60)
+    for bad in (
+        png_of(header, zlib.compress(rows[:-5])),
+        png_of(header, zlib.compress(rows + b"more")),
+        png_of(header, zlib.compress(rows)[:-4]),
+        png_of(header, zlib.compress(b"\x09" + rows[1:])),
+        png_of(struct.pack(">IIBBBBB", 60, 40, 7, 0, 0, 0, 0), zlib.compress(rows)),
+        png_of(struct.pack(">IIBBBBB", 60, 40, 8, 3, 0, 0, 0), zlib.compress(rows)),
+        png_of(header[:5], zlib.compress(rows)),
+    ):
+        with pytest.raises(UserError, match=r"the picture is (damaged|truncated)"):
+            decode_grey(bad, where="a")
+    said = capfd.readouterr()
+    assert said.out == said.err == ""  # libpng's own lines
+
+
+def test_interlaced_and_palette_pngs_are_read() -> None:
+    for wide, high in ((60, 40), (1, 1), (3, 9)):
+        picture = Image.fromarray(GREY[:high, :wide]).convert("P")
+        stored = BytesIO()
+        picture.save(stored, "PNG")
+        np.testing.assert_allclose(decode_grey(stored.getvalue(), where="a"), GREY[:high, :wide], atol=1.0)
+    # Adam7 with one bit a pixel, the passes of an 8x8 chessboard written by hand
+    board = np.indices((8, 8)).sum(axis=0) % 2
+    passes = [board[y::down, x::across] for x, y, across, down in
+              ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))]  # fmt: skip
+    rows = b"".join(b"\0" + np.packbits(row.astype(np.uint8)).tobytes() for part in passes for row in part)
+    header = struct.pack(">IIBBBBB", 8, 8, 1, 0, 0, 0, 1)
+    np.testing.assert_array_equal(decode_grey(png_of(header, zlib.compress(rows)), where="a"), 255 * board)
+
+
+def test_size_is_looked_at_before_the_pixels() -> None:
+    """A small file of a huge picture is refused at once; a decoder would fill the memory."""
+    tracemalloc.start()
+    huge = struct.pack(">IIBBBBB", 30000, 30000, 16, 2, 0, 0, 0)
+    jpeg = WHOLE["jpeg"]
+    frame = jpeg.index(b"\xff\xc0") + 5
+    large = cv2.imencode(".tiff", GREY, [cv2.IMWRITE_TIFF_COMPRESSION, 8])[1].tobytes()
+    for data in (
+        png_of(huge, zlib.compress(bytes(1000))),
+        jpeg[:frame] + struct.pack(">HH", 30000, 30000) + jpeg[frame + 4 :],
+        large.replace(struct.pack("<HHIHH", 256, 3, 1, 60, 0), struct.pack("<HHIHH", 256, 3, 1, 60000, 0)).replace(
+            struct.pack("<HHIHH", 257, 3, 1, 40, 0), struct.pack("<HHIHH", 257, 3, 1, 60000, 0)
+        ),
+    ):
+        with pytest.raises(UserError, match=r"[36]0000x[36]0000 pixels"):
+            decode_grey(data, where="a")
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
+    with pytest.raises(UserError, match=r"60x40 pixels, but the scene's camera has image_wh 64x48"):
+        decode_grey(WHOLE["png"], where="a", image_wh=(64, 48))
