@@ -114,7 +114,7 @@ _RIG = _with(
         ),
     },
 )
-"""Self-calibration (`recon.results.calibrated`)."""
+"""Self-calibration (`recon.results.calibration_summary`)."""
 _CHECK = _only(
     _with(
         {"name": _text, "state": _text, "unit": _text, "found": _text, "advice": _text},

@@ -270,13 +270,13 @@ def _watched(place: Path, *, save: bool) -> None:
 
 def stand_ins(*, save: bool) -> None:
     """Let commands in this process do without an engine, a browser and other processes."""
-    import rhizotwin.batch.local
+    import rhizotwin.batches.local
     import rhizotwin.commands.view
     import rhizotwin.demo
     import rhizotwin.recon.reconstruct
     import rhizotwin.sim.simulate
-    from rhizotwin.batch.jobs import Outcome
-    from rhizotwin.batch.work import work
+    from rhizotwin.batches.jobs import Outcome
+    from rhizotwin.batches.work import work
     from rhizotwin.report import result_pictures
     from rhizotwin.scenes.dataset import load_dataset, read_image
     from rhizotwin.stored.load import load_result
@@ -309,7 +309,7 @@ def stand_ins(*, save: bool) -> None:
     rhizotwin.recon.reconstruct.reconstruct = reconstruct
     rhizotwin.sim.simulate.Renderer = Renderer
     rhizotwin.demo.VIEWS, rhizotwin.demo.IMAGE_WH = 2, (32, 24)
-    rhizotwin.batch.local.run = lambda jobs, **_: ((job, Outcome(**work(job.plain()))) for job in jobs)
+    rhizotwin.batches.local.run = lambda jobs, **_: ((job, Outcome(**work(job.plain()))) for job in jobs)
     result_pictures.write_pictures = lambda *_, **__: []
     guard.serve = lambda **_: type("Served", (), {"address": "", "port": 0})()
     app.show = show
