@@ -40,6 +40,7 @@ COMMANDS = {
     "calibrate transfer": "Measure the camera's curve from light to numbers, from a series of exposures.",
     "calibrate simulate": "Render pictures of the calibration board with a scene's camera.",
     "scan": "Take the pictures of a plan on a rig, or on its emulated twin.",
+    "console": "Serve the laboratory console: control the rig, scan and reconstruct in a browser.",
     "twin": "Run the emulated rig alone, on ports that any serial program can open.",
     "rig": "Look at every device, move them by hand, write a rig file.",
     "rig check": "Look at every device: one line each, what is well or what is wrong.",
