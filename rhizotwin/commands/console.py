@@ -61,7 +61,6 @@ def console(
     --------
     rhizotwin console --rig twin -o my_laboratory --fidelity sketch
     rhizotwin console --rig twin --scene radish_day15a -o my_laboratory
-    rhizotwin console --rig my_rig.toml --scene my_scene.toml -o my_laboratory
     rhizotwin console --rig my_rig.toml --scene my_scene.toml -o my_laboratory --host 0.0.0.0 --no-browser
     """
     emulated = twin if rig == rigs.TWIN else None

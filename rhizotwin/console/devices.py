@@ -1,5 +1,6 @@
 """State of each device of the rig, from the lines of checks and scans and from the errors of the drivers."""
 
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -7,6 +8,7 @@ from typing import Literal
 
 NAMES = ("turntable", "lights", "arm", "camera", "picture", "markers", "disk")
 """Devices and other parts that a check reports, in the order in which they are shown."""
+_ERROR = re.compile(r"(?P<name>\w+)(: |, | on )")
 State = Literal["unknown", "ok", "wrong"]
 
 
@@ -53,10 +55,10 @@ class DeviceStates:
             self._set(name, "ok", text.strip())
 
     def read_error(self, text: str) -> None:
-        """Read an error of a driver, which begins with the device's name and a colon."""
-        name, colon, reason = text.partition(": ")
-        if colon and name in self._devices:
-            self._set(name, "wrong", reason)
+        """Read an error of a driver, which begins with the device's name."""
+        found = _ERROR.match(text)
+        if found and found["name"] in self._devices:
+            self._set(found["name"], "wrong", text.removeprefix(f"{found['name']}: "))
 
     def _set(self, name: str, state: State, text: str) -> None:
         self._devices[name] = Device(name=name, state=state, text=text, time=f"{datetime.now().astimezone():%H:%M:%S}")

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 WIDEST_PX = 400
 """Width to which pictures are reduced: 250 mm are then 0.6 mm per pixel, finer than the cells."""
 DARK = 0.85
-"""Fraction of the backlight below which a pixel is covered: noise and panel vary by a few per cent, and a root of 0.2 mm
-covers a third of such a pixel."""
+"""Fraction of the backlight below which a pixel is covered: noise and panel vary by a few per cent, and a root of
+0.2 mm covers a third of such a pixel."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
 MOST_CELLS = 40_000
 """Number of cells beyond which they are not halved, so that a browser draws them without delay."""
