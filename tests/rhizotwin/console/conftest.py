@@ -1,8 +1,10 @@
 """A console of a small emulated rig, served on this computer."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +19,17 @@ from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 VIEWS = 4
 TWIN = rigs.TwinPictures(fidelity="sketch", profile="clean", seed=2)
 PORT = 8760
+LONG_S = 180.0
+
+
+def until(found: Callable[[], Any]) -> Any:
+    """Wait for a value that is true."""
+    end = time.monotonic() + LONG_S
+    while time.monotonic() < end:
+        if value := found():
+            return value
+        time.sleep(0.02)
+    raise AssertionError("waited in vain")
 
 
 class Lab:
@@ -30,6 +43,7 @@ class Lab:
         self.start()
 
     def start(self) -> None:
+        """Start a console in the folder."""
         bench = rigs.open_bench(rigs.TWIN, str(self._scene), errors=TWIN)
         self.bench = bench
         self.console = Console(bench, self.folder, twin=TWIN)
@@ -38,6 +52,7 @@ class Lab:
         self._stack.callback(self.served.stop)
 
     def stop(self) -> None:
+        """End the console."""
         self._stack.close()
 
     def client(self, name: str = "") -> client.Console:

@@ -2,10 +2,8 @@
 
 import json
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,19 +12,7 @@ from rhizotwin.console.client import Console
 from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
-from tests.rhizotwin.console.conftest import VIEWS, Lab
-
-LONG_S = 120.0
-
-
-def until(found: Callable[[], Any]) -> Any:
-    """Wait for a value that is true."""
-    end = time.monotonic() + LONG_S
-    while time.monotonic() < end:
-        if value := found():
-            return value
-        time.sleep(0.02)
-    raise AssertionError("waited in vain")
+from tests.rhizotwin.console.conftest import LONG_S, VIEWS, Lab, until
 
 
 def test_one_client_has_control_and_everyone_sees_who(lab: Lab) -> None:
@@ -226,7 +212,8 @@ def test_the_schema_has_every_action_of_the_client(lab: Lab) -> None:
     json.dumps(schema)
 
 
-def test_a_second_console_in_the_folder_is_refused(lab: Lab, make_lab: Callable[..., Lab]) -> None:
+def test_a_second_console_in_the_folder_is_refused(make_lab: Callable[..., Lab]) -> None:
+    make_lab()
     with pytest.raises(UserError, match="works in it"):
         make_lab()
 

@@ -55,6 +55,7 @@ class Server:
         self.address = self.process.stdout.readline().strip()
 
     def kill(self) -> None:
+        """End it without any warning."""
         self.process.kill()
         self.process.communicate()
 
