@@ -49,7 +49,7 @@ def test_entry_is_completed_but_not_contradicted(catalogue: Catalogue):
 
 def test_strips_share_no_markers(catalogue: Catalogue):
     catalogue.add_plant(Plant(name="P1", tag=TAG))
-    with pytest.raises(UserError, match="shares markers with that of plant P1"):
+    with pytest.raises(UserError, match="shares markers with that of P1"):
         catalogue.add_plant(Plant(name="P2", tag=replace(TAG, first_id=100)))
     assert [one.name for one in catalogue.plants()] == ["P1"]
 
