@@ -19,8 +19,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, tables of traits (.csv), which have curves but no roots to follow, and tables of
-        masses (.csv).
+        Results, folders of results, tables of traits (.csv), which have curves but no roots to follow, tables of masses
+        (.csv), and a catalogue (.rhizotwin) with its results and masses.
     output : Path
         Folder to make: traits.csv, roots.csv, treatments.csv, growth.html, growth.png, and roots as RSML with time; of
         nutrient solutions doses.csv and doses.png; of masses masses.csv and masses.png; of plants that share a canister
@@ -30,6 +30,7 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
     --------
     rhizotwin growth my_results -o my_growth
     rhizotwin growth my_results/traits.csv -o my_growth
+    rhizotwin growth my.rhizotwin -o my_growth
     rhizotwin growth my_results my_masses.csv my_predicted_masses.csv -o my_growth
     """
     from rhizotwin.catalogue import sources
