@@ -52,6 +52,7 @@ COMMANDS = {
     "timelapse example": "Write an experiment file with comments, to be changed.",
     "timelapse run": "Run a time-lapse experiment until its schedule is done.",
     "timelapse status": "Print which scans of an experiment are made, missed and still to be made.",
+    "console": "Serve the laboratory console: control the rig, scan and reconstruct in a browser.",
     "twin": "Run the emulated rig alone, on ports that any serial program can open.",
     "rig": "Look at every device, move them by hand, write a rig file.",
     "rig check": "Look at every device: one line each, what is well or what is wrong.",

@@ -1,7 +1,5 @@
 """`rhizotwin scan`."""
 
-import hashlib
-import json
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,18 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from rhizotwin import rigs, steps
-from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, between, named, option
+from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, between, named, option
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:
-    from rhizotwin.rig.scanning.onlooker import Onlooker
     from rhizotwin.scenes.dataset import Dataset
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
-SHOTS_FILE = "truth/shots.jsonl"
-"""What the twin's pictures truly show, kept so that the truth of a scan that was stopped can be written."""
 
 
 def read_angle_deg(text: str) -> float:
@@ -44,16 +38,6 @@ class ScanOptions:
     """Append every byte on the wire to this file (JSON lines)."""
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class Watching(Page):
-    """The live page."""
-
-    watch: Flag = False
-    """Serve a live page: last picture with its markers, focus, exposure, evenness of the panel and motion with their \
-limits, the ring and a sketch of the roots so far, time left; pause, go on, stop."""
-
-
 def scan(
     *,
     rig: rigs.RigName,
@@ -62,7 +46,6 @@ def scan(
     options: ScanOptions = ScanOptions(),
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     subject: SubjectOptions = SubjectOptions(),
-    watching: Watching = Watching(),
     progress: Progress = Progress(),
 ) -> None:
     """Take the pictures of a plan on a rig, or on its emulated twin.
@@ -86,15 +69,13 @@ def scan(
         What the emulated rig gets wrong, and how its pictures are made.
     subject : SubjectOptions
         Whose roots they are.
-    watching : Watching
-        The live page.
     progress : Progress
         How much is told meanwhile.
 
     Examples
     --------
     rhizotwin scan --rig twin -o my_scan --fidelity sketch
-    rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan --watch
+    rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --plant P7 --treatment "low N" --day 15
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
@@ -105,73 +86,28 @@ def scan(
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     told = subject.told(bench.scene)
     steps.print_marker_warnings(told)
-    made = _take(bench, told, output, options=options, twin=emulated, watching=watching, progress=progress)
+    made = _take(bench, told, output, options=options, twin=emulated, progress=progress)
     print(f"{len(made.frames)} pictures in {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
         print(f"next: rhizotwin reconstruct {output} -o my_result")
 
 
 def _take(
-    bench: rigs.Bench,
-    scene: Scene,
-    output: Path,
-    *,
-    options: ScanOptions,
-    twin: rigs.TwinPictures | None,
-    watching: Watching,
-    progress: Progress,
+    bench: rigs.Bench, scene: Scene, output: Path, *, options: ScanOptions, twin: rigs.TwinPictures | None, progress: Progress
 ) -> "Dataset":
-    """Take the pictures, and write their truth where the twin renders them."""
+    """Open the devices and scan, with a bar."""
     from rhizotwin.rig.scanning.audience import Audience
-    from rhizotwin.rig.scanning.scan import scan as take
 
-    # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before,
-    # too
-    rendered = twin is not None and twin.fidelity == "render"
     with ExitStack() as stack:
-        onlooker = _onlooker(bench.scene, watching, stack)
         devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
-        made = take(
+        return rigs.take_scan(
+            bench,
             devices,
             scene,
             output,
+            audience=Audience(ask=rigs.asker(), say=bar.say, monitor=bar),
+            twin=twin,
             resume=options.resume,
-            settings={"twin": None if twin is None else _pictures(twin, bench.twin.scene)},
-            seed=None if twin is None else twin.seed,
             table_angle_deg=options.table_angle_deg,
-            audience=Audience(
-                ask=rigs.asker(),
-                say=bar.say,
-                onlooker=onlooker,
-                monitor=bar,
-                begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
-            ),
         )
-    if rendered:
-        bench.twin.write_truth(output, made.frames)
-        bench.twin.record.end()
-    return made
-
-
-def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
-    """Return who looks on: the live page, where it is asked for."""
-    if not watching.watch:
-        from rhizotwin.rig.scanning.onlooker import Onlooker
-
-        return Onlooker()
-    from rhizotwin.viewer import live_page
-    from rhizotwin.viewer.live import Live
-
-    live = Live(scene)
-    served = live_page.serve(live, host=watching.host, port=watching.port)
-    stack.callback(served.stop)
-    stack.callback(live.close)
-    steps.open_page(served.address, served.port, watching)
-    return live
-
-
-def _pictures(twin: rigs.TwinPictures, scene: Scene) -> dict[str, str]:
-    """Return what the twin's pictures are made of."""
-    digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
-    return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}

@@ -1,0 +1,340 @@
+"""The console: rig, scans, queue and messages, with one state that every client sees."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rhizotwin import rigs
+from rhizotwin.arguments import SubjectOptions
+from rhizotwin.console.controls import Controls
+from rhizotwin.console.devices import DeviceStates
+from rhizotwin.console.messages import Messages
+from rhizotwin.console.pictures import Shown, show
+from rhizotwin.console.queue import Job, Queue
+from rhizotwin.console.rig_thread import RigThread
+from rhizotwin.console.running_scan import RunningScan
+from rhizotwin.console.scan_folders import ScanFolders, check_name
+from rhizotwin.rig.bench import check
+from rhizotwin.rig.scanning.markers import read_strip
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.said import failure
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from rhizotwin.rig.scanning.onlooker import Look
+    from rhizotwin.scenes.model import Scene
+    from rhizotwin.scenes.pictures import Grey
+
+LOCK = ".rhizotwin-console-lock"
+LIVE_S = 8.0
+"""Live pictures end so long after the last client asked for the state (s)."""
+WORDS = ("table", "home", "lights", "band", "joint", "go", "look", "align", "park", "relax", "pose", "markers")
+"""Commands of `rig.jog` that clients may give; its ``picture`` writes a file of any name."""
+
+
+class Console:
+    """The laboratory's rig, scans and reconstructions.
+
+    Parameters
+    ----------
+    bench : Bench
+        The rig.
+    folder : path
+        Of scans, results and the queue; one console at a time works in it.
+    twin : TwinPictures or None
+        How the twin makes its pictures; None for a real rig.
+
+    Raises
+    ------
+    UserError
+        When another console works in the folder.
+    """
+
+    def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None) -> None:
+        self._bench, self._twin = bench, twin
+        self._stack = ExitStack()
+        self.folders = ScanFolders(folder)
+        self._stack.enter_context(locked(folder / LOCK, what=str(folder)))
+        self.version = 1
+        """Increases with every change of the state."""
+        self._lock = threading.Lock()
+        self.controls = Controls(self.changed)
+        self.devices = DeviceStates(self.changed)
+        self.messages = Messages(self.changed)
+        self.shown: Shown | None = None
+        """The latest picture."""
+        self.scan: RunningScan | None = None
+        """The running or the last scan."""
+        self._replies: list[str] = []
+        self._live = False
+        self._sketch: tuple[int, Any] = (0, None)
+        self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
+        self._stack.callback(self.queue.close)
+        self._rig = RigThread(bench, say=self._say, on_live=self._show_live, on_change=self.changed)
+        self._stack.callback(self._rig.close)
+
+    def close(self) -> None:
+        """Stop scan and reconstruction, leave the rig safe, and release the folder."""
+        if self.scan is not None:
+            self.scan.live.stop()
+        self._stack.close()
+
+    def changed(self) -> None:
+        """Note a change of the state."""
+        with self._lock:
+            self.version += 1
+
+    # state
+
+    def state(self, client: str) -> dict[str, Any]:
+        """Return everything that a client shows, as JSON values."""
+        if self._live:
+            self._rig.live_until_s = time.monotonic() + LIVE_S
+        self.controls.touch(client)
+        version, bench, shown = self.version, self._bench, self.shown
+        queue = self.queue.plain()
+        return {
+            "version": version,
+            "rig": {
+                "name": bench.rig.name,
+                "emulated": self._twin is not None,
+                "scene": bench.scene.name,
+                "arm": bench.rig.arm is not None,
+                "sketch": self._twin is not None and self._twin.fidelity == "sketch",
+                "views": sum(ring.views for ring in bench.scene.plan.rings),
+            },
+            "controls": self.controls.state(client),
+            "devices": self.devices.plain(),
+            "activity": self._rig.busy,
+            "open": self._rig.open,
+            "live": self._live,
+            "picture": None
+            if shown is None
+            else {"number": shown.number, "title": shown.title, "meters": [asdict(meter) for meter in shown.meters]},
+            "scan": None if self.scan is None else self.scan.plain(),
+            "sketch": self._sketch_state(),
+            "scans": self._scans(queue),
+            "queue": queue,
+            "messages": self.messages.plain(),
+        }
+
+    def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
+        """Return the centres (N, 3) of the sketch's cells in the canister's frame, and their edge (mm)."""
+        if self.scan is None:
+            return np.zeros((0, 3), np.float32), 1.0
+        live = self.scan.live
+        return live.cells_mm.astype(np.float32), live.cell_mm
+
+    # actions
+
+    def check_devices(self) -> Future[None]:
+        """Check every device, as `rhizotwin rig check` does; nothing moves."""
+        return self._begin("check of the devices", self._check)
+
+    def command(self, line: str) -> Future[list[str]]:
+        """Carry out a line of `rhizotwin rig jog`, and return its replies.
+
+        Raises
+        ------
+        UserError
+            For a command that clients may not give, and while the rig is busy.
+        """
+        words = line.split()
+        if not words or words[0] not in WORDS:
+            raise UserError(f"{line[:60]!r} is not a command; give one of {', '.join(WORDS)}")
+        return self._begin(line, lambda: self._command(words))
+
+    def take_picture(self) -> Future[str]:
+        """Take a picture, and write it to the folder ``pictures`` under a name made of the time; return its name."""
+        return self._begin("picture", self._take_picture)
+
+    def let_go(self) -> Future[None]:
+        """Switch the lights off, park the arm, switch its torque off, and close the devices."""
+        self.set_live(on=False)
+        return self._begin("leaving the rig safe", self._rig.let_go)
+
+    def set_live(self, *, on: bool) -> None:
+        """Start or end live pictures; they are taken only while clients ask for the state."""
+        self._live = on
+        self._rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
+        self.changed()
+
+    def start_scan(
+        self,
+        subject: SubjectOptions,
+        *,
+        name: str = "",
+        reconstruct: bool = True,
+        paused: bool = False,
+        table_angle_deg: float | None = None,
+    ) -> str:
+        """Start a scan and return its name.
+
+        Parameters
+        ----------
+        subject : SubjectOptions
+            Whose roots are in the canister.
+        name : str
+            Name of a new scan; empty: plant and date.
+        reconstruct : bool
+            Add the finished scan to the queue.
+        paused : bool
+            Wait before the first picture.
+        table_angle_deg : float or None
+            Present angle of the table, where the markers cannot be read.
+
+        Raises
+        ------
+        UserError
+            For a name that exists, a subject that is not valid, and while the rig is busy.
+        """
+        scene = subject.told(self._bench.scene)
+        name = check_name(name) if name else self.folders.new_name(scene.subject, datetime.now().astimezone().date())
+        if (self.folders.scans / name / "dataset.json").exists():
+            raise UserError(f"there is a scan {name!r} already: choose another name, or finish that scan")
+        self._start(name, scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
+        return name
+
+    def resume_scan(self, name: str, *, reconstruct: bool = True, table_angle_deg: float | None = None) -> None:
+        """Finish an interrupted scan, with the subject that it was begun with.
+
+        Raises
+        ------
+        UserError
+            For a scan that does not exist, and while the rig is busy.
+        """
+        before = load_dataset(self.folders.scan(name))
+        scene = replace(self._bench.scene, subject=before.scene.subject, solution=before.scene.solution)
+        self._start(name, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
+
+    def running(self) -> RunningScan:
+        """Return the running scan.
+
+        Raises
+        ------
+        UserError
+            Where none is running.
+        """
+        scan = self.scan
+        if scan is None or scan.live.ended:
+            raise UserError("no scan is running")
+        return scan
+
+    # in the rig's thread
+
+    def _begin(self, what: str, action: Callable[[], Any]) -> Future[Any]:
+        def reported() -> Any:
+            try:
+                return action()
+            except Exception as error:
+                text = failure(error)
+                self.devices.read_error(text)
+                self.messages.error(text)
+                raise
+
+        return self._rig.begin(what, reported)
+
+    def _check(self) -> None:
+        self._rig.let_go()
+        bench = self._bench
+
+        def say(line: str) -> None:
+            self.devices.read_check(line)
+            self._say(line)
+
+        check(bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=say, folder=self.folders.root)
+
+    def _command(self, words: list[str]) -> list[str]:
+        self._replies = []
+        self._rig.command(words)
+        return self._replies
+
+    def _take_picture(self) -> str:
+        now = datetime.now().astimezone()
+        path = self.folders.pictures / f"{now:%Y-%m-%d-%H%M%S}-{now.microsecond // 1000:03d}.png"
+        self._rig.command(["picture", str(path)])
+        return path.name
+
+    def _start(self, name: str, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
+        scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
+
+        def run() -> None:
+            self._rig.let_go()
+            self.scan = scan
+            self.changed()
+            try:
+                scan.run(self._bench, self.folders.scans / name, twin=self._twin, table_angle_deg=table_angle_deg, say=self._say_scan)
+            except KeyboardInterrupt:
+                self.messages.add(f"{name}: stopped; it can be finished later")
+                return
+            self.messages.add(f"{name}: the scan is complete")
+            if reconstruct:
+                self.queue.add(name)
+
+        self.set_live(on=False)
+        self._begin(f"scan {name}", run)
+
+    # what the rig's thread reports
+
+    def _say(self, text: str) -> None:
+        self._replies.append(text)
+        self.messages.add(text)
+
+    def _say_scan(self, text: str) -> None:
+        self.devices.read_report(text)
+        self.messages.add(text)
+
+    def _show_live(self, image: Grey) -> None:
+        self._show(image, read_strip(image, self._bench.scene), title=f"live, {datetime.now().astimezone():%H:%M:%S}")
+
+    def _show_look(self, look: Look) -> None:
+        scan = self.scan
+        panel = None if scan is None else scan.live.panel
+        self._show(look.image, look.sighting, title=look.frame.file, panel=panel, motion=look.motion)
+
+    def _show(self, image: Grey, sighting: Any, *, title: str, **more: Any) -> None:
+        number = 1 if self.shown is None else self.shown.number + 1
+        self.shown = show(image, sighting, number=number, title=title, **more)
+        self.changed()
+
+    def _reconstructed(self, job: Job) -> None:
+        if job.state == "failed":
+            self.messages.error(f"{job.scan}: not reconstructed: {job.error}")
+        else:
+            self.messages.add(f"{job.scan}: reconstructed")
+
+    def _sketch_state(self) -> dict[str, object]:
+        cells = None if self.scan is None else self.scan.live.cells_mm
+        if cells is not self._sketch[1]:
+            self._sketch = self._sketch[0] + 1, cells
+        can = self._bench.scene.canister
+        size = {"radius_mm": can.outer_radius_mm, "height_mm": can.height_mm}
+        return {"number": self._sketch[0], "cells": 0 if cells is None else len(cells), **size}
+
+    def _scans(self, queue: list[dict[str, object]]) -> list[dict[str, object]]:
+        jobs = {job["scan"]: job["state"] for job in queue}
+        running = self.scan.name if self.scan is not None and not self.scan.live.ended else ""
+        listed = []
+        for entry in self.folders.list_scans():
+            result = self.folders.result_of(entry.name)
+            listed.append(
+                asdict(entry)
+                | {
+                    "running": entry.name == running,
+                    "queue": jobs.get(entry.name, ""),
+                    "result": None if result is None else asdict(result),
+                }
+            )
+        return listed
