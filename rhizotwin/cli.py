@@ -21,6 +21,7 @@ AFTER_STOP = {
     "plan": "the same command takes it up again",
     "batch": "what is finished is kept; the same command does the rest",
     "scan": "the pictures are kept; the same command with --resume takes the others",
+    "timelapse": "the catalogue and the pictures are kept; the same command continues",
     "console": "scans, results and the queue are kept; the same command continues them",
     "twin": "",
     "rig": "",

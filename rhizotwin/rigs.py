@@ -121,11 +121,23 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
         known = files.load_scene(scene) if scene else Scene()
         return Bench(rig=real, scene=_with_plan(known, plan), clock=SystemClock())
     known = _with_plan(files.load_scene(scene or TWIN_SCENE), plan)
-    known = replace(known, disturbances=files.load_profile(errors.profile))
-    pictures: Fidelity = "sketch"
     if isinstance(errors, TwinPictures) and errors.fidelity == "render":
-        pictures = "render"
         steps.start_engine(errors.device)
+    return twin_bench(replace(known, disturbances=files.load_profile(errors.profile)), errors)
+
+
+def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
+    """Return the emulated rig with the canister of a scene on its table.
+
+    Parameters
+    ----------
+    known : Scene
+        With its specimen and disturbances.
+    errors : TwinErrors
+        Profile and seed. With `TwinPictures` that are rendered, the engine must have been started; otherwise the
+        pictures are sketches.
+    """
+    pictures: Fidelity = errors.fidelity if isinstance(errors, TwinPictures) else "sketch"
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     rig_file = default_rig(scene=known)

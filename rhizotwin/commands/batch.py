@@ -59,7 +59,7 @@ def batch(
     Parameters
     ----------
     scans : list of str
-        Datasets, folders that hold some, patterns in quotes, or addresses (s3://...).
+        Datasets, folders that hold some, patterns in quotes, addresses (s3://...), or a catalogue (.rhizotwin).
     output : str
         Folder or address for the results.
     voxel_mm : float, optional
@@ -78,8 +78,9 @@ def batch(
     """
     from rhizotwin.batch import collect, places
     from rhizotwin.batch.run import run
+    from rhizotwin.catalogue import sources
 
-    jobs = collect.reconstructions(scans, output, voxel_mm=voxel_mm, settings=settings, device=work.device)
+    jobs = collect.reconstructions(sources.expand_scans(scans), output, voxel_mm=voxel_mm, settings=settings, device=work.device)
     made = run(jobs, output, cluster=work.cluster, workers=work.workers)
     if not places.is_address(output):
         from rhizotwin.batch import overview

@@ -59,7 +59,8 @@ def fit(
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, or tables of traits (.csv); the last is the table of masses (.csv): columns plant,
+        Results, folders of results, or tables of traits (.csv); the last is the table of masses (.csv), or a catalogue
+        (.rhizotwin), whose results and masses are used: columns plant,
         where wanted day, and root_fresh_g, root_dry_g, shoot_fresh_g, shoot_dry_g; with root_foil_g and
         root_foil_scraped_g what stuck to the foil is added.
     output : Path
@@ -72,16 +73,21 @@ def fit(
     rhizotwin biomass fit my_results my_masses.csv -o radish.json
     rhizotwin biomass fit thesis/kliman_2022_volumes.csv thesis/kliman_2022_masses.csv -o thesis.json
     """
-    *sources, masses = results
-    if not sources or masses.suffix.lower() != ".csv":
-        raise UserError("give results and, as the last, the table of masses (.csv)")
+    from rhizotwin.catalogue import sources
+
+    *given, last = results
+    tables = sources.mass_tables(last) if sources.is_catalogue(last) else [last]
+    given = [*given, last] if sources.is_catalogue(last) else given
+    if not given or any(table.suffix.lower() != ".csv" for table in tables):
+        raise UserError("give results and, as the last, the table of masses (.csv), or a catalogue that has both")
     if output.exists():
         raise UserError(f"{output} exists already; choose another name")
     from rhizotwin.experiment import biomass, model_file
     from rhizotwin.experiment.masses import read_masses
     from rhizotwin.experiment.measured import read_all
 
-    found, notes = biomass.pairs(read_all(sources), read_masses(masses, balance_g=balance_g))
+    weighed = [one for table in tables for one in read_masses(table, balance_g=balance_g)]
+    found, notes = biomass.pairs(read_all(sources.expand_results(given)), weighed)
     model = biomass.fit(found, balance_g=balance_g, notes=notes)
     model_file.save_model(model, output)
     for note in model.notes:
@@ -103,7 +109,7 @@ def predict(
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, or tables of traits (.csv).
+        Results, folders of results, tables of traits (.csv), or a catalogue (.rhizotwin).
     model : Path
         Written by 'rhizotwin biomass fit', of the same species.
     table : Path, optional
@@ -116,11 +122,12 @@ def predict(
     """
     if table is not None and (table.suffix.lower() != ".csv" or table.exists()):
         raise UserError(f"{table} {'exists already; choose another name' if table.exists() else 'must end in .csv'}")
+    from rhizotwin.catalogue import sources
     from rhizotwin.experiment import model_file
     from rhizotwin.experiment.measured import read_all
     from rhizotwin.scenes import atomic
 
-    found = model_file.predict(model_file.load_model(model), read_all(results))
+    found = model_file.predict(model_file.load_model(model), read_all(sources.expand_results(results)))
     if not found:
         raise UserError(f"none of the results has a trait that {model} tells a mass by")
     for one in found:

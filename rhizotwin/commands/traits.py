@@ -29,7 +29,7 @@ def traits(
     Parameters
     ----------
     results : list of Path
-        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch'.
+        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch', or a catalogue (.rhizotwin).
     mass_g : tuple of float, optional
         Mass of the roots, one a result in their order; default: as given to 'rhizotwin reconstruct'.
     table : Path, optional
@@ -42,11 +42,12 @@ def traits(
     rhizotwin traits my_result my_other_result -o traits.csv
     rhizotwin traits my_result my_other_result --mass-g 1.18,0.92 -o traits.csv
     """
+    from rhizotwin.catalogue import sources
     from rhizotwin.recon.results import result_traits
     from rhizotwin.scenes import atomic
     from rhizotwin.stored import result_files, stored_traits
 
-    results = result_files.results_in(results)
+    results = result_files.results_in(sources.expand_results(results))
     if mass_g is not None and len(mass_g) != len(results):
         raise UserError(f"--mass-g has {len(mass_g)} masses for {len(results)} results; give one for each, in their order")
     if table is not None and table.suffix.lower() not in (".csv", ".json"):

@@ -9,6 +9,7 @@ from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.onlooker import Onlooker
 from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.pictures import Grey
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,5 +24,8 @@ class Audience:
     """Hears what every picture shows, and may hold the scan."""
     monitor: Monitor = field(default_factory=Monitor)
     """Hears how far the scan is."""
+    identify: Callable[[Grey], object] = lambda _: None
+    """Called with the first picture of a run, before anything is recorded, to check which canister is on the table; an
+    exception that it raises ends the scan."""
     begun: Callable[[], object] = lambda: None
     """Called once it is known that the folder can be used, before anything moves."""

@@ -111,6 +111,7 @@ class _Scan:
         self._to_person = audience.say
         self._onlooker = audience.onlooker
         self._monitor = audience.monitor
+        self._identify = audience.identify
         self._begun_s = devices.clock.now_s()
         self._eye = Eye(devices.camera, devices.clock, scene, note=self._note)
         self._turning = Turning(devices, scene, self._eye, ask=audience.ask, given_deg=table_angle_deg, note=self._note)
@@ -250,6 +251,7 @@ class _Scan:
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._bright = preflight.exposure_of(shot.image).bright
         if not self._homed:
+            self._identify(shot.image)
             before = self._session.frames_of(index)
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
             self._turning.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
