@@ -58,6 +58,7 @@ def create_app(console: Console, access: Access) -> FastAPI:
     _add_state(app, console)
     _add_rig(app, console)
     _add_scans(app, console)
+    _add_plans(app, console)
     return app
 
 
@@ -132,6 +133,14 @@ def _add_state(app: FastAPI, console: Console) -> None:
         path = console.folders.report(name)
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
+    @app.get("/growth.html", tags=["state"], response_class=FileResponse)
+    def growth() -> FileResponse:
+        """Return the page with the curves of growth."""
+        path = console.folders.growth()
+        if path is None:
+            raise UserError("there are no curves of growth yet")
+        return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
 
 def _add_rig(app: FastAPI, console: Console) -> None:
     """Add what uses the devices."""
@@ -183,7 +192,7 @@ def _add_rig(app: FastAPI, console: Console) -> None:
 
 
 def _add_scans(app: FastAPI, console: Console) -> None:
-    """Add scans and reconstructions."""
+    """Add scans."""
     controls = console.controls
 
     @app.post("/api/scans", tags=["scans"], status_code=202)
@@ -216,11 +225,28 @@ def _add_scans(app: FastAPI, console: Console) -> None:
         """Stop the running scan safely: lights off, arm parked, pictures kept. Every client may do this."""
         console.running().live.stop()
 
-    @app.post("/api/scan/answer", tags=["scans"])
+    @app.post("/api/answer", tags=["rig"])
     def answer(request: body.Answer, client: Client) -> None:
-        """Answer the question of the running scan."""
+        """Answer the question to the person at the rig."""
         controls.require(client)
-        console.running().answer(request.text)
+        console.questions.answer(request.text)
+
+
+def _add_plans(app: FastAPI, console: Console) -> None:
+    """Add the schedule and the queue."""
+    controls = console.controls
+
+    @app.post("/api/schedule/start", tags=["schedule"], status_code=202)
+    def start_schedule(client: Client) -> None:
+        """Make the planned scans that are due, and wait for the others."""
+        controls.require(client)
+        console.start_schedule()
+
+    @app.post("/api/schedule/stop", tags=["schedule"])
+    def stop_schedule(client: Client) -> None:
+        """End the schedule after the present scan."""
+        controls.require(client)
+        console.stop_schedule()
 
     @app.post("/api/queue", tags=["reconstructions"], status_code=202)
     def add(request: body.QueueScan, client: Client) -> None:

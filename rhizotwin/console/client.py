@@ -141,6 +141,18 @@ class Console:
         """Stop the running scan safely; its pictures are kept."""
         self.request("POST", "/api/scan/stop")
 
+    def answer(self, text: str) -> None:
+        """Answer the question to the person at the rig (``question`` in the state)."""
+        self.request("POST", "/api/answer", {"text": text})
+
+    def start_schedule(self) -> None:
+        """Make the planned scans of the experiment that are due, and wait for the others."""
+        self.request("POST", "/api/schedule/start")
+
+    def stop_schedule(self) -> None:
+        """End the schedule after the present scan."""
+        self.request("POST", "/api/schedule/stop")
+
     def reconstruct(self, scan: str) -> None:
         """Add a complete scan to the queue of reconstructions."""
         self.request("POST", "/api/queue", {"scan": scan})

@@ -19,16 +19,21 @@ from rhizotwin.console.controls import Controls
 from rhizotwin.console.devices import DeviceStates
 from rhizotwin.console.messages import Messages
 from rhizotwin.console.pictures import Shown, show
+from rhizotwin.console.plants import Plants
+from rhizotwin.console.questions import Questions
 from rhizotwin.console.queue import Job, Queue
 from rhizotwin.console.rig_thread import RigThread
 from rhizotwin.console.running_scan import RunningScan
 from rhizotwin.console.scan_folders import ScanFolders, check_name
+from rhizotwin.console.schedule import ScheduleRun
 from rhizotwin.rig.bench import check
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import locked
 from rhizotwin.scenes.said import failure
+from rhizotwin.timelapse.runner import Runner
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -36,8 +41,11 @@ if TYPE_CHECKING:
     from rhizotwin.rig.scanning.onlooker import Look
     from rhizotwin.scenes.model import Scene
     from rhizotwin.scenes.pictures import Grey
+    from rhizotwin.timelapse.experiment import Experiment
 
 LOCK = ".rhizotwin-console-lock"
+CATALOGUE = "laboratory.rhizotwin"
+"""Catalogue of a console without an experiment."""
 LIVE_S = 8.0
 """Live pictures end so long after the last client asked for the state (s)."""
 WORDS = ("table", "home", "lights", "band", "joint", "go", "look", "align", "park", "relax", "pose", "markers")
@@ -55,6 +63,8 @@ class Console:
         Of scans, results and the queue; one console at a time works in it.
     twin : TwinPictures or None
         How the twin makes its pictures; None for a real rig.
+    experiment : Experiment or None
+        Whose plants and schedule; its folders are used, and ``folder`` is that of its file.
 
     Raises
     ------
@@ -62,17 +72,24 @@ class Console:
         When another console works in the folder.
     """
 
-    def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None) -> None:
-        self._bench, self._twin = bench, twin
+    def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None, experiment: Experiment | None = None) -> None:
+        self._bench, self._twin, self._experiment = bench, twin, experiment
         self._stack = ExitStack()
-        self.folders = ScanFolders(folder)
+        own = {} if experiment is None else {"scans": experiment.scans_folder, "results": experiment.results_folder}
+        self.folders = ScanFolders(folder, **own)
         self._stack.enter_context(locked(folder / LOCK, what=str(folder)))
+        self._plants = Plants(folder / CATALOGUE if experiment is None else experiment.catalogue_path)
+        if experiment is not None:
+            Runner(experiment).prepare()
         self.version = 1
         """Increases with every change of the state."""
         self._lock = threading.Lock()
         self.controls = Controls(self.changed)
         self.devices = DeviceStates(self.changed)
         self.messages = Messages(self.changed)
+        self.questions = Questions(self.changed)
+        self._schedule: ScheduleRun | None = None
+        self._closing = False
         self.shown: Shown | None = None
         """The latest picture."""
         self.scan: RunningScan | None = None
@@ -86,7 +103,9 @@ class Console:
         self._stack.callback(self._rig.close)
 
     def close(self) -> None:
-        """Stop scan and reconstruction, leave the rig safe, and release the folder."""
+        """Stop scan, schedule and reconstruction, leave the rig safe, and release the folder."""
+        self._closing = True
+        self.stop_schedule()
         if self.scan is not None:
             self.scan.live.stop()
         self._stack.close()
@@ -105,6 +124,7 @@ class Console:
         self.controls.touch(client)
         version, bench, shown = self.version, self._bench, self.shown
         queue = self.queue.plain()
+        plants, visits = self._plants.plain()
         return {
             "version": version,
             "rig": {
@@ -124,7 +144,10 @@ class Console:
             if shown is None
             else {"number": shown.number, "title": shown.title, "meters": [asdict(meter) for meter in shown.meters]},
             "scan": None if self.scan is None else self.scan.plain(),
+            "question": self.questions.text,
             "sketch": self._sketch_state(),
+            "plants": plants,
+            "schedule": self._schedule_state(visits),
             "scans": self._scans(queue),
             "queue": queue,
             "messages": self.messages.plain(),
@@ -200,7 +223,7 @@ class Console:
         UserError
             For a name that exists, a subject that is not valid, and while the rig is busy.
         """
-        scene = subject.told(self._bench.scene)
+        scene = self._plants.scene_of(subject.told(self._bench.scene))
         name = check_name(name) if name else self.folders.new_name(scene.subject, datetime.now().astimezone().date())
         if (self.folders.scans / name / "dataset.json").exists():
             raise UserError(f"there is a scan {name!r} already: choose another name, or finish that scan")
@@ -216,8 +239,44 @@ class Console:
             For a scan that does not exist, and while the rig is busy.
         """
         before = load_dataset(self.folders.scan(name))
-        scene = replace(self._bench.scene, subject=before.scene.subject, solution=before.scene.solution)
+        known = before.scene
+        scene = replace(self._bench.scene, subject=known.subject, solution=known.solution, strip=known.strip)
         self._start(name, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
+
+    def start_schedule(self) -> None:
+        """Make the planned scans of the experiment that are due, and wait for the others.
+
+        Raises
+        ------
+        UserError
+            Without an experiment, and while the rig is busy.
+        """
+        if self._experiment is None:
+            raise UserError("there is no schedule: start the console with --experiment")
+        schedule = ScheduleRun(self._experiment, ask=self._ask, say=self._say_scan, show_scan=self._show_scan)
+
+        def run() -> None:
+            self._rig.let_go()
+            self._schedule = schedule
+            try:
+                outcome = schedule.run()
+            except KeyboardInterrupt:
+                self.messages.add("the schedule was stopped; it can be started again")
+                return
+            finally:
+                self._schedule = None
+            left = f", {len(outcome.open)} still to be made" if outcome.open else ""
+            self.messages.add(f"schedule ended: {outcome.scanned} scans made, {len(outcome.missed)} missed{left}")
+
+        self.set_live(on=False)
+        self._begin(f"schedule of {self._experiment.name}", run)
+
+    def stop_schedule(self) -> None:
+        """End the schedule after the present scan; an open question is withdrawn."""
+        schedule = self._schedule
+        if schedule is not None:
+            schedule.stopping = True
+            self.changed()
 
     def running(self) -> RunningScan:
         """Return the running scan.
@@ -268,23 +327,54 @@ class Console:
         return path.name
 
     def _start(self, name: str, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
-        scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
+        folder = self.folders.scans / name
+        identify = self._plants.identity(scene.subject, scene.strip)
 
         def run() -> None:
             self._rig.let_go()
-            self.scan = scan
-            self.changed()
+            scan = self._show_scan(name, scene, paused=paused)
+            audience = Audience(ask=self._ask, say=self._say_scan, onlooker=scan.live, identify=identify)
             try:
-                scan.run(self._bench, self.folders.scans / name, twin=self._twin, table_angle_deg=table_angle_deg, say=self._say_scan)
+                with ExitStack() as stack:
+                    stack.callback(scan.live.close)
+                    devices = self._bench.open_devices(None, stack)
+                    rigs.take_scan(
+                        self._bench,
+                        devices,
+                        scene,
+                        folder,
+                        audience=audience,
+                        twin=self._twin,
+                        resume=True,
+                        table_angle_deg=table_angle_deg,
+                    )
             except KeyboardInterrupt:
                 self.messages.add(f"{name}: stopped; it can be finished later")
                 return
+            finally:
+                if (folder / "dataset.json").is_file():
+                    self._plants.add_scan(folder)
             self.messages.add(f"{name}: the scan is complete")
             if reconstruct:
                 self.queue.add(name)
 
         self.set_live(on=False)
         self._begin(f"scan {name}", run)
+
+    def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
+        """Make a scan the one that the console shows."""
+        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
+        self.changed()
+        return self.scan
+
+    def _ask(self, question: str) -> str:
+        """Ask the person at the rig; the end of the scan, the schedule or the console ends the wait."""
+
+        def cancelled() -> bool:
+            scan, schedule = self.scan, self._schedule
+            return self._closing or (scan is not None and scan.live.stopping) or (schedule is not None and schedule.stopping)
+
+        return self.questions.ask(question, cancelled=cancelled)
 
     # what the rig's thread reports
 
@@ -312,8 +402,19 @@ class Console:
     def _reconstructed(self, job: Job) -> None:
         if job.state == "failed":
             self.messages.error(f"{job.scan}: not reconstructed: {job.error}")
-        else:
-            self.messages.add(f"{job.scan}: reconstructed")
+            return
+        self.messages.add(f"{job.scan}: reconstructed")
+        try:
+            self._plants.add_result(self.folders.result(job.scan))
+        except UserError as error:
+            self.messages.error(f"{job.scan}: not added to the catalogue: {error}")
+
+    def _schedule_state(self, visits: dict[str, Any]) -> dict[str, Any] | None:
+        if self._experiment is None:
+            return None
+        schedule = self._schedule
+        state = "stopped" if schedule is None else "stopping" if schedule.stopping else "running"
+        return {"name": self._experiment.name, "state": state, "growth": self.folders.growth() is not None, **visits}
 
     def _sketch_state(self) -> dict[str, object]:
         cells = None if self.scan is None else self.scan.live.cells_mm

@@ -30,7 +30,7 @@ class Switch(Body):
 
 
 class Answer(Body):
-    """Answer to a question of the running scan."""
+    """Answer to a question to the person at the rig."""
 
     text: str = Field(max_length=1000)
 

@@ -4,6 +4,7 @@ FOLDER/scans/NAME      dataset of a scan
 FOLDER/results/NAME    its reconstruction
 FOLDER/pictures/       single pictures
 FOLDER/queue.json      reconstructions to do
+FOLDER/NAME.rhizotwin  catalogue of plants, scans and results
 """
 
 import json
@@ -15,8 +16,9 @@ from typing import Any
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject, of_summary
+from rhizotwin.timelapse.reconstruction import GROWTH
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+NAME = re.compile(r"\w[\w.-]{0,99}")
 MOST_LISTED = 100
 """Scans that are listed, the latest first."""
 
@@ -53,18 +55,20 @@ class ScanFolders:
     ----------
     root : path
         The folder; made where it is missing.
+    scans, results : path or None
+        Folders of scans and results, where they have other names.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, *, scans: Path | None = None, results: Path | None = None) -> None:
         self.root = root
-        self.scans, self.results, self.pictures = root / "scans", root / "results", root / "pictures"
+        self.scans, self.results, self.pictures = scans or root / "scans", results or root / "results", root / "pictures"
         for folder in (self.scans, self.results, self.pictures):
             folder.mkdir(parents=True, exist_ok=True)
         self._read: dict[Path, tuple[tuple[int, int], Any]] = {}
 
     def new_name(self, subject: Subject, today: date) -> str:
         """Return an unused name for a scan: plant and date."""
-        plant = re.sub(r"[^A-Za-z0-9._-]+", "-", subject.plant).strip("-._") or "scan"
+        plant = re.sub(r"[^\w.-]+", "-", subject.plant).strip("-._") or "scan"
         stem = f"{plant[:60]}-{subject.date or today.isoformat()}"
         names = (stem, *(f"{stem}-{number}" for number in range(2, 1000)))
         return next(name for name in names if not (self.scans / name).exists())
@@ -101,6 +105,11 @@ class ScanFolders:
         if path.is_symlink() or not path.is_file():
             raise UserError(f"there is no report of {name!r}")
         return path
+
+    def growth(self) -> Path | None:
+        """Return the page with the curves of growth; None where there is none."""
+        path = self.results / GROWTH / "growth.html"
+        return path if path.is_file() and not path.is_symlink() else None
 
     def list_scans(self) -> list[ScanEntry]:
         """Return the latest scans."""

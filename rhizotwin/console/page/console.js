@@ -9,7 +9,7 @@ const client = stored(sessionStorage, "client", () => Array.from(crypto.getRando
 const by = (id) => document.getElementById(id);
 const sketch = new Sketch(by("sketch"));
 let state = null;
-let shown = { picture: 0, sketch: 0, messages: 0 };
+const shown = { picture: 0, sketch: -1, messages: 0, plants: "" };
 
 function stored(storage, key, make) {
   const found = storage.getItem(`rhizotwin-${key}`) ?? make();
@@ -64,6 +64,9 @@ function show(next) {
   by("activity").className = `pill ${state.activity ? "busy" : ""}`;
   showControl();
   showScan(running);
+  showQuestion();
+  showSchedule();
+  showPlants();
   showPicture();
   showSketch();
   by("devices").replaceChildren(...state.devices.map((one) => row(one.state, one.name, one.text)));
@@ -72,11 +75,13 @@ function show(next) {
   by("arm").hidden = !state.rig.arm;
   by("live").setAttribute("aria-pressed", state.live);
   for (const one of document.querySelectorAll("main button, main input, main select")) {
-    if (one.closest("#question") || one.closest("table")) continue;
+    if (one.closest("#question") || one.closest("#schedule") || one.closest("table")) continue;
     one.disabled = !own || state.activity !== "";
   }
   by("pause").disabled = by("continue").disabled = !own;
   by("stop").disabled = !running || state.scan.state === "stopping";
+  by("schedule-start").disabled = !own || state.activity !== "";
+  by("schedule-stop").disabled = !own || state.schedule?.state !== "running";
   for (const one of document.querySelectorAll("#question button, #question input")) one.disabled = !own;
 }
 
@@ -110,9 +115,36 @@ function showScan(running) {
   by("pause").hidden = scan.state !== "running";
   by("continue").hidden = scan.state !== "paused";
   by("stop").hidden = !running;
-  if (by("question").hidden !== (scan.question === "")) by("answer").value = "";
-  by("question").hidden = scan.question === "";
-  by("question-text").textContent = scan.question;
+}
+
+function showQuestion() {
+  if (by("question-text").textContent !== state.question) by("answer").value = "";
+  by("question").hidden = state.question === "";
+  by("question-text").textContent = state.question;
+}
+
+function showSchedule() {
+  const schedule = state.schedule;
+  by("schedule").hidden = schedule === null;
+  if (schedule === null) return;
+  by("schedule-name").textContent = schedule.name;
+  by("schedule-bar").max = Math.max(schedule.planned, 1);
+  by("schedule-bar").value = schedule.scanned + schedule.missed_count;
+  const words = { running: "running", stopping: "ends after this scan", stopped: "not running" };
+  by("schedule-state").textContent = `${schedule.scanned} of ${schedule.planned} scans made, ${schedule.missed_count} missed; ${words[schedule.state]}`;
+  by("growth").hidden = !schedule.growth;
+  const group = (title, visits) => (visits.length ? [make("tr", {}, make("th", { colSpan: 3 }, title)), ...visits.map((one) => make("tr", {}, make("td", {}, one.due), make("td", {}, one.plant), make("td", { className: one.state === "missed" ? "wrong" : "" }, one.state + (one.note ? `: ${one.note}` : ""))))] : []);
+  by("visits").replaceChildren(...group("Today", schedule.today), ...group("Next", schedule.next), ...group("Missed", schedule.missed));
+}
+
+function showPlants() {
+  const text = JSON.stringify(state.plants);
+  if (text === shown.plants) return;
+  shown.plants = text;
+  by("known-plants").replaceChildren(...state.plants.map((one) => make("option", { value: one.name })));
+  const rows = state.plants.map((one) => make("tr", {}, ...[one.name, one.treatment, one.day ?? "", one.scans, one.last, one.tag].map((cell) => make("td", {}, `${cell}`))));
+  if (rows.length === 0) rows.push(make("tr", {}, make("td", { colSpan: 6, className: "soft" }, "No plants yet: the first scan of a plant adds it")));
+  by("plants").tBodies[0].replaceChildren(...rows);
 }
 
 function duration(seconds) {
@@ -132,7 +164,7 @@ function showPicture() {
 
 async function showSketch() {
   const { number, radius_mm: radius, height_mm: height } = state.sketch;
-  if (number === shown.sketch && number !== 0) return;
+  if (number === shown.sketch) return;
   shown.sketch = number;
   const response = await send("GET", "/api/sketch");
   sketch.set(new Float32Array(await response.arrayBuffer()), radius, height);
@@ -187,6 +219,8 @@ by("shot").addEventListener("click", () => act("POST", "/api/picture"));
 by("pause").addEventListener("click", () => act("POST", "/api/scan/pause"));
 by("continue").addEventListener("click", () => act("POST", "/api/scan/continue"));
 by("stop").addEventListener("click", () => act("POST", "/api/scan/stop"));
+by("schedule-start").addEventListener("click", () => act("POST", "/api/schedule/start"));
+by("schedule-stop").addEventListener("click", () => act("POST", "/api/schedule/stop"));
 const command = (line) => act("POST", "/api/command", { line });
 for (const button of document.querySelectorAll("button[data-line]")) button.addEventListener("click", () => command(button.dataset.line));
 for (const button of document.querySelectorAll("button[data-joint]")) button.addEventListener("click", () => command(`joint ${by("joint").value} ${button.dataset.joint}`));
@@ -201,7 +235,7 @@ function onSubmit(id, action) {
 onSubmit("lights", (fields) => command(`lights ${fields.panel.value} ${fields.front.value}`));
 onSubmit("go", (fields) => command(`go ${fields.distance.value} ${fields.height.value}`));
 onSubmit("line", (fields) => command(fields[0].value));
-onSubmit("question", () => act("POST", "/api/scan/answer", { text: by("answer").value }));
+onSubmit("question", () => act("POST", "/api/answer", { text: by("answer").value }));
 onSubmit("start", (fields) => {
   const day = fields.day.value === "" ? null : Number(fields.day.value);
   const texts = { plant: fields.plant.value.trim(), treatment: fields.treatment.value.trim(), notes: fields.notes.value.trim() };
