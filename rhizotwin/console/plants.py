@@ -19,7 +19,7 @@ from rhizotwin.scenes.subject import Subject
 
 KEPT = ("species", "treatment", "replicate")
 """Fields of the subject that the catalogue knows of a plant."""
-MOST_SHOWN = 12
+MOST_SHOWN = 6
 """Planned scans that are shown beside those of today."""
 
 

@@ -111,7 +111,7 @@ function showScan(running) {
   by("scan-bar").value = scan.done;
   const left = scan.left_s === null ? "" : `, about ${duration(scan.left_s)} left`;
   const words = { running: `running${left}`, paused: "paused: lights on, motor and arm hold", stopping: "stopping: lights off, arm parked; the pictures are kept", ended: scan.done === scan.total && scan.total ? "complete" : "ended; finish it in the list of scans" };
-  by("scan-state").textContent = `${scan.done} of ${scan.total} pictures, ${words[scan.state]}`;
+  by("scan-state").textContent = scan.total === 0 && running ? "not begun yet" : `${scan.done} of ${scan.total} pictures, ${words[scan.state]}`;
   by("pause").hidden = scan.state !== "running";
   by("continue").hidden = scan.state !== "paused";
   by("stop").hidden = !running;
@@ -137,12 +137,19 @@ function showSchedule() {
   by("visits").replaceChildren(...group("Today", schedule.today), ...group("Next", schedule.next), ...group("Missed", schedule.missed));
 }
 
+// Give a cell its title, which stands before it on narrow screens.
+function labelled(cell, title) {
+  cell.dataset.title = title;
+  return cell;
+}
+
 function showPlants() {
   const text = JSON.stringify(state.plants);
   if (text === shown.plants) return;
   shown.plants = text;
   by("known-plants").replaceChildren(...state.plants.map((one) => make("option", { value: one.name })));
-  const rows = state.plants.map((one) => make("tr", {}, ...[one.name, one.treatment, one.day ?? "", one.scans, one.last, one.tag].map((cell) => make("td", {}, `${cell}`))));
+  const titles = Array.from(by("plants").tHead.rows[0].cells, (cell) => cell.textContent);
+  const rows = state.plants.map((one) => make("tr", {}, ...[one.name, one.treatment, one.day ?? "", one.scans, one.last, one.tag].map((cell, k) => labelled(make("td", {}, `${cell}`), titles[k]))));
   if (rows.length === 0) rows.push(make("tr", {}, make("td", { colSpan: 6, className: "soft" }, "No plants yet: the first scan of a plant adds it")));
   by("plants").tBodies[0].replaceChildren(...rows);
 }

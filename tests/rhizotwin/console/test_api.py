@@ -154,21 +154,18 @@ def test_a_device_that_fails_is_reported_with_what_to_do(lab: Lab, fault: Fault,
 
 def test_a_question_waits_for_its_answer(lab: Lab) -> None:
     console = lab.client("Anna")
-    with pytest.raises(UserError, match="no scan is running"):
-        console.request("POST", "/api/scan/answer", {"text": "0"})
-    console.start_scan(plant="P7", paused=True, reconstruct=False)
-    scan = until(lambda: lab.console.scan)
-    with pytest.raises(UserError, match="asks nothing"):
-        console.request("POST", "/api/scan/answer", {"text": "0"})
-    answers: list[str] = []
-    asking = threading.Thread(target=lambda: answers.append(scan._ask("Which angle?")))
+    with pytest.raises(UserError, match="nothing is asked"):
+        console.answer("0")
+    questions, answers = lab.console.questions, []
+    asking = threading.Thread(target=lambda: answers.append(questions.ask("Which angle?", cancelled=lambda: False)))
     asking.start()
-    until(lambda: console.state()["scan"]["question"] == "Which angle?")
-    console.request("POST", "/api/scan/answer", {"text": "117.5"})
+    until(lambda: console.state()["question"] == "Which angle?")
+    console.answer("117.5")
     asking.join(LONG_S)
     assert answers == ["117.5"]
-    assert console.state()["scan"]["question"] == ""
-    console.stop_scan()
+    assert console.state()["question"] == ""
+    with pytest.raises(KeyboardInterrupt):
+        questions.ask("Which angle?", cancelled=lambda: True)
 
 
 def test_names_lead_nowhere_else(lab: Lab, tmp_path: Path) -> None:
