@@ -224,7 +224,9 @@ class Console:
             For a name that exists, a subject that is not valid, and while the rig is busy.
         """
         scene = self._plants.scene_of(subject.told(self._bench.scene))
-        name = check_name(name) if name else self.folders.new_name(scene.subject, datetime.now().astimezone().date())
+        dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
+        scene = replace(scene, subject=dated)
+        name = check_name(name) if name else self.folders.new_name(scene.subject)
         if (self.folders.scans / name / "dataset.json").exists():
             raise UserError(f"there is a scan {name!r} already: choose another name, or finish that scan")
         self._start(name, scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)

@@ -10,7 +10,6 @@ FOLDER/NAME.rhizotwin  catalogue of plants, scans and results
 import json
 import re
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +65,10 @@ class ScanFolders:
             folder.mkdir(parents=True, exist_ok=True)
         self._read: dict[Path, tuple[tuple[int, int], Any]] = {}
 
-    def new_name(self, subject: Subject, today: date) -> str:
+    def new_name(self, subject: Subject) -> str:
         """Return an unused name for a scan: plant and date."""
         plant = re.sub(r"[^\w.-]+", "-", subject.plant).strip("-._") or "scan"
-        stem = f"{plant[:60]}-{subject.date or today.isoformat()}"
+        stem = f"{plant[:60]}-{subject.date}"
         names = (stem, *(f"{stem}-{number}" for number in range(2, 1000)))
         return next(name for name in names if not (self.scans / name).exists())
 

@@ -1,5 +1,7 @@
 // Draws the cells of the sketch and the canister on a canvas; dragging turns the view.
 
+const LAYERS = 12;
+
 export class Sketch {
   constructor(canvas) {
     this.canvas = canvas;
@@ -66,12 +68,27 @@ export class Sketch {
       context.lineTo(...project(x, y, -this.height));
       context.stroke();
     }
-    context.fillStyle = style.getPropertyValue("--main");
-    context.globalAlpha = 0.35;
-    const size = Math.max(1, this.edge * scale);
-    for (let k = 0; k + 2 < this.points.length; k += 3) {
-      const [x, y] = project(this.points[k], this.points[k + 1], this.points[k + 2]);
-      context.fillRect(x - size / 2, y - size / 2, size, size);
+    this.drawCells(context, project, Math.max(1, this.edge * scale), style);
+  }
+
+  // Draw the cells from far to near, the nearer the darker.
+  drawCells(context, project, size, style) {
+    const count = Math.floor(this.points.length / 3);
+    const layers = Array.from({ length: LAYERS }, () => []);
+    const [sin, cos] = [Math.sin(this.turn), Math.cos(this.turn)];
+    const depth = (k) => this.points[3 * k] * cos - this.points[3 * k + 1] * sin;
+    let [near, far] = [Infinity, -Infinity];
+    for (let k = 0; k < count; k++) {
+      near = Math.min(near, depth(k));
+      far = Math.max(far, depth(k));
     }
+    for (let k = 0; k < count; k++) layers[Math.min(LAYERS - 1, Math.floor(((far - depth(k)) / (far - near || 1)) * LAYERS))].push(k);
+    layers.forEach((layer, number) => {
+      context.fillStyle = `color-mix(in srgb, ${style.getPropertyValue("--main")} ${Math.round(25 + (75 * (number + 1)) / LAYERS)}%, ${style.getPropertyValue("--paper")})`;
+      for (const k of layer) {
+        const [x, y] = project(this.points[3 * k], this.points[3 * k + 1], this.points[3 * k + 2]);
+        context.fillRect(x - size / 2, y - size / 2, size, size);
+      }
+    });
   }
 }

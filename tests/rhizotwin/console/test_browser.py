@@ -8,14 +8,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rhizotwin.scenes.dataset import load_dataset
-from rhizotwin.scenes.files import save_scene
-from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from rhizotwin.scenes.files import load_scene, save_scene
+from rhizotwin.scenes.model import CapturePlan
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS
 from tests.rhizotwin.console.conftest import Lab
@@ -23,7 +24,7 @@ from tests.rhizotwin.console.conftest import Lab
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[3]
-VIEWS = 24
+VIEWS = 16
 
 
 class Server:
@@ -38,8 +39,6 @@ class Server:
             str(scene),
             "-o",
             str(folder),
-            "--fidelity",
-            "sketch",
             "--no-browser",
             "--port",
             "8790",
@@ -52,7 +51,7 @@ class Server:
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
         assert self.process.stdout is not None
-        self.address = self.process.stdout.readline().strip()
+        self.address = next(line for line in self.process.stdout if line.startswith("http")).strip()
 
     def kill(self) -> None:
         """End it without any warning."""
@@ -89,12 +88,9 @@ def take_control(page: Any, name: str) -> None:
 
 
 def test_a_scan_survives_the_console(browser: Any, tmp_path: Path) -> None:
-    scene = Scene(
-        camera=Camera().resized((400, 300)),
-        strip=MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0),
-        plan=CapturePlan(rings=(Ring(views=VIEWS, height_mm=-20.0),)),
-    )
-    save_scene(scene, tmp_path / "scene.toml")
+    scene = load_scene("sphere_20mm")
+    rings = tuple(replace(ring, views=VIEWS) for ring in scene.plan.rings[:1])
+    save_scene(replace(scene, camera=scene.camera.resized((400, 300)), plan=CapturePlan(rings=rings)), tmp_path / "scene.toml")
     server = Server(tmp_path / "lab", tmp_path / "scene.toml")
     try:
         with opened(browser, server.address) as page:
@@ -122,7 +118,11 @@ def test_a_scan_survives_the_console(browser: Any, tmp_path: Path) -> None:
             take_control(page, "Ben")
             row.get_by_role("button", name="Finish scan").click()
             page.get_by_text(f"{VIEWS} of {VIEWS} pictures, complete").wait_for()
-            row.get_by_role("button", name="Reconstruct").wait_for()
+            row.locator("progress").wait_for()
+            with page.expect_popup() as popup:
+                row.get_by_role("link", name="Report").click()
+            popup.value.get_by_text("ml").first.wait_for()
+            assert "P7" in popup.value.content()
             page.get_by_text("Focus", exact=True).wait_for()
             page.get_by_text("After the turn", exact=True).wait_for()
         dataset = load_dataset(folders[0])
