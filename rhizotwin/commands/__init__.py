@@ -14,6 +14,7 @@ COMMANDS = {
     "batch simulate": "Render many scenes: plants, days, treatments, profiles and seeds.",
     "catalogue": "List the plants, scans, results and masses of an experiment in one file.",
     "catalogue add": "Add datasets, results and tables of masses to a catalogue.",
+    "catalogue plant": "Add a plant to a catalogue, with the number of its canister.",
     "catalogue list": "List a table of a catalogue, or the number of entries of each.",
     "catalogue query": "Run a SELECT statement on a catalogue.",
     "catalogue check": "Compare a catalogue with its files: missing, changed and damaged ones, and those that are not listed.",
