@@ -9,7 +9,8 @@ from pathlib import Path
 
 from rhizotwin.catalogue import export
 from rhizotwin.catalogue.store import Catalogue
-from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, RigNumber, chart_of
+from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
+from rhizotwin.experiment.phantom import measure_wires
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.folders import new_folder
@@ -49,6 +50,33 @@ def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
     return found
 
 
+def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) -> dict[str, list[DriftPoint]]:
+    """Return the measured section of each wire of a phantom over time, relative to the known one.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    phantom : str
+        Name of the phantom, which is listed as a plant.
+    wires_mm : sequence of float
+        Diameters of its wires.
+
+    Raises
+    ------
+    UserError
+        If the catalogue has no such plant, or a result of it is missing.
+    """
+    catalogue.plant(phantom)
+    found: dict[str, list[DriftPoint]] = {}
+    for result in catalogue.results(plant=phantom):
+        for wire in measure_wires(result.path, wires_mm):
+            if result.day is not None and wire.length_mm > 0.0:
+                point = DriftPoint(result=catalogue.stored_path(result.path), day=result.day, value=1.0 + wire.error)
+                found.setdefault(f"section of the {wire.diameter_mm:g} mm wire, relative to the known one", []).append(point)
+    return found
+
+
 def charts(history: Mapping[str, Sequence[DriftPoint]]) -> dict[str, Chart]:
     """Return the control chart of each number."""
     return {name: chart_of([one.day for one in points], [one.value for one in points]) for name, points in history.items()}
@@ -57,28 +85,38 @@ def charts(history: Mapping[str, Sequence[DriftPoint]]) -> dict[str, Chart]:
 def sentences(drawn: Mapping[str, Chart]) -> list[str]:
     """Return a sentence for each number that has a point beyond its limits, or a trend."""
     found = []
-    for number in RIG_NUMBERS:
-        chart = drawn.get(number.name)
-        if chart is None:
-            continue
+    for heading, chart in _ordered(drawn):
         if chart.limits is not None and chart.outside:
             days = ", ".join(f"{chart.times[i]:g}" for i in chart.outside)
             low, high = chart.limits
-            found.append(f"{number.heading}: beyond its limits ({low:.4g} to {high:.4g}) on day {days}")
+            found.append(f"{heading}: beyond its limits ({low:.4g} to {high:.4g}) on day {days}")
         if chart.has_trend:
-            found.append(f"{number.heading}: changes by {chart.slope_per_day:+.3g} a day (p = {chart.slope_p:.2g})")
+            found.append(f"{heading}: changes by {chart.slope_per_day:+.3g} a day (p = {chart.slope_p:.2g})")
     return found
 
 
-def write(catalogue: Catalogue, output: Path) -> list[str]:
+def write(catalogue: Catalogue, output: Path, *, phantom: str | None = None, wires_mm: Sequence[float] = ()) -> list[str]:
     """Write the page and the table of the rig's numbers into a new folder; return the findings, a sentence each.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    output : Path
+        Folder to make.
+    phantom : str or None
+        Name of a phantom whose wires are charted as well.
+    wires_mm : sequence of float
+        Diameters of its wires.
 
     Raises
     ------
     UserError
-        If the folder holds anything, or cannot be written.
+        If the folder holds anything, or cannot be written, or there is no such phantom.
     """
     history = rig_history(catalogue)
+    if phantom is not None:
+        history |= wire_history(catalogue, phantom, wires_mm)
     drawn = charts(history)
     found = sentences(drawn)
     with new_folder(output) as building:
@@ -122,22 +160,29 @@ def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str])
 
 def draw(drawn: Mapping[str, Chart]) -> bytes:
     """Return the control charts as PNG."""
-    shown: list[tuple[RigNumber, Chart]] = [(number, drawn[number.name]) for number in RIG_NUMBERS if number.name in drawn]
+    shown = _ordered(drawn)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
     made = figure(6.0 * columns, 2.6 * rows)
-    for axes, (number, chart) in zip(made.subplots(rows, columns, squeeze=False).flat, shown, strict=False):
+    for axes, (heading, chart) in zip(made.subplots(rows, columns, squeeze=False).flat, shown, strict=False):
         axes.plot(chart.times, chart.values, "o-", color="#1f5fa8", markersize=4, linewidth=0.8)
         axes.axhline(chart.centre, color="#444444", linewidth=0.8)
         for limit in chart.limits or ():
             axes.axhline(limit, color="#444444", linewidth=0.8, linestyle="--")
         axes.plot([chart.times[i] for i in chart.outside], [chart.values[i] for i in chart.outside], "o", color="#b00020", markersize=6)
-        axes.set_title(number.heading, fontsize=9)
+        axes.set_title(heading, fontsize=9)
         axes.set_xlabel("day", fontsize=8)
         axes.tick_params(labelsize=8)
     for axes in made.axes[len(shown) :]:
         axes.set_axis_off()
     return png(made, dpi=110)
+
+
+def _ordered(drawn: Mapping[str, Chart]) -> list[tuple[str, Chart]]:
+    """Return heading and chart of each number, those of the rig first."""
+    headings = {number.name: number.heading for number in RIG_NUMBERS}
+    names = [*(name for name in headings if name in drawn), *(name for name in drawn if name not in headings)]
+    return [(headings.get(name, name), drawn[name]) for name in names]
 
 
 def _counts(catalogue: Catalogue) -> str:

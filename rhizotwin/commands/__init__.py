@@ -22,6 +22,7 @@ COMMANDS = {
     "catalogue export": "Write every table of a catalogue as CSV.",
     "catalogue rebuild": "Create a catalogue again from its datasets, results and tables of masses.",
     "score": "Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or unseen pictures.",
+    "phantom": "Compare a scan of copper wires with their known diameters.",
     "view": "Look at results in a browser, and correct them.",
     "report": "Write the page of a result again, or one page for many results.",
     "edit": "Apply saved corrections to a result, without a browser.",

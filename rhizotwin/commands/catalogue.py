@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from rhizotwin.arguments import Flag, OutputFolder, SceneName, named, option, output, read_date, whole
+from rhizotwin.arguments import Flag, OutputFolder, SceneName, list_of, named, option, output, read_date, whole
+from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
@@ -256,7 +257,14 @@ def export(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
             print(f"wrote {path}")
 
 
-def report(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
+def report(
+    catalogue: CatalogueFile,
+    /,
+    *,
+    output: OutputFolder,
+    phantom: Annotated[str | None, named("NAME")] = None,
+    wires_mm: Annotated[tuple[float, ...], option(list_of(read_wire_mm), "MM,MM,...")] = WIRES_MM,
+) -> None:
     """Write a page with the plants, the scans that were missed, and control charts of the rig.
 
     Each number of the rig that a reconstruction measures (focal length, tilt of the canister, blur, table, attenuation,
@@ -268,16 +276,21 @@ def report(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
         The catalogue.
     output : Path
         Folder to make: catalogue.html and drift.csv.
+    phantom : str, optional
+        Name of a wire phantom, listed as a plant: the section of each of its wires is drawn as well.
+    wires_mm : tuple of float
+        Diameters of its wires.
 
     Examples
     --------
     rhizotwin catalogue report my.rhizotwin -o my_report
+    rhizotwin catalogue report my.rhizotwin -o my_report --phantom wires
     """
     from rhizotwin.catalogue.report import write
     from rhizotwin.catalogue.store import Catalogue
 
     with Catalogue.open(catalogue, read_only=True) as opened:
-        for sentence in write(opened, output):
+        for sentence in write(opened, output, phantom=phantom, wires_mm=wires_mm):
             print(sentence)
     print(f"look at it: {output / 'catalogue.html'}")
 

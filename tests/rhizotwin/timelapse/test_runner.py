@@ -194,7 +194,7 @@ def test_killed_at_random_points(make_experiment):
     while True:
         running = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
         if kills < KILLS:
-            time.sleep(rng.uniform(0.5, 7.0))
+            time.sleep(rng.uniform(0.5, 5.0))
         else:
             _, errors = running.communicate(timeout=600)
             assert running.returncode == 0, errors.decode()[-500:]
