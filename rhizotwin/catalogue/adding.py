@@ -80,7 +80,7 @@ def add_result(catalogue: Catalogue, folder: Path) -> None:
             _add_subject(catalogue, one.subject)
         path = catalogue.stored_path(folder)
         dataset = str(summary.get("dataset_sha256") or "")
-        scan = catalogue.rows("SELECT id FROM scans WHERE sha256 = ? AND ? <> '' ORDER BY id", (dataset, dataset))
+        scan = catalogue.rows("SELECT id, path FROM scans WHERE sha256 = ? AND ? <> '' ORDER BY id", (dataset, dataset))
         whose = found[0].subject if found else Subject()
         values = (
             *(path, digest, scan[0][0] if scan else None, dataset, whose.day, whose.date, int(bool(summary["volume_trusted"]))),
@@ -96,6 +96,8 @@ def add_result(catalogue: Catalogue, folder: Path) -> None:
         for one in found:
             _insert_traits(catalogue, number, one)
         numbers = drift.rig_numbers(summary)
+        if numbers and scan:
+            numbers |= _panel_level(catalogue.full_path(scan[0][1]))
         connection.executemany("INSERT INTO rig_numbers VALUES (?, ?, ?)", [(number, name, value) for name, value in numbers.items()])
         if (folder / EDITS).is_file():
             edits = (number, catalogue.stored_path(folder / EDITS), sha256_of(folder / EDITS))
@@ -239,6 +241,15 @@ def _insert_traits(catalogue: Catalogue, result: int, one: measured.Measured) ->
         for name, value in one.traits.items()
     )
     catalogue.connection.executemany("INSERT INTO traits VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+
+
+def _panel_level(scan: Path) -> dict[str, float]:
+    """Return the panel's level in the pictures of a scan, if they can be read."""
+    try:
+        level = drift.panel_level(load_dataset(scan))
+    except UserError:
+        return {}
+    return {} if level is None else {"panel_level": level}
 
 
 def _program(summary: dict[str, Any]) -> str:

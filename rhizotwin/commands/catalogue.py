@@ -3,6 +3,7 @@
 Examples
 --------
 rhizotwin catalogue add my.rhizotwin my_scans my_results my_masses.csv
+rhizotwin catalogue plant my.rhizotwin P3 --canister 3 --scene my_scene.toml --treatment control --sown 2026-11-26
 rhizotwin catalogue list my.rhizotwin
 rhizotwin catalogue list my.rhizotwin scans --plant P3
 rhizotwin catalogue query my.rhizotwin "SELECT name, sown FROM plants"
@@ -16,7 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from rhizotwin.arguments import Flag, OutputFolder, named, output
+from rhizotwin.arguments import Flag, OutputFolder, SceneName, list_of, named, option, output, read_date, whole
+from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
@@ -53,6 +55,59 @@ def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
 
     with Catalogue.open_or_create(catalogue) as opened:
         _report(catalogue, add_all(opened, folders))
+
+
+def plant(
+    catalogue: CatalogueFile,
+    name: Annotated[str, named("NAME")],
+    /,
+    *,
+    canister: Annotated[int | None, option(lambda text: whole(text, 1, 500, "give 1 to 500"), "N")] = None,
+    scene: SceneName | None = None,
+    species: Annotated[str, named("NAME")] = "",
+    treatment: Annotated[str, named("NAME")] = "",
+    sown: Annotated[str, option(read_date, "DATE")] = "",
+    replicate: Annotated[int | None, option(lambda text: whole(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None,
+) -> None:
+    """Add a plant to a catalogue, with the number of its canister.
+
+    'rhizotwin scan --catalogue' then recognises it by the strip. The plants of a time-lapse experiment are added by
+    'rhizotwin timelapse run'.
+
+    Parameters
+    ----------
+    catalogue : Path
+        The catalogue; created if there is none.
+    name : str
+        Name of the plant, the same on every day.
+    canister : int, optional
+        Number of its strip, as 'rhizotwin markers SCENE --labels N' writes it; needs --scene.
+    scene : str, optional
+        Scene of the rig, with the strip.
+    species : str
+        Latin name, such as 'Raphanus sativus'.
+    treatment : str
+        Treatment, for example 'low N'.
+    sown : str
+        Date of sowing, as 2026-11-26.
+    replicate : int, optional
+        Which of the plants that were treated alike.
+
+    Examples
+    --------
+    rhizotwin catalogue plant my.rhizotwin P3 --canister 3 --scene my_scene.toml --treatment control --sown 2026-11-26
+    """
+    from rhizotwin.catalogue.identity import strip_for_canister
+    from rhizotwin.catalogue.records import Plant, Tag
+    from rhizotwin.catalogue.store import Catalogue
+    from rhizotwin.scenes.files import load_scene
+
+    if (canister is None) != (scene is None):
+        raise UserError("--canister and --scene belong together: the scene has the strip whose numbers are used")
+    tag = None if canister is None or scene is None else Tag.of_strip(strip_for_canister(load_scene(scene).strip, canister))
+    with Catalogue.open_or_create(catalogue) as opened:
+        opened.add_plant(Plant(name=name, species=species, treatment=treatment, sown=sown, replicate=replicate, tag=tag))
+    print(f"{catalogue}: plant {name}{f', {tag}' if tag else ''}")
 
 
 def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
@@ -129,7 +184,7 @@ def list_(
 def query(catalogue: CatalogueFile, sql: Annotated[str, named("SQL")], /, *, csv: Annotated[Path | None, output("FILE")] = None) -> None:
     """Run a SELECT statement on a catalogue.
 
-    A catalogue is a SQLite file; docs/catalogue.md describes its tables. Statements that do more than read are rejected.
+    A catalogue is a SQLite file; docs/catalogue.md describes its tables. Statements that do more than read are refused.
 
     Parameters
     ----------
@@ -202,7 +257,14 @@ def export(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
             print(f"wrote {path}")
 
 
-def report(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
+def report(
+    catalogue: CatalogueFile,
+    /,
+    *,
+    output: OutputFolder,
+    phantom: Annotated[str | None, named("NAME")] = None,
+    wires_mm: Annotated[tuple[float, ...], option(list_of(read_wire_mm), "MM,MM,...")] = WIRES_MM,
+) -> None:
     """Write a page with the plants, the scans that were missed, and control charts of the rig.
 
     Each number of the rig that a reconstruction measures (focal length, tilt of the canister, blur, table, attenuation,
@@ -214,16 +276,21 @@ def report(catalogue: CatalogueFile, /, *, output: OutputFolder) -> None:
         The catalogue.
     output : Path
         Folder to make: catalogue.html and drift.csv.
+    phantom : str, optional
+        Name of a wire phantom, listed as a plant: the section of each of its wires is drawn as well.
+    wires_mm : tuple of float
+        Diameters of its wires.
 
     Examples
     --------
     rhizotwin catalogue report my.rhizotwin -o my_report
+    rhizotwin catalogue report my.rhizotwin -o my_report --phantom wires
     """
     from rhizotwin.catalogue.report import write
     from rhizotwin.catalogue.store import Catalogue
 
     with Catalogue.open(catalogue, read_only=True) as opened:
-        for sentence in write(opened, output):
+        for sentence in write(opened, output, phantom=phantom, wires_mm=wires_mm):
             print(sentence)
     print(f"look at it: {output / 'catalogue.html'}")
 

@@ -4,8 +4,6 @@ from dataclasses import replace
 from typing import Annotated
 
 from rhizotwin.arguments import OutputFile, SceneName, millimetres, option, whole
-from rhizotwin.catalogue.identity import strip_for_canister
-from rhizotwin.catalogue.records import Tag
 from rhizotwin.pages import PageOptions
 from rhizotwin.scenes import files
 from rhizotwin.scenes.model import Scene
@@ -53,6 +51,7 @@ def markers(
     rhizotwin markers my_scene.toml -o strip.svg --page a3 --landscape
     rhizotwin markers my_scene.toml -o strip.pdf --printed-ruler-mm 99.6x99.8
     """
+    from rhizotwin.catalogue.records import Tag
     from rhizotwin.rig.printing.print_files import write_pages
     from rhizotwin.rig.printing.print_strip import strip_pages
 
@@ -69,4 +68,6 @@ def markers(
 
 def _of_canister(scene: Scene, number: int) -> Scene:
     """Return a scene with the strip of a numbered canister."""
+    from rhizotwin.catalogue.identity import strip_for_canister
+
     return replace(scene, name=f"{scene.name}, canister {number}", strip=strip_for_canister(scene.strip, number))

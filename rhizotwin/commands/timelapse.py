@@ -50,9 +50,9 @@ def run(experiment: ExperimentFile, /, *, progress: Progress = Progress()) -> No
 
     At each due time a person is asked to put the canister of the plant on the table, or a carousel does it. The first
     picture shows by the numbers of the strip which plant it is; another plant is not scanned. Then the scan is made,
-    reconstructed while no other scan is due, and the curves of growth are updated. Each step is recorded in the catalogue:
-    stopped at any point, also by a power cut, the same command continues. On the emulated rig the time of the schedule
-    passes at once.
+    reconstructed while no other scan is due, and the curves of growth are updated. The catalogue holds each step, so
+    that after an interruption at any point, also a power cut, the same command continues. On the emulated rig the time
+    of the schedule passes at once.
 
     Parameters
     ----------

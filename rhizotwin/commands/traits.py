@@ -29,7 +29,7 @@ def traits(
     Parameters
     ----------
     results : list of Path
-        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch', or a catalogue (.rhizotwin).
+        Results, folders of results, as of 'rhizotwin batch', or a catalogue (.rhizotwin).
     mass_g : tuple of float, optional
         Mass of the roots, one a result in their order; default: as given to 'rhizotwin reconstruct'.
     table : Path, optional

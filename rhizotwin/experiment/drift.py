@@ -13,12 +13,17 @@ from typing import Any
 import numpy as np
 
 from rhizotwin.recon.results.parts import Json
+from rhizotwin.rig.scanning.preflight import exposure_of
+from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.errors import UserError
 
 D2 = 1.128
 """Mean range of two normal values, in standard deviations."""
 SIGMAS = 3.0
 LEAST_POINTS = 4
 """With fewer points no limits are computed."""
+PICTURES = 4
+"""Pictures from which the panel's level is read."""
 SURE = 0.05
 """Level of the test of a trend."""
 
@@ -119,6 +124,22 @@ def rig_numbers(summary: Json) -> dict[str, float]:
     }
     numbers = {name: value for name, value in found.items() if isinstance(value, int | float) and not isinstance(value, bool)}
     return {name: float(value) for name, value in numbers.items() if isfinite(value)}
+
+
+def panel_level(dataset: Dataset) -> float | None:
+    """Return the grey level of the panel in the pictures of a scan, as a fraction of full scale.
+
+    Median over a few pictures of the level that a quarter of the pixels exceeds, as the scan judges its exposure
+    (`rig.scanning.preflight.exposure_of`). None if the pictures are silhouettes or cannot be read.
+    """
+    frames = [frame for frame in dataset.frames if frame.kind == "root"]
+    if dataset.masks or not frames:
+        return None
+    chosen = frames[:: max(1, len(frames) // PICTURES)][:PICTURES]
+    try:
+        return float(np.median([exposure_of(read_image(dataset, frame)).bright for frame in chosen]))
+    except UserError:
+        return None
 
 
 def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:

@@ -84,6 +84,8 @@ def true_scene(experiment: Experiment, member: Member, due_utc: str) -> Scene:
     """
     known = experiment.known_scene(member, due_utc)
     own = experiment.base_scene() if not member.scene else files.load_scene(member.scene)
+    if own.plants:  # such as the wires of a phantom, which are one member of the experiment
+        return replace(known, specimen=None, plants=own.plants, subject=replace(known.subject, plant=""))
     if experiment.twin.fidelity == "sketch" or not isinstance(own.specimen, GrownSpecimen):
         return replace(known, specimen=own.specimen)
     from rhizotwin.sim.growth import grow
