@@ -357,7 +357,7 @@ class Console:
                 if (folder / "dataset.json").is_file():
                     self._plants.add_scan(folder)
             self.messages.add(f"{name}: the scan is complete")
-            if reconstruct:
+            if reconstruct and not (self._twin is not None and self._twin.fidelity == "sketch"):
                 self.queue.add(name)
 
         self.set_live(on=False)

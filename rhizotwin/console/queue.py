@@ -89,12 +89,14 @@ class Queue:
         Raises
         ------
         UserError
-            Where the scan does not exist, is not complete, or is in the queue.
+            Where the scan does not exist, is not complete, is a sketch, or is in the queue.
         """
         self._folders.scan(scan)
         entry = next((one for one in self._folders.list_scans() if one.name == scan), None)
         if entry is not None and not entry.complete:
             raise UserError(f"{scan}: the scan is not complete; finish it first")
+        if entry is not None and entry.sketch:
+            raise UserError(f"{scan}: sketches of the emulated rig show no roots; scan with --fidelity render")
         with self._wake:
             if any(job.scan == scan and job.state in ("waiting", "running") for job in self._jobs):
                 raise UserError(f"{scan} is in the queue already")

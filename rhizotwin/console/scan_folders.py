@@ -34,6 +34,8 @@ class ScanEntry:
     """Number of views that were taken."""
     planned: int
     complete: bool
+    sketch: bool = False
+    """The pictures are sketches of the emulated rig, which show no roots."""
     error: str = ""
     """Why its dataset cannot be read."""
 
@@ -173,6 +175,7 @@ def _scan_entry(path: Path) -> ScanEntry:
         pictures=len(views),
         planned=int(origin.get("planned_views", len(views))),
         complete=bool(origin.get("complete")),
+        sketch=((origin.get("settings") or {}).get("twin") or {}).get("fidelity") == "sketch",
     )
 
 

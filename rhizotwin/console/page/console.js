@@ -182,12 +182,12 @@ function showScans() {
   const jobs = Object.fromEntries(state.queue.map((job) => [job.scan, job]));
   const rows = state.scans.map((scan) => {
     const job = jobs[scan.name];
-    const done = scan.error || `${scan.pictures} of ${scan.planned}${scan.running ? ", running" : scan.complete ? "" : ", interrupted"}`;
+    const done = scan.error || `${scan.pictures} of ${scan.planned}${scan.running ? ", running" : scan.complete ? (scan.sketch ? ", sketches" : "") : ", interrupted"}`;
     const buttons = make("span", { className: "buttons" });
     const add = (text, action, enabled) => buttons.append(make("button", { type: "button", onclick: action, disabled: !own || !enabled }, text));
     const name = encodeURIComponent(scan.name);
     if (!scan.complete && !scan.running && !scan.error) add("Finish scan", () => act("POST", `/api/scans/${name}/finish`, { reconstruct: by("reconstruct").checked }), state.activity === "");
-    if (scan.complete && !scan.running && !["waiting", "running"].includes(scan.queue)) add("Reconstruct", () => act("POST", "/api/queue", { scan: scan.name }), true);
+    if (scan.complete && !scan.sketch && !scan.running && !["waiting", "running"].includes(scan.queue)) add("Reconstruct", () => act("POST", "/api/queue", { scan: scan.name }), true);
     if (["waiting", "running"].includes(scan.queue)) add("Cancel", () => act("DELETE", `/api/queue/${name}`), true);
     if (scan.result) buttons.prepend(make("a", { href: `/results/${name}/report.html`, target: "_blank", rel: "noopener" }, "Report"));
     return make("tr", {}, make("td", {}, scan.name), make("td", {}, scan.subject), make("td", {}, done), make("td", {}, result(scan, job)), make("td", { className: "actions" }, buttons));
@@ -257,14 +257,16 @@ async function follow() {
       const after = state === null ? 0 : state.version;
       const response = await send("GET", `/api/state?after=${after}&wait_s=${WAIT_S}`);
       const next = await response.json();
-      if (state === null) by("reconstruct").checked = !next.rig.sketch;
+      if (state === null) {
+        by("reconstruct").checked = !next.rig.sketch;
+        by("reconstruct").parentElement.hidden = next.rig.sketch;
+      }
       show(next);
     } catch (error) {
       by("activity").textContent = "no connection";
       by("activity").className = "pill lost";
-      if (error.message.startsWith("401")) {
-        warn("The console was started again: open the address that it printed, or log in again.");
-      }
+      if (error.message.startsWith("401")) warn("The console was started again: open the address that it printed, or log in again.");
+      else if (!(error instanceof TypeError)) warn(error.message);
       await new Promise((go) => setTimeout(go, RETRY_MS));
     }
   }

@@ -98,6 +98,8 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
         console.start_scan(name=name)
     console.finish_scan(name, reconstruct=False)
     assert console.wait_for_scan(timeout_s=LONG_S)["done"] == VIEWS
+    with pytest.raises(UserError, match="sketches of the emulated rig show no roots"):
+        console.reconstruct(name)
     dataset = load_dataset(lab.folder / "scans" / name)
     assert dataset.origin["complete"]
     assert dataset.scene.subject.plant == "P7"
