@@ -14,7 +14,7 @@ from urllib.parse import parse_qs
 from fastapi import FastAPI, Header, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 
-from rhizotwin.console import requests as body
+from rhizotwin.console import bodies as body
 from rhizotwin.console.access import Access, cookie_of, login_headers
 from rhizotwin.console.console import Console
 from rhizotwin.scenes.errors import UserError

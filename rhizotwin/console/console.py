@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +21,12 @@ from rhizotwin.console.messages import Messages
 from rhizotwin.console.pictures import Shown, show
 from rhizotwin.console.plants import Plants
 from rhizotwin.console.questions import Questions
-from rhizotwin.console.queue import Job, Queue
+from rhizotwin.console.reconstruction_queue import Job, Queue
 from rhizotwin.console.rig_thread import RigThread
 from rhizotwin.console.running_scan import RunningScan
 from rhizotwin.console.scan_folders import ScanFolders, check_name
 from rhizotwin.console.schedule import ScheduleRun
+from rhizotwin.console.state import StateView
 from rhizotwin.rig.bench import check
 from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.markers import read_strip
@@ -73,14 +74,7 @@ class Console:
     """
 
     def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None, experiment: Experiment | None = None) -> None:
-        self._bench, self._twin, self._experiment = bench, twin, experiment
-        self._stack = ExitStack()
-        own = {} if experiment is None else {"scans": experiment.scans_folder, "results": experiment.results_folder}
-        self.folders = ScanFolders(folder, **own)
-        self._stack.enter_context(locked(folder / LOCK, what=str(folder)))
-        self._plants = Plants(folder / CATALOGUE if experiment is None else experiment.catalogue_path)
-        if experiment is not None:
-            Runner(experiment).prepare()
+        self.bench, self.twin, self.experiment = bench, twin, experiment
         self.version = 1
         """Increases with every change of the state."""
         self._lock = threading.Lock()
@@ -88,19 +82,27 @@ class Console:
         self.devices = DeviceStates(self.changed)
         self.messages = Messages(self.changed)
         self.questions = Questions(self.changed)
-        self._schedule: ScheduleRun | None = None
-        self._closing = False
+        self.schedule: ScheduleRun | None = None
+        """The running schedule."""
         self.shown: Shown | None = None
         """The latest picture."""
         self.scan: RunningScan | None = None
         """The running or the last scan."""
+        self._closing = False
         self._replies: list[str] = []
-        self._live = False
-        self._sketch: tuple[int, Any] = (0, None)
-        self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
-        self._stack.callback(self.queue.close)
-        self._rig = RigThread(bench, say=self._say, on_live=self._show_live, on_change=self.changed)
-        self._stack.callback(self._rig.close)
+        self._view = StateView(self)
+        own = {} if experiment is None else {"scans": experiment.scans_folder, "results": experiment.results_folder}
+        self.folders = ScanFolders(folder, **own)
+        with ExitStack() as stack:
+            stack.enter_context(locked(folder / LOCK, what=str(folder)))
+            self.plants = Plants(folder / CATALOGUE if experiment is None else experiment.catalogue_path)
+            if experiment is not None:
+                Runner(experiment).prepare()
+            self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
+            stack.callback(self.queue.close)
+            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_change=self.changed)
+            stack.callback(self.rig.close)
+            self._stack = stack.pop_all()
 
     def close(self) -> None:
         """Stop scan, schedule and reconstruction, leave the rig safe, and release the folder."""
@@ -119,39 +121,10 @@ class Console:
 
     def state(self, client: str) -> dict[str, Any]:
         """Return everything that a client shows, as JSON values."""
-        if self._live:
-            self._rig.live_until_s = time.monotonic() + LIVE_S
+        if self.rig.live_until_s > 0.0:
+            self.rig.live_until_s = time.monotonic() + LIVE_S
         self.controls.touch(client)
-        version, bench, shown = self.version, self._bench, self.shown
-        queue = self.queue.plain()
-        plants, visits = self._plants.plain()
-        return {
-            "version": version,
-            "rig": {
-                "name": bench.rig.name,
-                "emulated": self._twin is not None,
-                "scene": bench.scene.name,
-                "arm": bench.rig.arm is not None,
-                "sketch": self._twin is not None and self._twin.fidelity == "sketch",
-                "views": sum(ring.views for ring in bench.scene.plan.rings),
-            },
-            "controls": self.controls.state(client),
-            "devices": self.devices.plain(),
-            "activity": self._rig.busy,
-            "open": self._rig.open,
-            "live": self._live,
-            "picture": None
-            if shown is None
-            else {"number": shown.number, "title": shown.title, "meters": [asdict(meter) for meter in shown.meters]},
-            "scan": None if self.scan is None else self.scan.plain(),
-            "question": self.questions.text,
-            "sketch": self._sketch_state(),
-            "plants": plants,
-            "schedule": self._schedule_state(visits),
-            "scans": self._scans(queue),
-            "queue": queue,
-            "messages": self.messages.plain(),
-        }
+        return self._view.plain(client)
 
     def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
         """Return the centres (N, 3) of the sketch's cells in the canister's frame, and their edge (mm)."""
@@ -186,12 +159,11 @@ class Console:
     def let_go(self) -> Future[None]:
         """Switch the lights off, park the arm, switch its torque off, and close the devices."""
         self.set_live(on=False)
-        return self._begin("leaving the rig safe", self._rig.let_go)
+        return self._begin("leaving the rig safe", self.rig.let_go)
 
     def set_live(self, *, on: bool) -> None:
         """Start or end live pictures; they are taken only while clients ask for the state."""
-        self._live = on
-        self._rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
+        self.rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
         self.changed()
 
     def start_scan(
@@ -223,7 +195,7 @@ class Console:
         UserError
             For a name that exists, a subject that is not valid, and while the rig is busy.
         """
-        scene = self._plants.scene_of(subject.told(self._bench.scene))
+        scene = self.plants.scene_of(subject.told(self.bench.scene))
         dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
         scene = replace(scene, subject=dated)
         name = check_name(name) if name else self.folders.new_name(scene.subject)
@@ -242,7 +214,7 @@ class Console:
         """
         before = load_dataset(self.folders.scan(name))
         known = before.scene
-        scene = replace(self._bench.scene, subject=known.subject, solution=known.solution, strip=known.strip)
+        scene = replace(self.bench.scene, subject=known.subject, solution=known.solution, strip=known.strip)
         self._start(name, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
 
     def start_schedule(self) -> None:
@@ -253,29 +225,30 @@ class Console:
         UserError
             Without an experiment, and while the rig is busy.
         """
-        if self._experiment is None:
+        if self.experiment is None:
             raise UserError("there is no schedule: start the console with --experiment")
-        schedule = ScheduleRun(self._experiment, ask=self._ask, say=self._say_scan, show_scan=self._show_scan)
+        schedule = ScheduleRun(self.experiment, ask=self._ask, say=self._say_scan, show_scan=self._show_scan)
 
         def run() -> None:
-            self._rig.let_go()
-            self._schedule = schedule
+            self.rig.let_go()
+            self.schedule = schedule
+            schedule.stopping = self._closing
             try:
                 outcome = schedule.run()
             except KeyboardInterrupt:
                 self.messages.add("the schedule was stopped; it can be started again")
                 return
             finally:
-                self._schedule = None
+                self.schedule = None
             left = f", {len(outcome.open)} still to be made" if outcome.open else ""
             self.messages.add(f"schedule ended: {outcome.scanned} scans made, {len(outcome.missed)} missed{left}")
 
         self.set_live(on=False)
-        self._begin(f"schedule of {self._experiment.name}", run)
+        self._begin(f"schedule of {self.experiment.name}", run)
 
     def stop_schedule(self) -> None:
         """End the schedule after the present scan; an open question is withdrawn."""
-        schedule = self._schedule
+        schedule = self.schedule
         if schedule is not None:
             schedule.stopping = True
             self.changed()
@@ -305,11 +278,11 @@ class Console:
                 self.messages.error(text)
                 raise
 
-        return self._rig.begin(what, reported)
+        return self.rig.begin(what, reported)
 
     def _check(self) -> None:
-        self._rig.let_go()
-        bench = self._bench
+        self.rig.let_go()
+        bench = self.bench
 
         def say(line: str) -> None:
             self.devices.read_check(line)
@@ -319,34 +292,34 @@ class Console:
 
     def _command(self, words: list[str]) -> list[str]:
         self._replies = []
-        self._rig.command(words)
+        self.rig.command(words)
         return self._replies
 
     def _take_picture(self) -> str:
         now = datetime.now().astimezone()
         path = self.folders.pictures / f"{now:%Y-%m-%d-%H%M%S}-{now.microsecond // 1000:03d}.png"
-        self._rig.command(["picture", str(path)])
+        self.rig.command(["picture", str(path)])
         return path.name
 
     def _start(self, name: str, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
         folder = self.folders.scans / name
-        identify = self._plants.identity(scene.subject, scene.strip)
+        identify = self.plants.identity(scene.subject, scene.strip)
 
         def run() -> None:
-            self._rig.let_go()
+            self.rig.let_go()
             scan = self._show_scan(name, scene, paused=paused)
             audience = Audience(ask=self._ask, say=self._say_scan, onlooker=scan.live, identify=identify)
             try:
                 with ExitStack() as stack:
                     stack.callback(scan.live.close)
-                    devices = self._bench.open_devices(None, stack)
+                    devices = self.bench.open_devices(None, stack)
                     rigs.take_scan(
-                        self._bench,
+                        self.bench,
                         devices,
                         scene,
                         folder,
                         audience=audience,
-                        twin=self._twin,
+                        twin=self.twin,
                         resume=True,
                         table_angle_deg=table_angle_deg,
                     )
@@ -355,9 +328,9 @@ class Console:
                 return
             finally:
                 if (folder / "dataset.json").is_file():
-                    self._plants.add_scan(folder)
+                    self.plants.add_scan(folder)
             self.messages.add(f"{name}: the scan is complete")
-            if reconstruct and not (self._twin is not None and self._twin.fidelity == "sketch"):
+            if reconstruct and not (self.twin is not None and self.twin.fidelity == "sketch"):
                 self.queue.add(name)
 
         self.set_live(on=False)
@@ -366,6 +339,8 @@ class Console:
     def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
         """Make a scan the one that the console shows."""
         self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
+        if self._closing:
+            self.scan.live.stop()
         self.changed()
         return self.scan
 
@@ -373,7 +348,7 @@ class Console:
         """Ask the person at the rig; the end of the scan, the schedule or the console ends the wait."""
 
         def cancelled() -> bool:
-            scan, schedule = self.scan, self._schedule
+            scan, schedule = self.scan, self.schedule
             return self._closing or (scan is not None and scan.live.stopping) or (schedule is not None and schedule.stopping)
 
         return self.questions.ask(question, cancelled=cancelled)
@@ -389,7 +364,7 @@ class Console:
         self.messages.add(text)
 
     def _show_live(self, image: Grey) -> None:
-        self._show(image, read_strip(image, self._bench.scene), title=f"live, {datetime.now().astimezone():%H:%M:%S}")
+        self._show(image, read_strip(image, self.bench.scene), title=f"live, {datetime.now().astimezone():%H:%M:%S}")
 
     def _show_look(self, look: Look) -> None:
         scan = self.scan
@@ -407,37 +382,6 @@ class Console:
             return
         self.messages.add(f"{job.scan}: reconstructed")
         try:
-            self._plants.add_result(self.folders.result(job.scan))
+            self.plants.add_result(self.folders.result(job.scan))
         except UserError as error:
             self.messages.error(f"{job.scan}: not added to the catalogue: {error}")
-
-    def _schedule_state(self, visits: dict[str, Any]) -> dict[str, Any] | None:
-        if self._experiment is None:
-            return None
-        schedule = self._schedule
-        state = "stopped" if schedule is None else "stopping" if schedule.stopping else "running"
-        return {"name": self._experiment.name, "state": state, "growth": self.folders.growth() is not None, **visits}
-
-    def _sketch_state(self) -> dict[str, object]:
-        cells = None if self.scan is None else self.scan.live.cells_mm
-        if cells is not self._sketch[1]:
-            self._sketch = self._sketch[0] + 1, cells
-        can = self._bench.scene.canister
-        size = {"radius_mm": can.outer_radius_mm, "height_mm": can.height_mm}
-        return {"number": self._sketch[0], "cells": 0 if cells is None else len(cells), **size}
-
-    def _scans(self, queue: list[dict[str, object]]) -> list[dict[str, object]]:
-        jobs = {job["scan"]: job["state"] for job in queue}
-        running = self.scan.name if self.scan is not None and not self.scan.live.ended else ""
-        listed = []
-        for entry in self.folders.list_scans():
-            result = self.folders.result_of(entry.name)
-            listed.append(
-                asdict(entry)
-                | {
-                    "running": entry.name == running,
-                    "queue": jobs.get(entry.name, ""),
-                    "result": None if result is None else asdict(result),
-                }
-            )
-        return listed

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin.console.queue import Job, Queue, read
+from rhizotwin.console.reconstruction_queue import Job, Queue, read
 from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.scenes.errors import UserError
 from tests.rhizotwin import plant as plants
