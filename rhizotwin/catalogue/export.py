@@ -14,8 +14,8 @@ from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.trait_table import csv_text
 
 VIEWS = {
-    "plants": "SELECT p.name AS plant, p.species, coalesce(t.name, '') AS treatment, p.replicate, p.sown, p.dictionary AS tag_dictionary,"
-    " p.first_id AS tag_first_id, p.markers AS tag_markers, coalesce(s.content, '') AS solution, p.notes"
+    "plants": "SELECT p.name AS plant, p.species, coalesce(t.name, '') AS treatment, p.replicate, p.sown, p.phantom,"
+    " p.dictionary AS tag_dictionary, p.first_id AS tag_first_id, p.markers AS tag_markers, coalesce(s.content, '') AS solution, p.notes"
     " FROM plants p LEFT JOIN treatments t ON t.id = p.treatment LEFT JOIN solutions s ON s.id = p.solution ORDER BY p.name",
     "scans": "SELECT coalesce(p.name, '') AS plant, x.day, x.date, x.path, x.pictures, x.complete, x.sketch, x.scene, x.sha256"
     " FROM scans x LEFT JOIN scan_plants sp ON sp.scan = x.id LEFT JOIN plants p ON p.id = sp.plant ORDER BY x.day, x.path, p.name",

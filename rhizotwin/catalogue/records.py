@@ -57,6 +57,8 @@ class Plant:
     solution: Solution = field(default_factory=Solution)
     tag: Tag | None = None
     """Tag of the strip on its pot; None: not known."""
+    phantom: bool = False
+    """Whether it is a phantom of known shape, which is left out of growth and biomass."""
 
 
 @dataclass(frozen=True, kw_only=True)

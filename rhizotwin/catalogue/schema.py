@@ -38,6 +38,7 @@ CREATE TABLE plants (
     replicate INTEGER,
     sown TEXT NOT NULL DEFAULT '',
     notes TEXT NOT NULL DEFAULT '',
+    phantom INTEGER NOT NULL DEFAULT 0 CHECK (phantom IN (0, 1)),
     dictionary TEXT NOT NULL DEFAULT '',
     first_id INTEGER,
     markers INTEGER,

@@ -34,7 +34,7 @@ def expand_scans(sources: Sequence[str]) -> list[str]:
     return found
 
 
-def expand_results(sources: Sequence[Path], *, masses: bool = False) -> list[Path]:
+def expand_results(sources: Sequence[Path], *, masses: bool = False, phantoms: bool = True) -> list[Path]:
     """Return sources with each catalogue replaced by its results.
 
     Parameters
@@ -43,6 +43,8 @@ def expand_results(sources: Sequence[Path], *, masses: bool = False) -> list[Pat
         Results, folders of results, tables and catalogues.
     masses : bool
         Whether the tables of masses are added.
+    phantoms : bool
+        Whether results of phantoms are among them.
 
     Raises
     ------
@@ -55,7 +57,8 @@ def expand_results(sources: Sequence[Path], *, masses: bool = False) -> list[Pat
             found.append(source)
             continue
         with Catalogue.open(source, read_only=True) as catalogue:
-            own = [one.path for one in catalogue.chosen_results()]
+            hidden = set() if phantoms else {one.name for one in catalogue.plants() if one.phantom}
+            own = [one.path for one in catalogue.chosen_results() if not hidden.intersection(one.plants)]
             own += catalogue.mass_tables() if masses else []
         if not own:
             raise UserError(f"{source}: has no results{' and no masses' if masses else ''}; add some with `rhizotwin catalogue add`")

@@ -149,12 +149,13 @@ class Catalogue:
                 merged.replicate,
                 merged.sown,
                 merged.notes,
+                int(merged.phantom),
                 *(("", None, None) if tag is None else (tag.dictionary, tag.first_id, tag.markers)),
                 merged.name,
             )
             self.connection.execute("INSERT INTO plants (name) VALUES (?) ON CONFLICT DO NOTHING", (merged.name,))
             self.connection.execute(
-                "UPDATE plants SET species = ?, treatment = ?, solution = ?, replicate = ?, sown = ?, notes = ?,"
+                "UPDATE plants SET species = ?, treatment = ?, solution = ?, replicate = ?, sown = ?, notes = ?, phantom = ?,"
                 " dictionary = ?, first_id = ?, markers = ? WHERE name = ?",
                 values,
             )
@@ -383,6 +384,7 @@ class Catalogue:
             notes=row["notes"],
             solution=solution,
             tag=tag,
+            phantom=bool(row["phantom"]),
         )
 
     def _merged(self, before: Plant, now: Plant) -> Plant:
@@ -390,9 +392,9 @@ class Catalogue:
         changed: dict[str, Any] = {}
         for field in fields(Plant):
             old, new, empty = getattr(before, field.name), getattr(now, field.name), field.name == "solution" and not now.solution.known
-            if new in ("", None) or empty or new == old:
+            if new in ("", None, False) or empty or new == old:
                 continue
-            known = before.solution.known if field.name == "solution" else old not in ("", None)
+            known = before.solution.known if field.name == "solution" else old not in ("", None, False)
             if known and field.name not in ("notes", "solution"):
                 raise UserError(f"{self.path}: plant {now.name} has the {field.name} {old}, not {new}; correct one of them")
             changed[field.name] = new if field.name == "notes" or not known else old

@@ -87,7 +87,7 @@ def fit(
     from rhizotwin.experiment.measured import read_all
 
     weighed = [one for table in tables for one in read_masses(table, balance_g=balance_g)]
-    found, notes = biomass.pairs(read_all(sources.expand_results(given)), weighed)
+    found, notes = biomass.pairs(read_all(sources.expand_results(given, phantoms=False)), weighed)
     model = biomass.fit(found, balance_g=balance_g, notes=notes)
     model_file.save_model(model, output)
     for note in model.notes:
@@ -127,7 +127,7 @@ def predict(
     from rhizotwin.experiment.measured import read_all
     from rhizotwin.scenes import atomic
 
-    found = model_file.predict(model_file.load_model(model), read_all(sources.expand_results(results)))
+    found = model_file.predict(model_file.load_model(model), read_all(sources.expand_results(results, phantoms=False)))
     if not found:
         raise UserError(f"none of the results has a trait that {model} tells a mass by")
     for one in found:

@@ -36,6 +36,6 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
     from rhizotwin.catalogue import sources
     from rhizotwin.experiment import growth_files
 
-    for sentence in growth_files.write(sources.expand_results(results, masses=True), output):
+    for sentence in growth_files.write(sources.expand_results(results, masses=True, phantoms=False), output):
         print(sentence)
     print(f"look at it: {output / 'growth.html'}")

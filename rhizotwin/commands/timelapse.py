@@ -70,9 +70,8 @@ def run(experiment: ExperimentFile, /, *, progress: Progress = Progress()) -> No
     from rhizotwin.timelapse.runner import Listener, Runner
 
     loaded = load_experiment(experiment)
-    with progress.bar(devices=1.0, pictures=20.0) as bar:
-        say = bar.say if progress.verbose else _only_visits(loaded, bar.say)
-        outcome = Runner(loaded, listener=Listener(say=say, ask=rigs.asker(), monitor=bar)).run()
+    say = _silent if progress.quiet else print if progress.verbose else _only_visits(loaded, print)
+    outcome = Runner(loaded, listener=Listener(say=say, ask=rigs.asker())).run()
     _print(loaded, outcome)
 
 
@@ -102,6 +101,10 @@ def status(experiment: ExperimentFile, /, *, every: Flag = False) -> None:
         for visit in catalogue.visits() if every else ():
             print(f"{visit.due_utc}  {visit.state:<9}{visit.plant}{f': {visit.note}' if visit.note else ''}")
         _print(loaded, outcome_of(loaded, catalogue))
+
+
+def _silent(_: str) -> None:
+    """Print nothing."""
 
 
 def _only_visits(experiment: "Experiment", say: Callable[[str], None]) -> Callable[[str], None]:

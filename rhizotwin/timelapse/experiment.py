@@ -46,6 +46,8 @@ class Member:
     """On the emulated rig, factor by which the roots grow faster and longer than those of the scene."""
     every_h: float | None = field(default=None, metadata={"limits": (0.1, 10000.0)})
     """Hours between its scans, for example 168 for a phantom; empty: as in [schedule]."""
+    phantom: bool = False
+    """Whether it is a phantom of known shape, which is left out of the curves of growth."""
     solution: Solution = field(default_factory=Solution)
     """Nutrient solution."""
 
@@ -172,6 +174,7 @@ class Experiment:
             sown=self.sown(member).isoformat(),
             notes=member.notes,
             solution=member.solution,
+            phantom=member.phantom,
             tag=Tag.of_strip(strip_for_canister(self.base_scene().strip, member.canister)),
         )
 

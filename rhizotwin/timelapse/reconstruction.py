@@ -62,7 +62,8 @@ def _reconstruct(experiment: Experiment, catalogue: Catalogue, scans: list[Scan]
 
 
 def _update_growth(experiment: Experiment, catalogue: Catalogue, say: Callable[[str], object]) -> None:
-    results = [one.path for one in catalogue.chosen_results()]
+    phantoms = {one.name for one in experiment.plants if one.phantom}
+    results = [one.path for one in catalogue.chosen_results() if not phantoms.intersection(one.plants)]
     try:
         growth_files.write(results, experiment.results_folder / GROWTH, replace=True)
     except UserError as error:

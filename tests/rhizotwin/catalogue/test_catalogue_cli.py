@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+from rhizotwin.catalogue import adding, sources
+from rhizotwin.catalogue.records import Plant
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.files import save_scene
@@ -78,6 +80,17 @@ def test_catalogue_in_place_of_folders(tmp_path: Path, command: Command, make_da
     command.fails("biomass", "fit", tmp_path / "none.rhizotwin", "-o", tmp_path / "model.json", named=["there is no such file"])
     failed = command("batch", file, "-o", tmp_path / "out")  # the datasets of the catalogue show no markers
     assert "4 of 4 scans failed" in failed.sentence
+
+
+def test_phantoms_are_left_out_of_growth(tmp_path: Path, make_dataset, ball_result):
+    _results(make_dataset, ball_result)
+    with Catalogue.create(tmp_path / "my.rhizotwin") as opened:
+        adding.add_all(opened, [tmp_path / "scans", tmp_path / "results"])
+        opened.add_plant(Plant(name="P2", phantom=True))
+        opened.add_plant(Plant(name="P2"))
+        assert opened.plant("P2").phantom
+    assert len(sources.expand_results([tmp_path / "my.rhizotwin"])) == 4
+    assert {path.name[:2] for path in sources.expand_results([tmp_path / "my.rhizotwin"], phantoms=False)} == {"P1"}
 
 
 def _growth_of(tmp_path: Path, command: Command) -> str:

@@ -15,8 +15,10 @@ import pytest
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Ring
 from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
 from rhizotwin.timelapse.clocks import VirtualCalendar
 from rhizotwin.timelapse.experiment import load_experiment
@@ -218,3 +220,27 @@ def test_killed_at_random_points(make_experiment):
         assert check(catalogue) == []
     assert len(list(experiment.scans_folder.iterdir())) == 60
     assert all(file.stat().st_mtime_ns == when for file, when in kept.items())  # no picture was taken again
+
+
+@pytest.mark.slow
+def test_rendered_scans_are_reconstructed(tmp_path: Path):
+    """A radish on two days: results and the rig's numbers are in the catalogue, and each day has more root."""
+    scene = files.load_scene("radish_day05b")
+    plan = CapturePlan(rings=(Ring(views=16),))
+    files.save_scene(replace(scene, camera=scene.camera.resized((400, 300)), plan=plan), tmp_path / "scene.toml")
+    text = (
+        'name = "radish"\nrig = "twin"\nscene = "scene.toml"\n[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 2\nevery_h = 72\n'
+    )
+    text += '[twin]\nfidelity = "render"\n[[plants]]\nname = "P1"\ncanister = 1\nsown = "2026-11-26"\n'
+    (tmp_path / "e.toml").write_text(text)
+    experiment = load_experiment(tmp_path / "e.toml")
+    assert Runner(experiment).run().scanned == 2
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        first, second = catalogue.results()
+        assert (first.plants, first.day, second.day) == (("P1",), 5.0, 8.0)
+        assert {"focal_scale", "panel_level", "canister_tilt_deg"} <= set(first.rig_numbers)
+        lengths = dict(
+            catalogue.rows("SELECT x.day, t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'total_length'")
+        )
+        assert lengths[8.0] > lengths[5.0] > 0.0
+        assert check(catalogue) == []
