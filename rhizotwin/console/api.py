@@ -17,6 +17,7 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Redirect
 from rhizotwin.console import bodies as body
 from rhizotwin.console.access import Access, cookie_of, login_headers
 from rhizotwin.console.console import Console
+from rhizotwin.console.messages import for_console
 from rhizotwin.scenes.errors import UserError
 
 LOOK_S = 0.05
@@ -52,7 +53,7 @@ def create_app(console: Console, access: Access) -> FastAPI:
 
     @app.exception_handler(UserError)
     async def refused(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"detail": str(error)}, status_code=409)
+        return JSONResponse({"detail": for_console(str(error))}, status_code=409)
 
     _add_pages(app, access)
     _add_state(app, console)

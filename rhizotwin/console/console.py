@@ -17,7 +17,7 @@ from rhizotwin import rigs
 from rhizotwin.arguments import SubjectOptions
 from rhizotwin.console.controls import Controls
 from rhizotwin.console.devices import DeviceStates
-from rhizotwin.console.messages import Messages
+from rhizotwin.console.messages import Messages, for_console
 from rhizotwin.console.pictures import Shown, show
 from rhizotwin.console.plants import Plants
 from rhizotwin.console.questions import Questions
@@ -273,7 +273,7 @@ class Console:
             try:
                 return action()
             except Exception as error:
-                text = failure(error)
+                text = for_console(failure(error))
                 self.devices.read_error(text)
                 self.messages.error(text)
                 raise
@@ -326,6 +326,9 @@ class Console:
             except KeyboardInterrupt:
                 self.messages.add(f"{name}: stopped; it can be finished later")
                 return
+            except Exception as error:
+                scan.error = for_console(failure(error))
+                raise
             finally:
                 if (folder / "dataset.json").is_file():
                     self.plants.add_scan(folder)

@@ -10,6 +10,12 @@ from typing import Literal
 from rhizotwin.scenes.said import printable
 
 KEPT = 200
+IN_THE_CONSOLE = (
+    ("finish the scan with --resume", "finish the scan, or start it again"),
+    ("go on with --resume", "finish the scan, or start it again"),
+    ("start the scan again with --resume", "finish the scan, or start it again"),
+)
+"""Advice for the command line, and the same for the console."""
 Kind = Literal["info", "error"]
 
 
@@ -22,6 +28,13 @@ class Message:
     """Local time, such as 14:05:10."""
     kind: Kind
     text: str
+
+
+def for_console(text: str) -> str:
+    """Return a message with advice for the console instead of the command line."""
+    for words, replacement in IN_THE_CONSOLE:
+        text = text.replace(words, replacement)
+    return printable(text)
 
 
 class Messages:
@@ -44,7 +57,7 @@ class Messages:
         with self._lock:
             self._count += 1
             now = datetime.now().astimezone()
-            self._kept.append(Message(number=self._count, time=f"{now:%H:%M:%S}", kind=kind, text=printable(text)))
+            self._kept.append(Message(number=self._count, time=f"{now:%H:%M:%S}", kind=kind, text=for_console(text)))
         self._on_change()
 
     def error(self, text: str) -> None:

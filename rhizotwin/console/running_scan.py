@@ -29,6 +29,8 @@ class RunningScan:
         self, name: str, scene: Scene, *, on_look: Callable[[Look], object], on_change: Callable[[], object], paused: bool = False
     ) -> None:
         self.name, self.scene = name, scene
+        self.error = ""
+        """Why the scan failed."""
         self._on_change, self._on_look = on_change, on_look
         self._shown: Look | None = None
         self.live = Live(scene, on_change=self._live_changed, paused=paused)
@@ -44,6 +46,7 @@ class RunningScan:
             "state": state,
             "done": live.done,
             "total": live.total,
+            "error": self.error,
             "left_s": None if left_s is None or state != "running" else round(left_s),
         }
 

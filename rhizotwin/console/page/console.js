@@ -110,8 +110,10 @@ function showScan(running) {
   by("scan-bar").max = Math.max(scan.total, 1);
   by("scan-bar").value = scan.done;
   const left = scan.left_s === null ? "" : `, about ${duration(scan.left_s)} left`;
-  const words = { running: `running${left}`, paused: "paused: lights on, motor and arm hold", stopping: "stopping: lights off, arm parked; the pictures are kept", ended: scan.done === scan.total && scan.total ? "complete" : "ended; finish it in the list of scans" };
+  const words = { running: `running${left}`, paused: "paused: lights on, motor and arm hold", stopping: "stopping: lights off, arm parked; the pictures are kept", ended: scan.done === scan.total && scan.total ? "complete" : scan.done ? "ended; finish it in the list of scans" : "ended before its first picture" };
   by("scan-state").textContent = scan.total === 0 && running ? "not begun yet" : `${scan.done} of ${scan.total} pictures, ${words[scan.state]}`;
+  by("scan-error").textContent = scan.error;
+  by("scan-error").hidden = scan.error === "";
   by("pause").hidden = scan.state !== "running";
   by("continue").hidden = scan.state !== "paused";
   by("stop").hidden = !running;

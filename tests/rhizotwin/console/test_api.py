@@ -146,6 +146,8 @@ def test_a_device_that_fails_is_reported_with_what_to_do(lab: Lab, fault: Fault,
     assert set(wrong) == {device}
     assert not any(message["text"].startswith("stopped by an unexpected error") for message in state["messages"])
     assert state["scan"]["state"] == "ended"
+    assert state["scan"]["error"].startswith(device)
+    assert "--resume" not in state["scan"]["error"]
     lab.bench.twin.repair()
     if state["scans"]:
         console.finish_scan(name, reconstruct=False)
