@@ -71,7 +71,12 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
         assert (scan.path, scan.plants, scan.pictures, scan.complete) == (dataset.folder, ("P1",), 2, True)
         (stored,) = catalogue.results(plant="P1")
         assert (stored.path, stored.scan, stored.plants) == (result, dataset.folder, ("P1",))
-        assert stored.rig_numbers == {"focal_scale": 1.001, "table_steps_deg": 0.05, "panel_level": pytest.approx(90.5 / 255.0)}
+        assert stored.rig_numbers == {
+            "focal_scale": 1.001,
+            "focal_left": 1.001,
+            "table_steps_deg": 0.05,
+            "panel_level": pytest.approx(90.5 / 255.0),
+        }
         assert [(one.plant, one.kind, one.grams) for one in catalogue.masses()] == [("P1", "root_fresh", 0.4)]
     assert catalogue.scans(plant="P2") == catalogue.results(treatment="low N") == []
     assert check(catalogue) == []
