@@ -43,8 +43,13 @@ def test_entry_is_completed_but_not_contradicted(catalogue: Catalogue):
     catalogue.add_plant(Plant(name="P1", treatment="control"))
     catalogue.add_plant(Plant(name="P1", species="Raphanus sativus"))
     assert catalogue.plant("P1") == Plant(name="P1", treatment="control", species="Raphanus sativus")
-    with pytest.raises(UserError, match="plant P1 has the treatment control, not low N"):
-        catalogue.add_plant(Plant(name="P1", treatment="low N"))
+    catalogue.add_plant(Plant(name="P1", replicate=0))
+    for change, words in (
+        (Plant(name="P1", treatment="low N"), "treatment control, not low N"),
+        (Plant(name="P1", replicate=1), "replicate 0, not 1"),
+    ):
+        with pytest.raises(UserError, match=words):
+            catalogue.add_plant(change)
 
 
 def test_strips_share_no_markers(catalogue: Catalogue):
