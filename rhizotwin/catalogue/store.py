@@ -1,21 +1,20 @@
 """A catalogue file: its entries are added in transactions and read as frozen values."""
 
-import json
 import sqlite3
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rhizotwin.catalogue import schema
+from rhizotwin.catalogue import plant_rows, schema
 from rhizotwin.catalogue.records import Mass, Plant, Scan, State, StoredResult, Tag, Visit
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.schema import Place, from_plain, to_plain
-from rhizotwin.scenes.solution import Solution, check_solution
+from rhizotwin.scenes.schema import Place
+from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject, check_subject
 
 MOST_LISTED = 5
@@ -139,13 +138,13 @@ class Catalogue:
             raise UserError(f"{self.path}: a plant needs a name")
         with self.writing():
             before = next((one for one in self.plants() if one.name == plant.name), None)
-            merged = plant if before is None else self._merged(before, plant)
-            self._refuse_tag(merged)
+            merged = plant if before is None else plant_rows.merge(before, plant, where=str(self.path))
+            plant_rows.refuse_tag(merged, self.plants(), where=str(self.path))
             tag = merged.tag
             values = (
                 merged.species,
                 self._id_of("treatments", "name", merged.treatment),
-                self._id_of("solutions", "content", _content(merged.solution)),
+                self._id_of("solutions", "content", plant_rows.solution_text(merged.solution)),
                 merged.replicate,
                 merged.sown,
                 merged.notes,
@@ -166,7 +165,7 @@ class Catalogue:
             "SELECT p.*, t.name AS treated, s.content FROM plants p LEFT JOIN treatments t ON t.id = p.treatment"
             " LEFT JOIN solutions s ON s.id = p.solution ORDER BY p.name"
         )
-        return [self._plant(row) for row in found]
+        return [plant_rows.plant_of(row, where=str(self.path)) for row in found]
 
     def plant(self, name: str) -> Plant:
         """Return a plant.
@@ -344,7 +343,7 @@ class Catalogue:
 
     def solution_id(self, solution: Solution) -> int | None:
         """Return the number of a nutrient solution's row, which is added if it is new; None if nothing is known."""
-        return self._id_of("solutions", "content", _content(solution))
+        return self._id_of("solutions", "content", plant_rows.solution_text(solution))
 
     def _place(self, plant: Plant) -> Place:
         return Place(f"{self.path}, plant {plant.name!r}")
@@ -362,61 +361,10 @@ class Catalogue:
             found[number] = (*found.get(number, ()), name)
         return found
 
-    def _plant(self, row: sqlite3.Row) -> Plant:
-        place = Place(f"{self.path}, plant {row['name']!r}").at("solution")
-        solution = Solution()
-        if row["content"] is not None:
-            try:
-                plain = json.loads(row["content"])
-            except (ValueError, RecursionError):
-                raise place.error("is no readable JSON") from None
-            solution = from_plain(Solution, plain, place)
-            check_solution(solution, place)
-        tag = None
-        if row["first_id"] is not None and row["markers"] is not None:
-            tag = Tag(dictionary=row["dictionary"], first_id=row["first_id"], markers=row["markers"])
-        return Plant(
-            name=row["name"],
-            species=row["species"],
-            treatment=row["treated"] or "",
-            replicate=row["replicate"],
-            sown=row["sown"],
-            notes=row["notes"],
-            solution=solution,
-            tag=tag,
-            phantom=bool(row["phantom"]),
-        )
-
-    def _merged(self, before: Plant, now: Plant) -> Plant:
-        """Return a plant with what either entry knows; reject values that contradict each other."""
-        changed: dict[str, Any] = {}
-        for field in fields(Plant):
-            old, new, empty = getattr(before, field.name), getattr(now, field.name), field.name == "solution" and not now.solution.known
-            if new in ("", None, False) or empty or new == old:
-                continue
-            known = before.solution.known if field.name == "solution" else old not in ("", None, False)
-            if known and field.name not in ("notes", "solution"):
-                raise UserError(f"{self.path}: plant {now.name} has the {field.name} {old}, not {new}; correct one of them")
-            changed[field.name] = new if field.name == "notes" or not known else old
-        return replace(before, **changed)
-
-    def _refuse_tag(self, plant: Plant) -> None:
-        """Reject a strip that shares markers with that of another plant."""
-        for other in self.plants():
-            if plant.tag is not None and other.tag is not None and other.name != plant.name and plant.tag.overlaps(other.tag):
-                raise UserError(
-                    f"{self.path}: the strip of plant {plant.name} ({plant.tag}) shares markers with that of {other.name} ({other.tag}); "
-                    "print a strip with other numbers with `rhizotwin markers SCENE --labels N`"
-                )
-
 
 def now_utc() -> str:
     """Return the time as it is stored."""
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _content(solution: Solution) -> str:
-    return json.dumps(to_plain(solution), sort_keys=True) if solution.known else ""
 
 
 def _selection(plant: str | None, treatment: str | None, day: float | None, *, plants: str) -> tuple[str, list[Any]]:

@@ -46,6 +46,12 @@ RIG_NUMBERS = (
     RigNumber(
         name="focal_scale",
         heading="focal length, relative to the calibrated one",
+        effects={},
+        is_ratio=True,
+    ),
+    RigNumber(
+        name="focal_left",
+        heading="focal length, part that the reconstruction has not corrected",
         effects={"total_length": 1.0, "depth": 1.0, "volume": 3.0},
         is_ratio=True,
     ),
@@ -107,12 +113,15 @@ class Chart:
 def rig_numbers(summary: Json) -> dict[str, float]:
     """Return the numbers of the rig that a ``result.json`` holds, by the names of `RIG_NUMBERS`.
 
-    The panel's level is not among them, see `panel_level`.
+    A focal length that the reconstruction has corrected by the markers or the roots leaves no uncorrected part. The
+    panel's level is not among them, see `panel_level`.
     """
     rig: dict[str, Any] = summary.get("rig") or {}
     checks = {str(one.get("name")): one.get("value") for one in summary.get("checks") or [] if isinstance(one, dict)}
+    focal, applied = rig.get("focal_scale_found"), rig.get("focal_scale", 1.0)
     found = {
-        "focal_scale": rig.get("focal_scale_found"),
+        "focal_scale": focal,
+        "focal_left": focal if applied == 1.0 else 1.0,
         "canister_tilt_deg": _tilt_deg(rig.get("canister_from_strip")),
         "table_tilt_deg": _tilt_deg(rig.get("table_from_canister")),
         "blur_px": checks.get("sharpness"),

@@ -129,7 +129,7 @@ def sentences(growth: Growth) -> list[str]:
                 f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}), relative growth rate {one.rate_per_day:+.3f} a day "
                 f"(p = {one.rate_p:.2g}); differs is a size whose p is below {SURE:g}."
             )
-            told += drift_cautions(growth.drift, trait, one.size)
+            told += drift_cautions(growth.drift, trait, one.size) if one.told_apart else []
     told += [one.sentence(trait) for trait, responses in growth.responses.items() for one in responses]
     for plant, followed in growth.followed.items():
         often = sum(len(track.sights) > 1 for track in followed.tracks)

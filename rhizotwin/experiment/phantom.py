@@ -75,13 +75,13 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
     Raises
     ------
     UserError
-        If the result has no centre lines, or two diameters are too close to be told apart.
+        If the result has no centre lines, or two diameters are too close to each other.
     """
     ordered = sorted(diameters_mm)
     least = NEAREST**2
     for thin, thick in pairwise(ordered):
         if thick / thin < least:
-            raise UserError(f"wires of {thin:g} and {thick:g} mm are too close to be told apart; choose a factor of {least:.2f} or more")
+            raise UserError(f"wires of {thin:g} and {thick:g} mm are too close to each other; choose a factor of {least:.2f} or more")
     file = result / "roots.rsml"
     if not file.is_file():
         raise UserError(f"{file} does not exist: no centre lines were found, so that no wire is measured")

@@ -25,7 +25,7 @@ class Changer(Protocol):
         Raises
         ------
         UserError
-            If nobody is there, or the carousel fails.
+            If there is no one to ask, or the carousel fails.
         """
 
 
@@ -35,7 +35,7 @@ class PersonChanger:
     Parameters
     ----------
     ask : Ask or None
-        Asks a question and returns the answer; None: nobody is there.
+        Asks a question and returns the answer; None: there is no one to ask.
     """
 
     def __init__(self, ask: Ask | None) -> None:
@@ -45,7 +45,7 @@ class PersonChanger:
         """Ask for the canister, and wait for the answer."""
         if self._ask is None:
             raise UserError(
-                f"plant {member.name} is due, but nobody is asked to put its canister on the table: run it in a terminal or from the "
+                f"plant {member.name} is due, but there is no one to put its canister on the table: run it in a terminal or from the "
                 'console, or use a carousel ([schedule] change = "carousel")'
             )
         start = f"{reason[0].upper()}{reason[1:]}. " if reason else ""

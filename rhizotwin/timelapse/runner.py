@@ -41,7 +41,7 @@ class Listener:
     stop: Callable[[], bool] = lambda: False
     """Whether the run shall end before the next scan."""
     ask: Ask | None = None
-    """Asks a person a question; None: nobody is there."""
+    """Asks a person a question; None: there is no one to ask."""
     onlooker: Onlooker = field(default_factory=Onlooker)
     """Receives the pictures of the scan, and may hold it."""
     monitor: Monitor = field(default_factory=Monitor)
@@ -154,6 +154,8 @@ class Runner:
             except (RigError, identity.WrongPlantError) as error:
                 reason = str(error)
                 self.listener.say(f"{member.name}: try {attempt} of {self.experiment.schedule.tries} failed: {reason}")
+                if self.listener.stop():
+                    return
                 if attempt < self.experiment.schedule.tries and isinstance(error, RigError):
                     self._wait(timedelta(minutes=self.experiment.schedule.pause_min))
             else:

@@ -43,8 +43,13 @@ def test_entry_is_completed_but_not_contradicted(catalogue: Catalogue):
     catalogue.add_plant(Plant(name="P1", treatment="control"))
     catalogue.add_plant(Plant(name="P1", species="Raphanus sativus"))
     assert catalogue.plant("P1") == Plant(name="P1", treatment="control", species="Raphanus sativus")
-    with pytest.raises(UserError, match="plant P1 has the treatment control, not low N"):
-        catalogue.add_plant(Plant(name="P1", treatment="low N"))
+    catalogue.add_plant(Plant(name="P1", replicate=0))
+    for change, words in (
+        (Plant(name="P1", treatment="low N"), "treatment control, not low N"),
+        (Plant(name="P1", replicate=1), "replicate 0, not 1"),
+    ):
+        with pytest.raises(UserError, match=words):
+            catalogue.add_plant(change)
 
 
 def test_strips_share_no_markers(catalogue: Catalogue):
@@ -71,7 +76,12 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
         assert (scan.path, scan.plants, scan.pictures, scan.complete) == (dataset.folder, ("P1",), 2, True)
         (stored,) = catalogue.results(plant="P1")
         assert (stored.path, stored.scan, stored.plants) == (result, dataset.folder, ("P1",))
-        assert stored.rig_numbers == {"focal_scale": 1.001, "table_steps_deg": 0.05, "panel_level": pytest.approx(90.5 / 255.0)}
+        assert stored.rig_numbers == {
+            "focal_scale": 1.001,
+            "focal_left": 1.001,
+            "table_steps_deg": 0.05,
+            "panel_level": pytest.approx(90.5 / 255.0),
+        }
         assert [(one.plant, one.kind, one.grams) for one in catalogue.masses()] == [("P1", "root_fresh", 0.4)]
     assert catalogue.scans(plant="P2") == catalogue.results(treatment="low N") == []
     assert check(catalogue) == []

@@ -93,7 +93,7 @@ def test_wrong_canister_to_the_end_is_missed_and_leaves_nothing(make_experiment)
 
 def test_nobody_there(make_experiment):
     experiment = load_experiment(make_experiment(plants=1, rounds=1))
-    with pytest.raises(UserError, match="nobody is asked"):
+    with pytest.raises(UserError, match="there is no one to put its canister"):
         Runner(experiment, changer=PersonChanger(None)).run()
     assert Runner(experiment).run().scanned == 1
 
