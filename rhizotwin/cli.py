@@ -21,6 +21,8 @@ AFTER_STOP = {
     "plan": "run the same command again to continue",
     "batch": "finished scans are kept; run the same command again to continue",
     "scan": "the pictures taken so far are kept; run the same command with --resume to continue",
+    "timelapse": "the catalogue and the pictures are kept; run the same command again to continue",
+    "console": "scans, results and the queue are kept; run the same command again to continue",
     "twin": "",
     "rig": "",
     "camera": "",

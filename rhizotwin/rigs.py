@@ -1,5 +1,7 @@
 """A real or emulated rig with its scene and devices, as used by the commands scan and rig."""
 
+import hashlib
+import json
 import signal
 import sys
 import threading
@@ -17,16 +19,20 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
-from rhizotwin.scenes.schema import Place, from_plain
+from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 if TYPE_CHECKING:
     from rhizotwin.rig.devices import Camera
     from rhizotwin.rig.open import Devices
     from rhizotwin.rig.rig_file import RigFile
+    from rhizotwin.rig.scanning.observers import Observers
     from rhizotwin.rig.serial_line.recording import Recorder
+    from rhizotwin.scenes.dataset import Dataset
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
+SHOTS_FILE = "truth/shots.jsonl"
+"""True state of the rig in each of the twin's pictures, from which the truth of an interrupted scan is written."""
 
 RigName: TypeAlias = Annotated[str, with_metavar("RIG|twin")]
 Fidelity: TypeAlias = Literal["render", "sketch"]
@@ -117,11 +123,23 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
         known = files.load_scene(scene) if scene else Scene()
         return Bench(rig=real, scene=_with_plan(known, plan), clock=SystemClock())
     known = _with_plan(files.load_scene(scene or TWIN_SCENE), plan)
-    known = replace(known, disturbances=files.load_profile(errors.profile))
-    pictures: Fidelity = "sketch"
     if isinstance(errors, TwinPictures) and errors.fidelity == "render":
-        pictures = "render"
         command_steps.start_engine(errors.device)
+    return twin_bench(replace(known, disturbances=files.load_profile(errors.profile)), errors)
+
+
+def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
+    """Return the emulated rig with the canister of a scene on its table.
+
+    Parameters
+    ----------
+    known : Scene
+        With its specimen and disturbances.
+    errors : TwinErrors
+        Profile and seed. With `TwinPictures` that are rendered, the engine must have been started; otherwise the
+        pictures are sketches.
+    """
+    pictures: Fidelity = errors.fidelity if isinstance(errors, TwinPictures) else "sketch"
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
     rig_file = default_rig(scene=known)
@@ -129,6 +147,74 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
         rig_file = replace(rig_file, turntable=replace(rig_file.turntable, rest="measured"))
     emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures, rig=rig_file)
     return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
+
+
+def take_scan(
+    bench: Bench,
+    devices: "Devices",
+    scene: Scene,
+    folder: Path,
+    *,
+    observers: "Observers",
+    twin: TwinPictures | None = None,
+    resume: bool = False,
+    table_angle_deg: float | None = None,
+) -> "Dataset":
+    """Scan on open devices, and write the truth of a scan whose pictures the twin rendered.
+
+    Parameters
+    ----------
+    bench, devices : Bench, Devices
+        The rig and its open devices.
+    scene : Scene
+        The bench's scene with the subject of this scan.
+    folder : Path
+        Of the dataset: new or empty; with ``resume`` one with an interrupted scan.
+    observers : Observers
+        Listeners of the scan; its ``begun`` is replaced.
+    twin : TwinPictures or None
+        How the twin makes its pictures; None for a real rig.
+    resume : bool
+        Whether an interrupted scan is continued.
+    table_angle_deg : float or None
+        Present angle of the table, where the markers cannot be read.
+
+    Returns
+    -------
+    Dataset
+        The complete dataset.
+
+    Raises
+    ------
+    RigError
+        When a device failed; the scan can be resumed.
+    UserError
+        For a folder or plan that cannot be used.
+    """
+    from rhizotwin.rig.scanning.scan import scan
+
+    # An interrupted and resumed scan needs the true state of the earlier pictures as well.
+    rendered = twin is not None and twin.fidelity == "render"
+    made = scan(
+        devices,
+        scene,
+        folder,
+        resume=resume,
+        settings={"twin": None if twin is None else _origin_of(twin, bench.twin.scene)},
+        seed=None if twin is None else twin.seed,
+        table_angle_deg=table_angle_deg,
+        observers=replace(observers, begun=(lambda: bench.twin.record.keep_in(folder / SHOTS_FILE)) if rendered else (lambda: None)),
+    )
+    if rendered:
+        bench.twin.write_truth(folder, made.frames)
+        bench.twin.record.end()
+    return made
+
+
+def _origin_of(twin: TwinPictures, scene: Scene) -> dict[str, str]:
+    """Return the settings that determine the twin's pictures, for the dataset."""
+    digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
+    return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}
 
 
 def _with_plan(scene: Scene, plan: str | None) -> Scene:

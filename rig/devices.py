@@ -130,6 +130,28 @@ class Arm(Protocol):
         """Close the port."""
 
 
+class Carousel(Protocol):
+    """A changer that puts one of several canisters on the turntable. Places are numbered from 1."""
+
+    def describe(self) -> str:
+        """Return a short description: firmware, number of places."""
+
+    def prepare(self) -> None:
+        """Connect, and find the reference position."""
+
+    def load(self, place: int) -> None:
+        """Put the canister of a place on the turntable, and the one that is there back to its own place.
+
+        Return when it is done. Raises `UnsafeError` when it is blocked.
+        """
+
+    def unload(self) -> None:
+        """Put the canister on the turntable back to its place; do nothing when there is none."""
+
+    def close(self) -> None:
+        """Close the port."""
+
+
 class Camera(Protocol):
     """A camera with all automatic functions switched off."""
 

@@ -108,6 +108,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
         return Markers(
             ids=np.zeros(0, np.int64),
             corners_px=np.zeros((0, 4, 2)),
+            foreign=tuple(foreign),
             diagnosis=_diagnose(image, strip, blurred=len(ids), foreign=foreign),
         )
     return Markers(

@@ -21,6 +21,10 @@ NOTCH_MM = 1.5
 RING_WIDE_MM = 8.0
 """Width of the canister ring: room for the head of an M3 screw beside the canister."""
 RING_SCREWS = 3
+WIRE_HOLE_MM = 1.2
+"""A printer's smallest sure hole, wide enough for a wire of 0.8 mm."""
+WIRES_AT_MM = ((14.0, 4.0), (-5.0, 13.0), (-13.0, -6.0), (4.0, -15.0))
+"""Places of the wires, as in the scene wire_phantom: none hides another one in more than a few views."""
 M3_MM = 3.4
 """Clearance hole of an M3 screw (ISO 273, medium)."""
 
@@ -138,6 +142,28 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
             ("mesh_bar_mm", measures.mesh_bar_mm, "mesh_bar_mm"),
             ("mesh_middle_mm", measures.mesh_middle_mm, "mesh_middle_mm"),
             ("open_percent", 100.0 * openings.area() / (np.pi * low**2), "open fraction of the lower face"),
+        ),
+    )
+
+
+def wire_holder(scene: Scene, measures: Measures) -> Part:
+    """Return the holder of the wire phantom: a closed disc that lies in the pot in place of the grid.
+
+    Each wire hangs through a hole and is bent over on top.
+    """
+    low = scene.canister.inner_radius_mm - measures.fit_mm - measures.wall_mm - SEAT_MM
+    z = scene.net_pot.grid_z_mm
+    disc = turned([(0.0, z), (low, z), (low + GRID_MM, z + GRID_MM), (0.0, z + GRID_MM)])
+    holes = union(hole(WIRE_HOLE_MM, at) for at in WIRES_AT_MM)
+    return Part(
+        name="wire_holder",
+        about="In place of the grid, for the wire phantom: each wire hangs through a hole and is bent over on top.",
+        solid=disc - raised(holes, z - 1.0, z + GRID_MM + 1.0),
+        dimensions=(Dimension(name="underside", from_mm=(-low, 0.0, z), to_mm=(low, 0.0, z)),),
+        numbers=(
+            ("underside_radius_mm", low, "insert_inner_radius_mm - the cone's 3 mm"),
+            ("thickness_mm", GRID_MM, ""),
+            ("hole_mm", WIRE_HOLE_MM, ""),
         ),
     )
 

@@ -65,7 +65,7 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
     ]
     if rig.arm is not None:
         parts += [mounts.camera_bracket(scene, rig.arm, measures), mounts.arm_mount(rig.arm, measures, floor_mm)]
-    return parts
+    return [*parts, pot.wire_holder(scene, measures)]
 
 
 def thesis_rig(scene: Scene | None = None) -> RigFile:

@@ -74,7 +74,8 @@ def batch(
     Parameters
     ----------
     scans : list of str
-        Datasets, folders that contain datasets, quoted patterns such as 'scans/day_*', or addresses (s3://...).
+        Datasets, folders that contain datasets, quoted patterns such as 'scans/day_*', addresses (s3://...), or a
+        catalogue (.rhizotwin).
     output : str
         Folder or address for the results.
     voxel_mm : float, optional
@@ -93,8 +94,9 @@ def batch(
     """
     from rhizotwin.batches import collect, places
     from rhizotwin.batches.run import run
+    from rhizotwin.catalogue import sources
 
-    jobs = collect.reconstructions(scans, output, voxel_mm=voxel_mm, settings=settings, device=work.device)
+    jobs = collect.reconstructions(sources.expand_scans(scans), output, voxel_mm=voxel_mm, settings=settings, device=work.device)
     made = run(jobs, output, cluster=work.cluster, workers=work.workers)
     if not places.is_address(output):
         from rhizotwin.batches import overview

@@ -61,8 +61,9 @@ def fit(
     ----------
     results : list of Path
         Result folders, folders that contain results, or tables of traits (.csv), followed by the table of masses
-        (.csv). Its columns are plant, optionally day, and any of root_fresh_g, root_dry_g, shoot_fresh_g and
-        shoot_dry_g; root_foil_scraped_g - root_foil_g, the dry matter left on the foil, is added to root_dry_g.
+        (.csv) or by a catalogue (.rhizotwin), whose results and masses are used. The columns of the table of masses
+        are plant, optionally day, and any of root_fresh_g, root_dry_g, shoot_fresh_g and shoot_dry_g;
+        root_foil_scraped_g - root_foil_g, the dry matter left on the foil, is added to root_dry_g.
     output : Path
         Model file to write (JSON); must not exist yet.
     balance_g : float
@@ -73,16 +74,21 @@ def fit(
     rhizotwin biomass fit my_results my_masses.csv -o radish.json
     rhizotwin biomass fit thesis/kliman_2022_volumes.csv thesis/kliman_2022_masses.csv -o thesis.json
     """
-    *sources, masses = results
-    if not sources or masses.suffix.lower() != ".csv":
-        raise UserError("give one or more results, followed by the table of masses (.csv)")
+    from rhizotwin.catalogue import sources
+
+    *given, last = results
+    tables = sources.mass_tables(last) if sources.is_catalogue(last) else [last]
+    given = [*given, last] if sources.is_catalogue(last) else given
+    if not given or any(table.suffix.lower() != ".csv" for table in tables):
+        raise UserError("give one or more results, followed by the table of masses (.csv), or a catalogue that contains both")
     if output.exists():
         raise UserError(f"{output} already exists; choose another name")
     from rhizotwin.experiment import biomass, model_file
     from rhizotwin.experiment.masses import read_masses
     from rhizotwin.experiment.measured import read_all
 
-    found, notes = biomass.pairs(read_all(sources), read_masses(masses, balance_g=balance_g))
+    weighed = [one for table in tables for one in read_masses(table, balance_g=balance_g)]
+    found, notes = biomass.pairs(read_all(sources.expand_results(given, phantoms=False)), weighed)
     model = biomass.fit(found, balance_g=balance_g, notes=notes)
     model_file.save_model(model, output)
     for note in model.notes:
@@ -104,7 +110,7 @@ def predict(
     Parameters
     ----------
     results : list of Path
-        Result folders, folders that contain results, or tables of traits (.csv).
+        Result folders, folders that contain results, tables of traits (.csv), or a catalogue (.rhizotwin).
     model : Path
         Model file written by 'rhizotwin biomass fit' for the same species.
     table : Path, optional
@@ -117,11 +123,12 @@ def predict(
     """
     if table is not None and (table.suffix.lower() != ".csv" or table.exists()):
         raise UserError(f"{table} {'already exists; choose another name' if table.exists() else 'must end in .csv'}")
+    from rhizotwin.catalogue import sources
     from rhizotwin.experiment import model_file
     from rhizotwin.experiment.measured import read_all
     from rhizotwin.scenes import atomic
 
-    found = model_file.predict(model_file.load_model(model), read_all(results))
+    found = model_file.predict(model_file.load_model(model), read_all(sources.expand_results(results, phantoms=False)))
     if not found:
         raise UserError(f"none of the results has a trait that the model {model} requires")
     for one in found:

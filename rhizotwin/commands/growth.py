@@ -19,8 +19,8 @@ def growth(results: Annotated[list[Path], with_metavar("RESULTS")], /, *, output
     Parameters
     ----------
     results : list of Path
-        Result folders, folders that contain results, tables of traits (.csv; growth curves only) or tables of masses
-        (.csv).
+        Result folders, folders that contain results, tables of traits (.csv; growth curves only), tables of masses
+        (.csv), or a catalogue (.rhizotwin) with its results and masses.
     output : Path
         Folder to write: traits.csv, roots.csv, treatments.csv, growth.html, growth.png and RSML files with time; for
         several nutrient solutions also doses.csv and doses.png, for masses masses.csv and masses.png, for plants that
@@ -30,32 +30,12 @@ def growth(results: Annotated[list[Path], with_metavar("RESULTS")], /, *, output
     --------
     rhizotwin growth my_results -o my_growth
     rhizotwin growth my_results/traits.csv -o my_growth
+    rhizotwin growth my.rhizotwin -o my_growth
     rhizotwin growth my_results my_masses.csv my_predicted_masses.csv -o my_growth
     """
-    from rhizotwin.experiment import growth as grown
-    from rhizotwin.experiment import growth_page, mass_curves
-    from rhizotwin.experiment.measured import read_all
-    from rhizotwin.scenes import atomic
-    from rhizotwin.scenes.folders import new_folder
+    from rhizotwin.catalogue import sources
+    from rhizotwin.experiment import growth_files
 
-    weighed = [path for path in results if mass_curves.is_of_masses(path)]
-    others = [path for path in results if path not in weighed]
-    curves = mass_curves.measure(mass_curves.read(weighed))
-    measured = grown.measure(read_all(others)) if others or not weighed else None
-    picture = mass_curves.draw(curves) if curves else None
-    with new_folder(output) as building:
-        if measured is not None:
-            grown.write(measured, building)
-        if measured is not None and measured.curves:
-            atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
-        if measured is not None and measured.responses:
-            atomic.write_bytes(building / "doses.png", growth_page.draw_responses(measured))
-        if measured is not None and (together := grown.neighbours_csv(measured)):
-            atomic.write_text(building / "neighbours.csv", together)
-        if picture is not None:
-            atomic.write_bytes(building / "masses.png", picture)
-            atomic.write_text(building / "masses.csv", mass_curves.to_csv(curves))
-        atomic.write_text(building / "growth.html", growth_page.page(measured, picture))
-    for sentence in [] if measured is None else growth_page.sentences(measured):
+    for sentence in growth_files.write(sources.expand_results(results, masses=True, phantoms=False), output):
         print(sentence)
     print(f"report: {output / 'growth.html'}")

@@ -1,10 +1,12 @@
 """`rhizotwin markers`."""
 
+from dataclasses import replace
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFile, SceneName, option, read_length_mm
+from rhizotwin.arguments import OutputFile, SceneName, option, read_integer, read_length_mm
 from rhizotwin.pages import PageOptions
 from rhizotwin.scenes import files
+from rhizotwin.scenes.model import Scene
 
 PAPER_LIMITS_MM = (0.0, 2.0)
 
@@ -21,6 +23,7 @@ def markers(
     output: OutputFile,
     page: PageOptions = PageOptions(),
     paper_mm: Annotated[float, option(read_paper_mm, "MM")] = 0.1,
+    labels: Annotated[int | None, option(lambda text: read_integer(text, 1, 500, "give 1 to 500"), "N")] = None,
 ) -> None:
     """Write the marker strip of a scene for printing at true scale.
 
@@ -38,19 +41,35 @@ def markers(
     paper_mm : float
         Thickness of the paper. The strip is sized so that net_pot.outer_radius_mm of the scene is the outer radius of
         the glued paper.
+    labels : int, optional
+        Write the strips of the canisters 1 to N. Each has marker numbers of its own, by which every picture shows which
+        canister it is ('rhizotwin timelapse', 'rhizotwin scan --catalogue').
 
     Examples
     --------
     rhizotwin markers printed_8ml -o strip.pdf
+    rhizotwin markers my_scene.toml -o strips.pdf --labels 6
     rhizotwin markers my_scene.toml -o strip.svg --page a3 --landscape
     rhizotwin markers my_scene.toml -o strip.pdf --printed-ruler-mm 99.6x99.8
     """
+    from rhizotwin.catalogue.records import Tag
     from rhizotwin.rig.printing.print_files import write_pages
     from rhizotwin.rig.printing.print_strip import strip_pages
 
     drawn = files.load_scene(scene)
-    written = write_pages(strip_pages(drawn, paper=page.paper(), paper_mm=paper_mm), output, title=f"marker strip of {drawn.name}")
+    scenes = [drawn] if labels is None else [_of_canister(drawn, number + 1) for number in range(labels)]
+    pages = [one for each in scenes for one in strip_pages(each, paper=page.paper(), paper_mm=paper_mm)]
+    written = write_pages(pages, output, title=f"marker strip of {drawn.name}")
     across_mm = 2.0 * drawn.net_pot.outer_radius_mm
-    print(f"wrote the marker strip of {drawn.name} to {', '.join(str(path) for path in written)}")
+    for number, each in enumerate(scenes if labels else (), start=1):
+        print(f"canister {number}: {Tag.of_strip(each.strip)}")
+    print(f"wrote the marker strip{'s' if labels else ''} of {drawn.name} to {', '.join(str(path) for path in written)}")
     print("print at 100 % scale, measure the ruler, cut out the strip and glue it around the net pot")
     print(f"the outer diameter of the strip on the pot must be {across_mm:.1f} mm")
+
+
+def _of_canister(scene: Scene, number: int) -> Scene:
+    """Return a scene with the strip of a numbered canister."""
+    from rhizotwin.catalogue.identity import strip_for_canister
+
+    return replace(scene, name=f"{scene.name}, canister {number}", strip=strip_for_canister(scene.strip, number))

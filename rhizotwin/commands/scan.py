@@ -1,27 +1,27 @@
 """`rhizotwin scan`."""
 
-import hashlib
-import json
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from rhizotwin import command_steps, rigs
-from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
+from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, option, read_number, with_metavar
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:
-    from rhizotwin.rig.scanning.observer import Observer
+    from collections.abc import Callable
+
+    from rhizotwin.catalogue.store import Catalogue
+    from rhizotwin.rig.open import Devices
     from rhizotwin.scenes.dataset import Dataset
+    from rhizotwin.scenes.picture_codec import Grey
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
-SHOTS_FILE = "truth/shots.jsonl"
-"""True state of the emulated rig at each picture, stored so that the ground truth of a resumed scan is complete."""
 
 
 def read_angle_deg(text: str) -> float:
@@ -41,18 +41,11 @@ class ScanOptions:
     table_angle_deg: Annotated[float | None, option(read_angle_deg, "DEG", name="--table-angle")] = None
     """Current angle of the turntable, if the markers cannot be detected at the start; at 0 the seam of the marker \
 strip faces the camera."""
+    catalogue: Annotated[Path | None, with_metavar("CATALOGUE")] = None
+    """Identify the plant by the marker numbers of its strip; its name, species, treatment and day are read from this \
+catalogue, and the scan is added to it. With --plant, another plant on the turntable is an error."""
     record: Annotated[Path | None, with_metavar("FILE")] = None
     """Append all serial communication to this file (JSON lines)."""
-
-
-@Parameter(name="*", group="Web page")
-@dataclass(frozen=True, kw_only=True)
-class Watching(Page):
-    """Live page of the scan."""
-
-    watch: Flag = False
-    """Serve a live page that shows the last picture with its markers, focus, exposure, panel uniformity and motion \
-with their limits, a preview of the roots and the remaining time, and has buttons to pause and stop."""
 
 
 def scan(
@@ -63,7 +56,6 @@ def scan(
     options: ScanOptions = ScanOptions(),
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     subject: SubjectOptions = SubjectOptions(),
-    watching: Watching = Watching(),
     progress: Progress = Progress(),
 ) -> None:
     """Scan a plant: take the pictures of a capture plan on a rig, or on the emulated rig.
@@ -87,16 +79,15 @@ def scan(
         Errors of the emulated rig and quality of its pictures.
     subject : SubjectOptions
         Plant in the canister.
-    watching : Watching
-        Live page of the scan.
     progress : Progress
         Progress output.
 
     Examples
     --------
     rhizotwin scan --rig twin -o my_scan --fidelity sketch
-    rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan --watch
+    rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --plant P7 --treatment "low N" --day 15
+    rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --catalogue my.rhizotwin
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
@@ -106,74 +97,86 @@ def scan(
             "--scene is missing; give the scene file of this rig, with canister, marker strip, calibrated camera and capture plan"
         )
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
-    scene_of_plant = subject.apply_to(bench.scene)
-    command_steps.print_marker_warnings(scene_of_plant)
-    made = _take(bench, scene_of_plant, output, options=options, twin=emulated, watching=watching, progress=progress)
+    made = _scan(bench, output, subject, options=options, twin=emulated, progress=progress)
     print(f"wrote {len(made.frames)} pictures to {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
         print(f"next: rhizotwin reconstruct {output} -o my_result")
 
 
+def _scan(
+    bench: rigs.Bench, output: Path, subject: SubjectOptions, *, options: ScanOptions, twin: rigs.TwinPictures | None, progress: Progress
+) -> "Dataset":
+    """Open the devices, identify the plant if there is a catalogue, and scan."""
+    with ExitStack() as stack:
+        devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
+        if options.catalogue is None:
+            scene = subject.apply_to(bench.scene)
+            command_steps.print_marker_warnings(scene)
+            return _take(bench, devices, scene, output, options=options, twin=twin, progress=progress, identify=None)
+        from rhizotwin.catalogue.adding import add_scan
+        from rhizotwin.catalogue.store import Catalogue
+
+        known = stack.enter_context(Catalogue.open(options.catalogue))
+        scene, identify = _identified(known, bench, devices, subject)
+        command_steps.print_marker_warnings(scene)
+        made = _take(bench, devices, scene, output, options=options, twin=twin, progress=progress, identify=identify)
+        add_scan(known, output)
+        return made
+
+
 def _take(
     bench: rigs.Bench,
+    devices: "Devices",
     scene: Scene,
     output: Path,
     *,
     options: ScanOptions,
     twin: rigs.TwinPictures | None,
-    watching: Watching,
     progress: Progress,
+    identify: "Callable[[Grey], object] | None",
 ) -> "Dataset":
-    """Take the pictures, and write the ground truth if the emulated rig renders them."""
+    """Scan, with a bar."""
     from rhizotwin.rig.scanning.observers import Observers
-    from rhizotwin.rig.scanning.scan import scan as take
 
-    # the true state at each picture is stored on disk, so that the ground truth of a resumed scan is complete
-    rendered = twin is not None and twin.fidelity == "render"
-    with ExitStack() as stack:
-        observer = _observer(bench.scene, watching, stack)
-        devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
-        bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
-        made = take(
+    with progress.bar(devices=1.0, pictures=20.0) as bar:
+        observers = Observers(ask=rigs.asker(), say=bar.say, monitor=bar)
+        return rigs.take_scan(
+            bench,
             devices,
             scene,
             output,
+            observers=observers if identify is None else replace(observers, identify=identify),
+            twin=twin,
             resume=options.resume,
-            settings={"twin": None if twin is None else _pictures(twin, bench.twin.scene)},
-            seed=None if twin is None else twin.seed,
             table_angle_deg=options.table_angle_deg,
-            observers=Observers(
-                ask=rigs.asker(),
-                say=bar.say,
-                observer=observer,
-                monitor=bar,
-                begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
-            ),
         )
-    if rendered:
-        bench.twin.write_truth(output, made.frames)
-        bench.twin.record.end()
-    return made
 
 
-def _observer(scene: Scene, watching: Watching, stack: ExitStack) -> "Observer":
-    """Start the live page if requested."""
-    if not watching.watch:
-        from rhizotwin.rig.scanning.observer import Observer
+def _identified(
+    known: "Catalogue", bench: rigs.Bench, devices: "Devices", subject: SubjectOptions
+) -> "tuple[Scene, Callable[[Grey], object]]":
+    """Return the scene of the plant on the table, and the check of the scan's first picture.
 
-        return Observer()
-    from rhizotwin.viewer import live_page
-    from rhizotwin.viewer.live import Live
+    A scan that is resumed keeps the date and day at which it was begun; they must be given again.
+    """
+    from rhizotwin.catalogue import identity
+    from rhizotwin.rig.scanning.first_look import take_first_look
+    from rhizotwin.rig.scanning.observers import Observers
 
-    live = Live(scene)
-    served = live_page.serve(live, host=watching.host, port=watching.port)
-    stack.callback(served.stop)
-    stack.callback(live.close)
-    command_steps.open_page(served.address, served.port, watching)
-    return live
-
-
-def _pictures(twin: rigs.TwinPictures, scene: Scene) -> dict[str, str]:
-    """Return the settings of the emulated pictures, which must not change when a scan is resumed."""
-    digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
-    return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}
+    plants, strip = known.plants(), bench.scene.strip
+    if subject.plant is None:
+        image = take_first_look(devices, bench.scene, Observers(ask=rigs.asker()))
+        plant = identity.identify(image, plants, strip)
+    else:
+        plant = known.plant(subject.plant)
+    if plant.tag is None:
+        raise UserError(f"{known.path}: the strip of plant {plant.name} is not known; add it with `rhizotwin catalogue plant`")
+    own = replace(strip, dictionary=plant.tag.dictionary, first_id=plant.tag.first_id)
+    today = date.fromisoformat(subject.date) if subject.date else date.today()  # noqa: DTZ011 - the laboratory's calendar
+    day = float((today - date.fromisoformat(plant.sown)).days) if plant.sown and subject.day is None else subject.day
+    whose = replace(bench.scene.subject, plant=plant.name, species=plant.species, treatment=plant.treatment, replicate=plant.replicate)
+    scene = replace(bench.scene, strip=own, subject=replace(whose, day=day, date=today.isoformat()))
+    if plant.solution.known:
+        scene = replace(scene, solution=plant.solution)
+    print(f"plant: {scene.subject}")
+    return subject.apply_to(scene), identity.check_plant(plant, plants, strip)

@@ -23,14 +23,13 @@ def traits(
 
     Each trait (lengths, diameters, depth, width, angles, ...) is printed with its unit and its 90 % interval, or marked
     as "not reliable" or "not assessed". With -o they are written to a file: a .csv table with one row per result (per
-    plant, if several plants share a canister) and one column per trait, followed by intervals, verdicts and reasons, or
-    a .json file that also contains the histograms. Traits of centre lines are empty if no roots were found, as for
-    spheres.
+    plant in a shared canister) and one column per trait, followed by intervals, verdicts and reasons, or a .json file
+    that also contains the histograms. Traits of centre lines are empty if no roots were found, as for spheres.
 
     Parameters
     ----------
     results : list of Path
-        Result folders, or folders that contain results, such as the output of 'rhizotwin batch'.
+        Result folders, folders that contain results ('rhizotwin batch'), or a catalogue (.rhizotwin).
     mass_g : tuple of float, optional
         Fresh mass of the roots in grams, one value per result in the same order; default: as given to 'reconstruct'.
     table : Path, optional
@@ -43,11 +42,12 @@ def traits(
     rhizotwin traits my_result my_other_result -o traits.csv
     rhizotwin traits my_result my_other_result --mass-g 1.18,0.92 -o traits.csv
     """
+    from rhizotwin.catalogue import sources
     from rhizotwin.recon.results import result_traits
     from rhizotwin.scenes import atomic
     from rhizotwin.stored import result_files, stored_traits
 
-    results = result_files.results_in(results)
+    results = result_files.results_in(sources.expand_results(results))
     if mass_g is not None and len(mass_g) != len(results):
         raise UserError(f"--mass-g has {len(mass_g)} values for {len(results)} results; give one value per result, in the same order")
     if table is not None and table.suffix.lower() not in (".csv", ".json"):

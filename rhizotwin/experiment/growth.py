@@ -1,11 +1,13 @@
 """Growth of plants over several days: growth curves, growth rates, root tracks, and comparison of treatments."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 
 from rhizotwin.experiment.compare import Difference, Observation, Point, differences, means, relative_rates, too_few
 from rhizotwin.experiment.doses import Response, fit_responses, group_ions, read_doses
+from rhizotwin.experiment.drift import Chart, chart_of, rig_numbers
 from rhizotwin.experiment.matching import Day, TrackedPlant, track_roots
 from rhizotwin.experiment.measured import Measured, by_plant, exclusion_notes
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
@@ -35,6 +37,8 @@ class Growth:
     responses: Mapping[str, Sequence[Response]]
     """Dose responses by trait, for concentrations that differ between plants."""
     notes: tuple[str, ...]
+    drift: Mapping[str, Chart] = field(default_factory=dict)
+    """Control charts of the rig over the experiment, by the names of `drift.RIG_NUMBERS`."""
 
 
 def measure(found: Sequence[Measured]) -> Growth:
@@ -82,7 +86,20 @@ def measure(found: Sequence[Measured]) -> Growth:
         doses=doses,
         responses=responses,
         notes=tuple(notes),
+        drift=_drift(found),
     )
+
+
+def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
+    """Return the control charts of the rig over the dates of the scans, or the days of the plants if some have none."""
+    scans = {one.folder: one.subject for one in found if one.folder is not None}
+    dated = all(whose.date for whose in scans.values())
+    points: dict[str, list[tuple[float, float]]] = {}
+    for folder, whose in scans.items():
+        day = float(date.fromisoformat(whose.date).toordinal()) if dated else whose.day or 0.0
+        for name, value in rig_numbers(result_files.read_summary(folder)).items():
+            points.setdefault(name, []).append((day, value))
+    return {name: chart_of(*zip(*sorted(own), strict=True)) for name, own in points.items()}
 
 
 def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Observation]:

@@ -5,11 +5,14 @@ Curves show the mean of each day with its interval, with one line per treatment.
 
 import base64
 import html
+from collections.abc import Mapping
+from math import log
 
 import numpy as np
 
 from rhizotwin.experiment.compare import SURE
 from rhizotwin.experiment.doses import partial_residuals
+from rhizotwin.experiment.drift import BY_NAME, Chart, effect_of
 from rhizotwin.experiment.growth import Growth
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.solution import UNIT
@@ -91,6 +94,31 @@ def _shown(name: str, picture: bytes, caption: str) -> str:
     return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(picture).decode()}"><p>{caption}</p>'
 
 
+def drift_cautions(charts: Mapping[str, Chart], trait: str, size: float) -> list[str]:
+    """Return a sentence for each number of the rig whose drift could change a trait by as much as treatments differ.
+
+    Parameters
+    ----------
+    charts : mapping of Chart
+        Control charts of the rig over the experiment.
+    trait : str
+        Name of the trait.
+    size : float
+        Factor by which the treatments differ.
+    """
+    found = []
+    for name, chart in charts.items():
+        factor = effect_of(chart, BY_NAME[name], trait)
+        if factor > 1.0 and abs(log(factor)) >= abs(log(size)):
+            change = 100.0 * chart.change / chart.centre
+            found.append(
+                f"{trait}: caution: the {BY_NAME[name].heading.partition(',')[0].partition(' (')[0]} changed by {change:.2g} % over the "
+                f"experiment, which could change the {trait} by {100.0 * (factor - 1.0):.2g} %, as much as this difference; compare plants "
+                "that were scanned at the same time, and see `rhizotwin catalogue report`."
+            )
+    return found
+
+
 def sentences(growth: Growth) -> list[str]:
     """Return the findings as sentences."""
     found = []
@@ -103,6 +131,7 @@ def sentences(growth: Growth) -> list[str]:
                 f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}); difference of the relative growth rate "
                 f"{one.rate_per_day:+.3f} per day (p = {one.rate_p:.2g}); significance level {SURE:g}."
             )
+            found += drift_cautions(growth.drift, trait, one.size) if one.is_significant else []
     found += [one.sentence(trait) for trait, responses in growth.responses.items() for one in responses]
     for plant, tracked in growth.tracked.items():
         often = sum(len(track.states) > 1 for track in tracked.tracks)

@@ -11,7 +11,7 @@ from rhizotwin.recon.calibration.markers import detect_markers
 from rhizotwin.recon.calibration.view_fit import linearise, sightings, single_view
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import MarkerStrip, Scene
 from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
@@ -57,6 +57,20 @@ def read_strip(image: Grey, scene: Scene) -> Sighting | None:
     """
     found = _read(image, scene)
     return found if isinstance(found, Sighting) else None
+
+
+def read_ids(image: Grey, strip: MarkerStrip) -> tuple[int, ...]:
+    """Return the ids of all markers of a strip's dictionary in one picture, also those of other strips, ascending.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16 array
+        The picture.
+    strip : MarkerStrip
+        Its dictionary is searched; its ids do not matter.
+    """
+    found = detect_markers(image, strip, measure=False)
+    return tuple(sorted({*(int(one) for one in found.ids), *found.foreign}))
 
 
 def unread_reason(image: Grey, scene: Scene) -> str:

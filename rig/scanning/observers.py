@@ -9,6 +9,7 @@ from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.observer import Observer
 from rhizotwin.rig.scanning.safety import Say
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.picture_codec import Grey
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,5 +24,8 @@ class Observers:
     """Receives the contents of every picture, and can pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
     """Receives the progress of the scan."""
+    identify: Callable[[Grey], object] = lambda _: None
+    """Called with the first picture of a run, before anything is recorded, to check which canister is on the table; an
+    exception that it raises ends the scan."""
     begun: Callable[[], object] = lambda: None
     """Called when the folder is known to be usable, before any motion."""

@@ -111,6 +111,7 @@ class _Scan:
         self._say_line = observers.say
         self._observer = observers.observer
         self._monitor = observers.monitor
+        self._identify = observers.identify
         self._begun_s = devices.clock.now_s()
         self._camera = ScanCamera(devices.camera, devices.clock, scene, note=self._note)
         self._turntable = ScanTurntable(devices, scene, self._camera, ask=observers.ask, given_deg=table_angle_deg, note=self._note)
@@ -250,6 +251,7 @@ class _Scan:
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._bright = preflight.measure_exposure(shot.image).bright
         if not self._homed:
+            self._identify(shot.image)
             before = self._session.frames_of(index)
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
             self._turntable.start(seen, shot.image, earlier=earlier, near_deg=near_deg)

@@ -18,7 +18,7 @@ MARKERS = (
     r"\b(is|are) taken for\b",
 )
 """Regular expressions, matched without regard to case; ``^`` is the beginning of a docstring or message."""
-REJECTED: Mapping[str, Sequence[str]] = dict.fromkeys(("benchmarks/", "recon/", "rig/", "scenes/", "sim/"), MARKERS)
+REJECTED: Mapping[str, Sequence[str]] = dict.fromkeys(("benchmarks/", "recon/", "rhizotwin/console/", "rig/", "scenes/", "sim/"), MARKERS)
 """Rejected expressions by folder. Add a folder here, or an expression for one folder only, as soon as it has none left."""
 WARN = ("warn", "warning", "UserError")
 """Functions whose arguments are messages, besides those of ``raise``."""

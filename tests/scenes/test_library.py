@@ -15,6 +15,7 @@ FAMILIES = ["bean", "maize", "wheat", "lettuce", "bulb", "carrot", "radish_swoll
 
 def test_the_library_is_complete_and_each_scene_loads_under_its_name() -> None:
     solids = ["sphere_20mm", "printed_8ml", "fallen_plant", "gel_cylinder", "print_in_tank", "radish_bands", "radish_shoot", "two_radishes"]
+    solids.append("wire_phantom")
     assert sorted(name for name, _ in library()) == sorted([*solids, *FAMILIES, *RADISHES])
     for name, description in library():
         scene = load_scene(name)

@@ -1,7 +1,7 @@
-"""A coarse visual hull of the roots from the pictures so far, for the live page of a scan.
+"""Sketch of the roots during a scan: cells that no picture shows empty, halved while there are few.
 
-It is not for measurements: cameras are estimated from single pictures, the backlight is the brightest value of each
-pixel so far, and the smallest cells have an edge of a millimetre.
+The sketch is for a person who follows a scan, not for measurements: each camera is calibrated from the markers of its
+own picture, the empty backlight of a pixel is its maximum so far, and the smallest cells have an edge of 1 mm.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from rhizotwin.scenes.picture_codec import Grey
 Array = NDArray[np.float64]
 
 WIDEST_PX = 400
-"""Pictures are reduced to this width: 0.6 mm per pixel for 250 mm, finer than the cells."""
+"""Width to which pictures are reduced: 250 mm are then 0.6 mm per pixel, finer than the cells."""
 DARK = 0.85
-"""Fraction of the backlight below which a pixel is dark: noise and non-uniformity are a few per cent, and a root of 0.2
-mm covers a third of such a pixel."""
+"""Fraction of the backlight below which a pixel is covered: noise and panel vary by a few per cent, and a root of
+0.2 mm covers a third of such a pixel."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
 MOST_CELLS = 40_000
-"""Largest number of cells after halving; software rendering draws them at once."""
+"""Number of cells beyond which they are not halved, so that a browser draws them without delay."""
 SPARE_PX = 1.0
-"""Tolerance of projected positions, for the error of a camera from a single picture."""
+"""Error of a projection by the camera of a single picture (px)."""
 LEAST_SEEN = 3
-"""Smallest number of pictures that cover a cell."""
+"""Cells that fewer pictures show are left out."""
 _REACH = 0.95
-"""Fraction of the radius within which all views see (R_o / n_water)."""
+"""Fraction of the radius that every view shows (R_o / n_water) which is used."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A reduced picture with its camera."""
+    """A small picture with its camera."""
 
     file: str
     view: View
@@ -48,17 +48,23 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Outline:
-    """The empty region in a picture."""
+    """Empty part of a picture."""
 
     view: View
     water: NDArray[np.bool_]
-    """(H, W) pixels of water."""
+    """(H, W) mask of the water."""
     away_px: NDArray[np.float32]
-    """(H, W) distance of each pixel to the nearest dark pixel in the water."""
+    """(H, W) distance from each pixel to the nearest covered one."""
 
 
 class Sketch:
-    """A visual hull that is refined with each picture."""
+    """Shape from the silhouettes of the pictures so far.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the calibrated lens.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._scene, self._optics = scene, Optics.from_scene(scene)
@@ -68,18 +74,31 @@ class Sketch:
         self._seen: dict[int, list[_Seen]] = {}
 
     def add(self, file: str, ring: int, image: Grey, cam_from_canister: Array) -> None:
-        """Add a picture (H, W) with its camera pose (4, 4)."""
+        """Add a picture.
+
+        Parameters
+        ----------
+        file, ring : str, int
+            Name of the picture, by which it can be dropped; its ring.
+        image : (H, W) uint8 or uint16 array
+            The picture.
+        cam_from_canister : (4, 4) array
+            Its camera, OpenCV axes, mm.
+        """
         small = cv2.resize(image, self._camera.image_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
         view = View(camera=self._camera, cam_from_canister=cam_from_canister)
         self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max))
 
     def drop(self, file: str) -> None:
-        """Remove a picture that was discarded."""
+        """Remove a picture."""
         for ring, seen in self._seen.items():
             self._seen[ring] = [one for one in seen if one.file != file]
 
     def evenness(self, ring: int) -> tuple[float, float] | None:
-        """Return the 5th and 95th percentile of the backlight, as fractions of full scale; None without pictures."""
+        """Return the 5th and 95th percentile of the panel's brightness behind the water (fractions of full scale).
+
+        None before the first picture.
+        """
         seen = self._seen.get(ring)
         if not seen:
             return None
@@ -91,7 +110,7 @@ class Sketch:
         return float(low), float(high)
 
     def carve(self) -> tuple[Array, float]:
-        """Return centres (N, 3), canister frame, of the cells that no picture excludes, and their edge, mm."""
+        """Return the centres (N, 3) of the cells that no picture shows empty, and their edge (mm), canister frame."""
         outlines = [found for seen in self._seen.values() for found in self._outlines(seen)]
         edge_mm = COARSEST_MM
         middles = self._grid(edge_mm)
@@ -108,7 +127,7 @@ class Sketch:
             middles = (middles[:, None] + corner).reshape(-1, 3)
 
     def _grid(self, edge_mm: float) -> Array:
-        """Return the cells that a view at their height would see from all sides."""
+        """Return the cells of the part of the water that every view at their height shows."""
         optics = self._optics
         reach = _REACH * min(optics.inner_radius_mm, optics.outer_radius_mm / optics.n_water)
         side = np.arange(-reach, reach + edge_mm, edge_mm)
@@ -117,7 +136,7 @@ class Sketch:
         return np.column_stack([x, y, z])[np.hypot(x, y) < reach]
 
     def _outlines(self, seen: list[_Seen]) -> list[_Outline]:
-        """Return the empty regions of a ring's pictures; none until the backlight is known."""
+        """Return the empty parts of a ring's pictures; none before there are enough for the backlight."""
         if len(seen) < LEAST_SEEN:
             return []
         panel = np.max([one.image for one in seen], axis=0)
@@ -130,14 +149,14 @@ class Sketch:
         return found
 
     def _look(self, middles: Array, edge_mm: float, outline: _Outline) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which cells (N,) a picture covers, and which of them are empty in it."""
+        """Return which cells (N,) a picture shows, and which of them it shows empty."""
         view = outline.view
         px = cameras.project_inner(view, self._optics, middles)
         height, width = outline.water.shape
         at = np.round(np.nan_to_num(px, nan=-1.0)).astype(np.int64)
         seen = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
         seen[seen] = outline.water[at[seen, 1], at[seen, 0]]
-        # half of a cell's diagonal at the nearest distance, magnified by the water
+        # half the diagonal of the cell nearest to the camera, with the magnification of the water
         half_px = (
             view.camera.focal_px[0] * 0.5 * np.sqrt(3.0) * edge_mm * self._optics.n_water / (view.rho_mm - self._optics.outer_radius_mm)
         )

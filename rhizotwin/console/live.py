@@ -1,4 +1,4 @@
-"""State of a running scan for its live page: pictures so far, pause and stop."""
+"""State of a running scan for the console: latest picture, progress and sketch; pause, continue and stop."""
 
 from __future__ import annotations
 
@@ -7,90 +7,82 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.console.sketch import Sketch
 from rhizotwin.rig.scanning.observer import Look, Observer
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.picture_codec import Grey
-from rhizotwin.viewer.sketch import Sketch
 
 CARVE_EVERY = 4
-"""Pictures between two sketches; a sketch takes seconds, in parallel with the scan."""
+"""Pictures between two sketches: a sketch takes seconds of a thread of its own."""
 HOLD_S = 0.5
-"""Interval in which a paused scan checks whether to continue."""
-MOST_LINES = 6
-FRUSTUM_PX = 90
-"""Width of the pictures shown at their cameras."""
+"""Interval at which a paused scan checks the arm (s)."""
 
 
 class Live(Observer):
-    """Observer of a scan for browsers.
+    """Observer that keeps the state of a scan for the console.
 
     Parameters
     ----------
     scene : Scene
-        Scene of the scan.
+        As the scan knows it.
+    on_change : callable
+        Called after every change, from several threads.
     paused : bool
         Wait before the first picture.
     """
 
     watches_motion = True
 
-    def __init__(self, scene: Scene, *, paused: bool = False) -> None:
+    def __init__(self, scene: Scene, *, on_change: Callable[[], object] = lambda: None, paused: bool = False) -> None:
         self.scene = scene
         self.total = self.done = 0
-        self.looks: list[Look] = []
-        """Pictures of this run, in order."""
-        self.lines: list[str] = []
+        self.last: Look | None = None
+        """The latest picture."""
         self.panel: tuple[float, float] | None = None
-        """5th and 95th percentile of the backlight, as fractions of full scale."""
+        """5th and 95th percentile of the panel's brightness (fractions of full scale)."""
         self.cells_mm: NDArray[np.float64] = np.zeros((0, 3))
         self.cell_mm = 1.0
-        self.on_change: list[Callable[[], None]] = []
         self.paused = paused
         self.ended = False
+        self._on_change = on_change
         self._stop = False
+        self._taken = 0
         self._wake = threading.Condition()
         self._sketch = Sketch(scene)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="sketch")
         self._begun_s, self._held_s = time.monotonic(), 0.0
 
-    # calls of the scan
-
     def on_plan(self, total: int, done: int) -> None:
-        """Store the number of pictures."""
+        """Set the number of planned pictures, and of those that an earlier run took."""
         self.total, self.done, self._begun_s = total, done, time.monotonic()
         self._changed()
 
     def on_look(self, look: Look) -> None:
-        """Store a picture, and update the sketch now and then."""
+        """Keep the latest picture, and update the sketch from time to time."""
         self.done += 1
-        if self.looks:  # only the last one is shown in full size
-            before = self.looks[-1]
-            self.looks[-1] = replace(before, image=shrink(before.image, FRUSTUM_PX))
-        self.looks.append(look)
-        self._worker.submit(self._process, look)
+        self._taken += 1
+        self.last = look
+        self._worker.submit(self._add, look, carve=self._taken % CARVE_EVERY == 0)
         self._changed()
 
     def on_drop(self, files: list[str]) -> None:
-        """Remove pictures that were discarded."""
-        self.looks = [look for look in self.looks if look.frame.file not in files]
+        """Remove rejected pictures from the count and the sketch."""
         self.done -= len(files)
         for file in files:
             self._worker.submit(self._sketch.drop, file)
         self._changed()
 
-    def on_line(self, text: str) -> None:
-        """Store the last lines of output."""
-        self.lines = [*self.lines, text][-MOST_LINES:]
-        self._changed()
-
     def holds(self) -> bool:
-        """Wait a moment if the scan is paused; raise KeyboardInterrupt if it was stopped."""
+        """Return whether the scan is paused, after a short wait if it is.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After `stop`: ends the scan as Ctrl-C does.
+        """
         with self._wake:
             begun_s = time.monotonic()
             if self.paused and not self._stop:
@@ -100,8 +92,6 @@ class Live(Observer):
                 raise KeyboardInterrupt
             return self.paused
 
-    # calls of browsers
-
     def pause(self, *, paused: bool) -> None:
         """Pause before the next picture, or continue."""
         with self._wake:
@@ -110,7 +100,7 @@ class Live(Observer):
         self._changed()
 
     def stop(self) -> None:
-        """Stop the scan like Ctrl-C: lights off, arm parked, pictures kept."""
+        """End the scan as Ctrl-C does: lights off, arm parked, pictures kept."""
         with self._wake:
             self._stop = True
             self._wake.notify_all()
@@ -118,29 +108,28 @@ class Live(Observer):
 
     @property
     def stopping(self) -> bool:
-        """Whether the scan was stopped."""
+        """Whether the scan is being ended by `stop`."""
         return self._stop
 
     def left_s(self) -> float | None:
-        """Estimate the remaining time from the pictures so far, without pauses; None before two pictures."""
-        taken = len(self.looks)
-        if taken < 2:
+        """Return the remaining time, from that of the pictures so far without pauses; None before two pictures."""
+        if self._taken < 2:
             return None
-        return (time.monotonic() - self._begun_s - self._held_s) / taken * (self.total - self.done)
+        return (time.monotonic() - self._begun_s - self._held_s) / self._taken * (self.total - self.done)
 
     def close(self) -> None:
-        """Finish the last sketch and mark the scan as finished."""
+        """Finish the sketch."""
         self._worker.submit(self._carve)
         self._worker.shutdown(wait=True)
         self.ended = True
         self._changed()
 
-    def _process(self, look: Look) -> None:
+    def _add(self, look: Look, *, carve: bool) -> None:
         frame = look.frame
         if look.sighting is not None:
             self._sketch.add(frame.file, frame.ring, look.image, look.sighting.cam_from_canister)
             self.panel = self._sketch.evenness(frame.ring) or self.panel
-        if len(self.looks) % CARVE_EVERY == 0:
+        if carve:
             self._carve()
 
     def _carve(self) -> None:
@@ -148,15 +137,6 @@ class Live(Observer):
         self._changed()
 
     def _changed(self) -> None:
-        """Update the page; errors there must not affect the scan."""
-        for follow in self.on_change:
-            with suppress(Exception):
-                follow()
-
-
-def shrink(image: Grey, width_px: int) -> Grey:
-    """Resize a picture to at most a width."""
-    height, width = image.shape
-    if width <= width_px:
-        return image
-    return cv2.resize(image, (width_px, max(1, round(height * width_px / width))), interpolation=cv2.INTER_AREA)
+        """Notify the console; an error there must not affect the scan."""
+        with suppress(Exception):
+            self._on_change()

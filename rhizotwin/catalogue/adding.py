@@ -1,0 +1,257 @@
+"""Add datasets, results and tables of masses to a catalogue."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.catalogue.records import Plant, Tag
+from rhizotwin.catalogue.store import Catalogue, now_utc
+from rhizotwin.experiment import drift, measured
+from rhizotwin.experiment.masses import BALANCE_G, has_masses, read_masses
+from rhizotwin.experiment.tables import read_table
+from rhizotwin.scenes.dataset import Dataset, file_sha256, load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.subject import Subject
+from rhizotwin.stored import result_files
+
+EDITS = "edits.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Added:
+    """Outcome of adding many files and folders."""
+
+    scans: tuple[Path, ...]
+    results: tuple[Path, ...]
+    tables: tuple[Path, ...]
+    failed: tuple[str, ...]
+    """A sentence for each dataset, result or table that could not be added."""
+
+
+def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
+    """Add datasets, results, tables of masses (.csv), and folders that hold some, at any depth.
+
+    Datasets are added first, so that results find the scan that they were made from. An entry that exists is updated. A
+    damaged one does not prevent the others from being added.
+
+    Raises
+    ------
+    UserError
+        If a source is missing, or nothing is found in it.
+    """
+    found = [_find(source) for source in sources]
+    done: list[list[Path]] = [[], [], []]
+    failed = []
+    for number, add in enumerate((add_scan, add_result, add_masses)):
+        for path in dict.fromkeys(path for kinds in found for path in kinds[number]):
+            try:
+                add(catalogue, path)
+                done[number].append(path)
+            except UserError as error:
+                failed.append(str(error))
+    return Added(scans=tuple(done[0]), results=tuple(done[1]), tables=tuple(done[2]), failed=tuple(failed))
+
+
+def add_scan(catalogue: Catalogue, folder: Path) -> None:
+    """Add a dataset with its plants, or update its entry.
+
+    Raises
+    ------
+    UserError
+        If the dataset is damaged, or contradicts the catalogue.
+    """
+    _insert_scan(catalogue, load_dataset(folder))
+
+
+def add_result(catalogue: Catalogue, folder: Path) -> None:
+    """Add a result with its traits, rig numbers and log of corrections, or update its entry.
+
+    Raises
+    ------
+    UserError
+        If the result is damaged, or contradicts the catalogue.
+    """
+    digest = file_sha256(folder / "result.json")
+    summary = result_files.read_summary(folder)
+    found = measured.read_all([folder])
+    with catalogue.writing() as connection:
+        for one in found:
+            _add_subject(catalogue, one.subject)
+        path = catalogue.stored_path(folder)
+        dataset = str(summary.get("dataset_sha256") or "")
+        scan = catalogue.rows("SELECT id, path FROM scans WHERE sha256 = ? AND ? <> '' ORDER BY id", (dataset, dataset))
+        whose = found[0].subject if found else Subject()
+        values = (
+            *(path, digest, scan[0][0] if scan else None, dataset, whose.day, whose.date, int(bool(summary["volume_trusted"]))),
+            *(str(summary["volume_verdict"]), int(bool(summary.get("edits"))), _program(summary), now_utc()),
+        )
+        connection.execute("DELETE FROM results WHERE path = ?", (path,))
+        connection.execute(
+            "INSERT INTO results (path, sha256, scan, dataset_sha256, day, date, trusted, verdict, corrected, program, added_utc)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            values,
+        )
+        number = connection.execute("SELECT id FROM results WHERE path = ?", (path,)).fetchone()[0]
+        for one in found:
+            _insert_traits(catalogue, number, one)
+        numbers = drift.rig_numbers(summary)
+        if numbers and scan:
+            numbers |= _panel_level(catalogue.full_path(scan[0][1]))
+        connection.executemany("INSERT INTO rig_numbers VALUES (?, ?, ?)", [(number, name, value) for name, value in numbers.items()])
+        if (folder / EDITS).is_file():
+            edits = (number, catalogue.stored_path(folder / EDITS), file_sha256(folder / EDITS))
+            connection.execute("INSERT INTO edits (result, path, sha256) VALUES (?, ?, ?)", edits)
+
+
+def add_masses(catalogue: Catalogue, table: Path) -> None:
+    """Add a table of masses, or replace the masses that were read from it before.
+
+    Raises
+    ------
+    UserError
+        If the table is damaged, or a mass is also in another table.
+    """
+    weighed = read_masses(table, balance_g=BALANCE_G)
+    with catalogue.writing() as connection:
+        path = catalogue.stored_path(table)
+        connection.execute("DELETE FROM tables WHERE path = ?", (path,))
+        connection.execute("INSERT INTO tables (path, sha256) VALUES (?, ?)", (path, file_sha256(table)))
+        source = connection.execute("SELECT id FROM tables WHERE path = ?", (path,)).fetchone()[0]
+        for one in weighed:
+            if not one.grams:
+                continue
+            _add_subject(catalogue, one.subject)
+            plant = _plant_id(catalogue, one.subject.plant)
+            for kind, grams in one.grams.items():
+                before = catalogue.rows(
+                    "SELECT t.path FROM masses m JOIN tables t ON t.id = m.source"
+                    " WHERE m.plant = ? AND coalesce(m.day, -1.0) = coalesce(?, -1.0) AND m.kind = ?",
+                    (plant, one.subject.day, kind),
+                )
+                if before:
+                    raise UserError(
+                        f"{one.where}: the mass {kind} of plant {one.subject.plant} is also in {before[0][0]}; remove one of them"
+                    )
+                values = (plant, one.subject.day, kind, grams, source)
+                connection.execute("INSERT INTO masses (plant, day, kind, grams, source) VALUES (?, ?, ?, ?, ?)", values)
+
+
+def set_tags(catalogue: Catalogue) -> list[str]:
+    """Take over the tags of plants without one from the strips of their scans.
+
+    A strip that was used for several plants identifies none of them.
+
+    Returns
+    -------
+    list of str
+        Names of the plants that have got a tag.
+    """
+    used: dict[Tag, set[str]] = {}
+    for scan in catalogue.scans():
+        try:
+            tag = Tag.of_strip(load_dataset(scan.path).scene.strip)
+        except UserError:
+            continue
+        if tag is not None and len(scan.plants) == 1:
+            used.setdefault(tag, set()).update(scan.plants)
+    found = []
+    for tag, names in used.items():
+        (name, *others) = sorted(names)
+        clash = any(tag.overlaps(other) for other in used if other != tag)
+        if not others and not clash and catalogue.plant(name).tag is None and sum(name in group for group in used.values()) == 1:
+            catalogue.add_plant(Plant(name=name, tag=tag))
+            found.append(name)
+    return found
+
+
+def is_sketch(dataset: Dataset) -> bool:
+    """Return whether the pictures are sketches of the emulated rig, which show no roots."""
+    settings = dataset.origin.get("settings")
+    twin = settings.get("twin") if isinstance(settings, dict) else None
+    return isinstance(twin, dict) and twin.get("fidelity") == "sketch"
+
+
+def _find(source: Path) -> tuple[list[Path], list[Path], list[Path]]:
+    """Return the datasets, results and tables of masses that a path is or holds."""
+    if source.suffix.lower() == ".csv":
+        return [], [], [source]
+    if not source.is_dir():
+        raise UserError(f"{source}: there is no such folder or table (.csv)")
+    heads = sorted(path for name in ("dataset.json", "result.json") for path in source.rglob(name) if not _is_hidden(path, source))
+    tables = sorted(path for path in source.rglob("*.csv") if not _is_hidden(path, source) and _is_of_masses(path))
+    scans = [path.parent for path in heads if path.name == "dataset.json"]
+    results = [path.parent for path in heads if path.name == "result.json"]
+    if not (scans or results or tables):
+        raise UserError(f"{source}: holds no dataset, no result and no table of masses")
+    return scans, results, tables
+
+
+def _is_hidden(path: Path, source: Path) -> bool:
+    return any(part.startswith(".") for part in path.relative_to(source).parts)
+
+
+def _is_of_masses(path: Path) -> bool:
+    try:
+        return has_masses(read_table(path)[0].cells)
+    except UserError:
+        return False
+
+
+def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
+    scene = dataset.scene
+    whose = [one.subject(scene.subject) for one in scene.plants] or [scene.subject]
+    with catalogue.writing() as connection:
+        for one in whose:
+            _add_subject(catalogue, one)
+        path = catalogue.stored_path(dataset.folder)
+        complete = dataset.origin.get("complete", True) is True
+        values = (
+            *(path, dataset.sha256, scene.name, scene.subject.day, scene.subject.date, catalogue.solution_id(scene.solution)),
+            *(len(dataset.frames), int(complete), int(is_sketch(dataset)), now_utc()),
+        )
+        connection.execute(
+            "INSERT INTO scans (path, sha256, scene, day, date, solution, pictures, complete, sketch, added_utc)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (path) DO UPDATE SET sha256 = excluded.sha256, scene = excluded.scene,"
+            " day = excluded.day, date = excluded.date, solution = excluded.solution, pictures = excluded.pictures,"
+            " complete = excluded.complete, sketch = excluded.sketch",
+            values,
+        )
+        scan = catalogue.scan_id(dataset.folder)
+        connection.execute("DELETE FROM scan_plants WHERE scan = ?", (scan,))
+        for one in whose:
+            if one.plant:
+                connection.execute("INSERT INTO scan_plants VALUES (?, ?)", (scan, _plant_id(catalogue, one.plant)))
+
+
+def _add_subject(catalogue: Catalogue, one: Subject) -> None:
+    """Add the plant of a dataset, result or mass, or complete its entry."""
+    if one.plant:
+        catalogue.add_plant(Plant(name=one.plant, species=one.species, treatment=one.treatment, replicate=one.replicate))
+
+
+def _plant_id(catalogue: Catalogue, name: str) -> int:
+    return int(catalogue.rows("SELECT id FROM plants WHERE name = ?", (name,))[0][0])
+
+
+def _insert_traits(catalogue: Catalogue, result: int, one: measured.Measured) -> None:
+    plant = _plant_id(catalogue, one.subject.plant) if one.subject.plant else None
+    rows: Iterable[Sequence[Any]] = (
+        (result, plant, name, value, *(one.assessment(name).interval or (None, None)), one.assessment(name).verdict)
+        for name, value in one.traits.items()
+    )
+    catalogue.connection.executemany("INSERT INTO traits VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+
+
+def _panel_level(scan: Path) -> dict[str, float]:
+    """Return the panel's level in the pictures of a scan, if they can be read."""
+    try:
+        level = drift.panel_level(load_dataset(scan))
+    except UserError:
+        return {}
+    return {} if level is None else {"panel_level": level}
+
+
+def _program(summary: dict[str, Any]) -> str:
+    versions = summary.get("versions")
+    return str(versions.get("rhizotwin", "")) if isinstance(versions, dict) else ""

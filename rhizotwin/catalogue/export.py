@@ -1,0 +1,136 @@
+"""Tables of a catalogue as CSV, and read-only queries."""
+
+import sqlite3
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.trait_table import csv_text
+
+VIEWS = {
+    "plants": "SELECT p.name AS plant, p.species, coalesce(t.name, '') AS treatment, p.replicate, p.sown, p.phantom,"
+    " p.dictionary AS tag_dictionary, p.first_id AS tag_first_id, p.markers AS tag_markers, coalesce(s.content, '') AS solution, p.notes"
+    " FROM plants p LEFT JOIN treatments t ON t.id = p.treatment LEFT JOIN solutions s ON s.id = p.solution ORDER BY p.name",
+    "scans": "SELECT coalesce(p.name, '') AS plant, x.day, x.date, x.path, x.pictures, x.complete, x.sketch, x.scene, x.sha256"
+    " FROM scans x LEFT JOIN scan_plants sp ON sp.scan = x.id LEFT JOIN plants p ON p.id = sp.plant ORDER BY x.day, x.path, p.name",
+    "results": "SELECT x.path, s.path AS scan, x.day, x.date, x.trusted, x.corrected, e.path AS edits, x.program, x.verdict, x.sha256"
+    " FROM results x LEFT JOIN scans s ON s.id = x.scan LEFT JOIN edits e ON e.result = x.id ORDER BY x.day, x.path",
+    "traits": "SELECT x.path AS result, coalesce(p.name, '') AS plant, coalesce(t.name, '') AS treatment, x.day, r.name AS trait,"
+    " r.value, r.low, r.high, r.verdict FROM traits r JOIN results x ON x.id = r.result LEFT JOIN plants p ON p.id = r.plant"
+    " LEFT JOIN treatments t ON t.id = p.treatment ORDER BY p.name, x.day, x.path, r.rowid",
+    "rig_numbers": "SELECT x.path AS result, x.day, x.date, n.name, n.value FROM rig_numbers n JOIN results x ON x.id = n.result"
+    " ORDER BY x.day, x.path, n.name",
+    "masses": "SELECT p.name AS plant, m.day, m.kind, m.grams, t.path AS source FROM masses m JOIN plants p ON p.id = m.plant"
+    " JOIN tables t ON t.id = m.source ORDER BY p.name, m.day, m.kind",
+    "visits": "SELECT p.name AS plant, v.due_utc, v.state, v.began_utc, v.ended_utc, coalesce(s.path, '') AS scan, v.note"
+    " FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan ORDER BY v.due_utc, v.id",
+}
+"""Statement of each table for people, with names in place of row numbers."""
+ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE})
+"""Actions that a query may take: no change, no other file, no setting."""
+MOST_ROWS = 100_000
+MOST_S = 60.0
+"""A query that takes longer, such as a recursion without an end, is interrupted."""
+_STEPS = 10_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Result of a query."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    def csv(self) -> str:
+        """Return the table as CSV; missing values are empty cells."""
+        return csv_text([list(self.head), *([_cell(value) for value in row] for row in self.rows)])
+
+
+def table(catalogue: Catalogue, name: str, *, plant: str | None = None) -> Table:
+    """Return one of the tables of `VIEWS`.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    name : str
+        Key of `VIEWS`.
+    plant : str or None
+        Rows of this plant only; ignored for tables without a column ``plant``.
+    """
+    with catalogue.lock:
+        cursor = catalogue.connection.execute(VIEWS[name])
+        head = tuple(column[0] for column in cursor.description)
+        rows = [tuple(row) for row in cursor]
+    if plant is not None and "plant" in head:
+        rows = [row for row in rows if row[head.index("plant")] == plant]
+    return Table(head=head, rows=tuple(rows))
+
+
+def query(catalogue: Catalogue, sql: str, values: Sequence[Any] = ()) -> Table:
+    """Run a SELECT statement of a person.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Nothing in it can be changed by the statement, and no other file can be opened.
+    sql : str
+        One statement.
+    values : sequence
+        Bound to the question marks of the statement.
+
+    Raises
+    ------
+    UserError
+        If the statement is wrong, does more than read, or takes too long.
+    """
+    with catalogue.lock:
+        head, rows = _guarded(catalogue.connection, sql, values)
+    if len(rows) > MOST_ROWS:
+        raise UserError(f"the query returns more than {MOST_ROWS} rows; select less")
+    return Table(head=head, rows=tuple(tuple(row) for row in rows))
+
+
+def export(catalogue: Catalogue, folder: Path) -> list[Path]:
+    """Write every table as a CSV file into a new folder; return the files.
+
+    Raises
+    ------
+    UserError
+        If the folder holds anything, or cannot be written.
+    """
+    with new_folder(folder) as building:
+        for name in VIEWS:
+            atomic.write_text(building / f"{name}.csv", table(catalogue, name).csv())
+    return [folder / f"{name}.csv" for name in VIEWS]
+
+
+def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> tuple[tuple[str, ...], list[Any]]:
+    """Run a statement under an authorizer and a time limit; return its columns and rows."""
+    begin = time.monotonic()
+    connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)
+    connection.set_progress_handler(lambda: int(time.monotonic() - begin > MOST_S), _STEPS)
+    try:
+        cursor = connection.execute(sql, values)
+        return tuple(column[0] for column in cursor.description or ()), cursor.fetchmany(MOST_ROWS + 1)
+    except sqlite3.DatabaseError as error:
+        if "prohibited" in str(error) or "not authorized" in str(error):
+            raise UserError("the query does more than read the catalogue; use a SELECT statement") from None
+        if "interrupted" in str(error):
+            raise UserError(f"the query takes more than {MOST_S:g} s; select less") from None
+        raise UserError(f"the query cannot be run: {error}") from None
+    except (ValueError, OverflowError, sqlite3.Warning) as error:
+        raise UserError(f"the query cannot be run: {error}") from None
+    finally:
+        connection.set_authorizer(None)
+        connection.set_progress_handler(None, 0)
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,219 @@
+"""The page of a catalogue: plants, scans that were missed, and control charts of the rig."""
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+from rhizotwin.catalogue import export
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
+from rhizotwin.experiment.phantom import measure_wires
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.trait_table import csv_text, format_exact
+
+PAGE, TABLE = "catalogue.html", "drift.csv"
+_STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}img{max-width:100%}"
+    "table{border-collapse:collapse}td,th{padding:.2rem .8rem .2rem 0;text-align:left;border-bottom:1px solid #ddd}"
+    "div{overflow-x:auto}.out{color:#b00020}@media(prefers-color-scheme:dark){body{background:#1b1b1b;color:#ddd}.out{color:#ff8a80}}"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftPoint:
+    """A number of the rig on one scan."""
+
+    result: str
+    day: float
+    """Since the first scan."""
+    value: float
+
+
+def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
+    """Return the numbers of the rig over time, by name; the time is the scan's date, or the plant's age without one."""
+    rows = catalogue.rows(
+        "SELECT n.name, x.path, coalesce(nullif(x.date, ''), s.date, '') AS date, x.day, n.value FROM rig_numbers n"
+        " JOIN results x ON x.id = n.result LEFT JOIN scans s ON s.id = x.scan WHERE x.corrected = 0 ORDER BY x.date, x.day, x.path"
+    )
+    dates = {date.fromisoformat(row["date"]) for row in rows if row["date"]}
+    dated = len(dates) > 0 and all(row["date"] for row in rows)
+    found: dict[str, list[DriftPoint]] = {}
+    for row in rows:
+        days = float((date.fromisoformat(row["date"]) - min(dates)).days) if dated else row["day"]
+        if days is not None:
+            found.setdefault(row["name"], []).append(DriftPoint(result=row["path"], day=days, value=row["value"]))
+    return found
+
+
+def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) -> dict[str, list[DriftPoint]]:
+    """Return the measured section of each wire of a phantom over time, relative to the known one.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    phantom : str
+        Name of the phantom, which is listed as a plant.
+    wires_mm : sequence of float
+        Diameters of its wires.
+
+    Raises
+    ------
+    UserError
+        If the catalogue has no such plant, or a result of it is missing.
+    """
+    catalogue.plant(phantom)
+    found: dict[str, list[DriftPoint]] = {}
+    for result in catalogue.results(plant=phantom):
+        for wire in measure_wires(result.path, wires_mm):
+            if result.day is not None and wire.length_mm > 0.0:
+                point = DriftPoint(result=catalogue.stored_path(result.path), day=result.day, value=1.0 + wire.error)
+                found.setdefault(f"section of the {wire.diameter_mm:g} mm wire, relative to the known one", []).append(point)
+    return found
+
+
+def charts(history: Mapping[str, Sequence[DriftPoint]]) -> dict[str, Chart]:
+    """Return the control chart of each number."""
+    return {name: chart_of([one.day for one in points], [one.value for one in points]) for name, points in history.items()}
+
+
+def sentences(drawn: Mapping[str, Chart]) -> list[str]:
+    """Return a sentence for each number that has a point beyond its limits, or a trend."""
+    found = []
+    for heading, chart in _ordered(drawn):
+        if chart.limits is not None and chart.outside:
+            days = ", ".join(f"{chart.times[i]:g}" for i in chart.outside)
+            low, high = chart.limits
+            found.append(f"{heading}: beyond its limits ({low:.4g} to {high:.4g}) on day {days}")
+        if chart.has_trend:
+            found.append(f"{heading}: changes by {chart.slope_per_day:+.3g} a day (p = {chart.slope_p:.2g})")
+    return found
+
+
+def write(catalogue: Catalogue, output: Path, *, phantom: str | None = None, wires_mm: Sequence[float] = ()) -> list[str]:
+    """Write the page and the table of the rig's numbers into a new folder; return the findings, a sentence each.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    output : Path
+        Folder to make.
+    phantom : str or None
+        Name of a phantom whose wires are charted as well.
+    wires_mm : sequence of float
+        Diameters of its wires.
+
+    Raises
+    ------
+    UserError
+        If the folder holds anything, or cannot be written, or there is no such phantom.
+    """
+    history = rig_history(catalogue)
+    if phantom is not None:
+        history |= wire_history(catalogue, phantom, wires_mm)
+    drawn = charts(history)
+    found = sentences(drawn)
+    with new_folder(output) as building:
+        atomic.write_text(building / PAGE, page(catalogue, drawn, found))
+        atomic.write_text(building / TABLE, _csv(history, drawn))
+    return found or ["no number of the rig is beyond its limits or has a trend" if drawn else "no result has numbers of the rig yet"]
+
+
+def page(catalogue: Catalogue, drawn: Mapping[str, Chart], found: Sequence[str]) -> str:
+    """Return the page as HTML.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        The catalogue.
+    drawn : mapping of Chart
+        As `charts` returns them.
+    found : sequence of str
+        As `sentences` returns them.
+    """
+    title = html.escape(catalogue.path.stem)
+    parts = [f"<h1>{title}</h1>", f"<p>{_counts(catalogue)}</p>", "<h2>Plants</h2>", _plants(catalogue)]
+    if missed := catalogue.visits(state="missed"):
+        rows = [(one.plant, one.due_utc, one.note) for one in missed]
+        parts += ["<h2>Missed scans</h2>", _html_table(("plant", "due (UTC)", "reason"), rows)]
+    parts.append("<h2>The rig over time</h2>")
+    if drawn:
+        picture = base64.b64encode(draw(drawn)).decode()
+        parts.append(
+            f'<img alt="control charts" src="data:image/png;base64,{picture}"><p>One point for each scan. Solid line: mean; dashed lines: '
+            f"{SIGMAS:g} standard deviations by the mean moving range (individuals control chart). Points beyond them are red.</p>"
+        )
+        parts.append("<ul>" + "".join(f'<li class="out">{html.escape(one)}</li>' for one in found) + "</ul>")
+    else:
+        parts.append("<p>No result has numbers of the rig yet.</p>")
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{title}</title><style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
+    )
+
+
+def draw(drawn: Mapping[str, Chart]) -> bytes:
+    """Return the control charts as PNG."""
+    shown = _ordered(drawn)
+    columns = min(2, len(shown))
+    rows = -(-len(shown) // columns)
+    made = figure(6.0 * columns, 2.6 * rows)
+    for axes, (heading, chart) in zip(made.subplots(rows, columns, squeeze=False).flat, shown, strict=False):
+        axes.plot(chart.times, chart.values, "o-", color="#1f5fa8", markersize=4, linewidth=0.8)
+        axes.axhline(chart.centre, color="#444444", linewidth=0.8)
+        for limit in chart.limits or ():
+            axes.axhline(limit, color="#444444", linewidth=0.8, linestyle="--")
+        axes.plot([chart.times[i] for i in chart.outside], [chart.values[i] for i in chart.outside], "o", color="#b00020", markersize=6)
+        axes.set_title(heading, fontsize=9)
+        axes.set_xlabel("day", fontsize=8)
+        axes.tick_params(labelsize=8)
+    for axes in made.axes[len(shown) :]:
+        axes.set_axis_off()
+    return png(made, dpi=110)
+
+
+def _ordered(drawn: Mapping[str, Chart]) -> list[tuple[str, Chart]]:
+    """Return heading and chart of each number, those of the rig first."""
+    headings = {number.name: number.heading for number in RIG_NUMBERS}
+    names = [*(name for name in headings if name in drawn), *(name for name in drawn if name not in headings)]
+    return [(headings.get(name, name), drawn[name]) for name in names]
+
+
+def _counts(catalogue: Catalogue) -> str:
+    counts = {name: len(export.table(catalogue, name).rows) for name in ("plants", "scans", "results", "masses")}
+    return ", ".join(f"{count} {name}" for name, count in counts.items())
+
+
+def _plants(catalogue: Catalogue) -> str:
+    scans, results = catalogue.scans(), catalogue.results()
+    rows = [
+        (
+            *(one.name, one.species, one.treatment, one.sown),
+            str(sum(one.name in scan.plants for scan in scans)),
+            str(sum(one.name in result.plants for result in results)),
+        )
+        for one in catalogue.plants()
+    ]
+    return _html_table(("plant", "species", "treatment", "sown", "scans", "results"), rows)
+
+
+def _html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    first = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<div><table><tr>{first}</tr>{body}</table></div>"
+
+
+def _csv(history: Mapping[str, Sequence[DriftPoint]], drawn: Mapping[str, Chart]) -> str:
+    rows: list[Sequence[str]] = [["number", "result", "day", "value", "low", "high", "beyond"]]
+    for name, points in history.items():
+        low, high = drawn[name].limits or (None, None)
+        for one in points:
+            beyond = "" if low is None or high is None else "no" if low <= one.value <= high else "yes"
+            rows.append([name, one.result, f"{one.day:g}", format_exact(one.value), format_exact(low), format_exact(high), beyond])
+    return csv_text(rows)

@@ -1,0 +1,384 @@
+"""A catalogue file: its entries are added in transactions and read as frozen values."""
+
+import sqlite3
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rhizotwin.catalogue import plant_rows, schema
+from rhizotwin.catalogue.records import Mass, Plant, Scan, State, StoredResult, Tag, Visit
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import Place
+from rhizotwin.scenes.solution import Solution
+from rhizotwin.scenes.subject import Subject, check_subject
+
+MOST_LISTED = 5
+
+
+class Catalogue:
+    """An open catalogue; every method that writes is one transaction, which is on the disk when the method returns.
+
+    It can be used from several threads, and the file from several processes. Use it as a context manager, or call
+    `close`.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        """The file."""
+        self.connection = connection
+        """Connection to the file; write through the methods only."""
+        self.lock = threading.RLock()
+        """Held while the connection is used."""
+
+    @classmethod
+    def open(cls, path: Path | str, *, read_only: bool = False) -> "Catalogue":
+        """Open a catalogue.
+
+        Raises
+        ------
+        UserError
+            If there is no such file, it is not a catalogue, is damaged, or was written by another version.
+        """
+        path = Path(path)
+        return cls(path, schema.open_file(path, read_only=read_only))
+
+    @classmethod
+    def create(cls, path: Path | str) -> "Catalogue":
+        """Create an empty catalogue.
+
+        Raises
+        ------
+        UserError
+            If the file exists already, its name does not end in ``.rhizotwin``, or it cannot be written.
+        """
+        path = Path(path)
+        return cls(path, schema.create(path))
+
+    @classmethod
+    def open_or_create(cls, path: Path | str) -> "Catalogue":
+        """Open a catalogue, and create it if there is none."""
+        path = Path(path)
+        return cls.open(path) if path.exists() and not schema.is_empty(path) else cls.create(path)
+
+    def close(self) -> None:
+        """Close the file."""
+        self.connection.close()
+
+    def __enter__(self) -> "Catalogue":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """Open a transaction, which is undone if an exception leaves it.
+
+        Raises
+        ------
+        UserError
+            If SQLite reports an error, such as a full disk.
+        """
+        with self.lock:
+            nested = self.connection.in_transaction
+            try:
+                if not nested:
+                    self.connection.execute("BEGIN IMMEDIATE")
+                yield self.connection
+                if not nested:
+                    self.connection.execute("COMMIT")
+            except BaseException as error:
+                if not nested and self.connection.in_transaction:
+                    self.connection.execute("ROLLBACK")
+                if isinstance(error, sqlite3.Error):
+                    raise schema.explained(error, self.path) from error
+                raise
+
+    def rows(self, sql: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
+        """Return the rows of a statement; its values are bound, never formatted into the text.
+
+        Raises
+        ------
+        UserError
+            If the file is damaged.
+        """
+        with self.lock:
+            try:
+                return self.connection.execute(sql, values).fetchall()
+            except sqlite3.Error as error:
+                raise schema.explained(error, self.path) from error
+
+    def stored_path(self, path: Path | str) -> str:
+        """Return a path as it is stored: relative to the catalogue's folder if it is below it, with forward slashes."""
+        whole, base = Path(path).resolve(), self.path.parent.resolve()
+        return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()
+
+    def full_path(self, stored: str) -> Path:
+        """Return a stored path relative to the working folder of this process, as the catalogue's own path is."""
+        return self.path.parent / stored
+
+    # plants
+
+    def add_plant(self, plant: Plant) -> None:
+        """Add a plant, or complete what is known of it.
+
+        Raises
+        ------
+        UserError
+            If the name is empty, a value differs from that in the catalogue, or its tag overlaps that of another plant.
+        """
+        check_subject(Subject(plant=plant.name, species=plant.species, treatment=plant.treatment, notes=plant.notes), self._place(plant))
+        check_subject(Subject(date=plant.sown), self._place(plant))
+        if not plant.name:
+            raise UserError(f"{self.path}: a plant needs a name")
+        with self.writing():
+            before = next((one for one in self.plants() if one.name == plant.name), None)
+            merged = plant if before is None else plant_rows.merge(before, plant, where=str(self.path))
+            plant_rows.refuse_tag(merged, self.plants(), where=str(self.path))
+            tag = merged.tag
+            values = (
+                merged.species,
+                self._id_of("treatments", "name", merged.treatment),
+                self._id_of("solutions", "content", plant_rows.solution_text(merged.solution)),
+                merged.replicate,
+                merged.sown,
+                merged.notes,
+                int(merged.phantom),
+                *(("", None, None) if tag is None else (tag.dictionary, tag.first_id, tag.markers)),
+                merged.name,
+            )
+            self.connection.execute("INSERT INTO plants (name) VALUES (?) ON CONFLICT DO NOTHING", (merged.name,))
+            self.connection.execute(
+                "UPDATE plants SET species = ?, treatment = ?, solution = ?, replicate = ?, sown = ?, notes = ?, phantom = ?,"
+                " dictionary = ?, first_id = ?, markers = ? WHERE name = ?",
+                values,
+            )
+
+    def plants(self) -> list[Plant]:
+        """Return all plants by name."""
+        found = self.rows(
+            "SELECT p.*, t.name AS treated, s.content FROM plants p LEFT JOIN treatments t ON t.id = p.treatment"
+            " LEFT JOIN solutions s ON s.id = p.solution ORDER BY p.name"
+        )
+        return [plant_rows.plant_of(row, where=str(self.path)) for row in found]
+
+    def plant(self, name: str) -> Plant:
+        """Return a plant.
+
+        Raises
+        ------
+        UserError
+            If there is none of this name.
+        """
+        known = self.plants()
+        for one in known:
+            if one.name == name:
+                return one
+        names = ", ".join(one.name for one in known[:MOST_LISTED]) or "none"
+        raise UserError(f"{self.path}: has no plant {name!r}; its plants are {names}{', ...' if len(known) > MOST_LISTED else ''}")
+
+    def plant_with_tag(self, tag: Tag) -> Plant | None:
+        """Return the plant whose pot has the strip with this tag; None if no plant of the catalogue has it."""
+        return next((one for one in self.plants() if one.tag == tag), None)
+
+    # scans, results, masses
+
+    def scans(self, *, plant: str | None = None, treatment: str | None = None, day: float | None = None) -> list[Scan]:
+        """Return the scans by day and path, of all plants or of a selection."""
+        where, values = _selection(plant, treatment, day, plants="SELECT plant FROM scan_plants WHERE scan = x.id")
+        found = self.rows(f"SELECT * FROM scans x{where} ORDER BY x.day, x.path", values)
+        named = self._names("SELECT sp.scan, p.name FROM scan_plants sp JOIN plants p ON p.id = sp.plant ORDER BY p.name")
+        return [
+            Scan(
+                path=self.full_path(row["path"]),
+                sha256=row["sha256"],
+                plants=named.get(row["id"], ()),
+                scene=row["scene"],
+                day=row["day"],
+                date=row["date"],
+                pictures=row["pictures"],
+                complete=bool(row["complete"]),
+                sketch=bool(row["sketch"]),
+            )
+            for row in found
+        ]
+
+    def results(self, *, plant: str | None = None, treatment: str | None = None, day: float | None = None) -> list[StoredResult]:
+        """Return the results by day and path, of all plants or of a selection."""
+        where, values = _selection(plant, treatment, day, plants="SELECT plant FROM traits WHERE result = x.id")
+        found = self.rows(
+            "SELECT x.*, s.path AS scanned, e.path AS edited FROM results x LEFT JOIN scans s ON s.id = x.scan"
+            f" LEFT JOIN edits e ON e.result = x.id{where} ORDER BY x.day, x.path",
+            values,
+        )
+        named = self._names("SELECT DISTINCT t.result, p.name FROM traits t JOIN plants p ON p.id = t.plant ORDER BY p.name")
+        numbers: dict[int, dict[str, float]] = {}
+        for result, name, value in self.rows("SELECT result, name, value FROM rig_numbers"):
+            numbers.setdefault(result, {})[name] = value
+        return [
+            StoredResult(
+                path=self.full_path(row["path"]),
+                sha256=row["sha256"],
+                scan=None if row["scanned"] is None else self.full_path(row["scanned"]),
+                plants=named.get(row["id"], ()),
+                day=row["day"],
+                trusted=bool(row["trusted"]),
+                verdict=row["verdict"],
+                corrected=bool(row["corrected"]),
+                edits=None if row["edited"] is None else self.full_path(row["edited"]),
+                rig_numbers=numbers.get(row["id"], {}),
+            )
+            for row in found
+        ]
+
+    def chosen_results(self) -> list[StoredResult]:
+        """Return one result for each scan: a corrected one before others, and of these the one added last."""
+        order = {self.full_path(row["path"]): row["id"] for row in self.rows("SELECT id, path FROM results")}
+        chosen: dict[Path, StoredResult] = {}
+        for one in sorted(self.results(), key=lambda one: (one.corrected, order[one.path])):
+            chosen[one.scan or one.path] = one
+        paths = {one.path for one in chosen.values()}
+        return [one for one in self.results() if one.path in paths]
+
+    def masses(self, *, plant: str | None = None) -> list[Mass]:
+        """Return the weighed masses by plant, day and kind."""
+        found = self.rows(
+            "SELECT p.name, m.day, m.kind, m.grams, t.path FROM masses m JOIN plants p ON p.id = m.plant"
+            " JOIN tables t ON t.id = m.source WHERE ?1 IS NULL OR p.name = ?1 ORDER BY p.name, m.day, m.kind",
+            (plant,),
+        )
+        return [Mass(plant=name, day=day, kind=kind, grams=grams, source=self.full_path(path)) for name, day, kind, grams, path in found]
+
+    def mass_tables(self) -> list[Path]:
+        """Return the tables that the masses were read from."""
+        return [self.full_path(row["path"]) for row in self.rows("SELECT path FROM tables ORDER BY path")]
+
+    # visits
+
+    def plan_visits(self, visits: Sequence[tuple[str, str]]) -> None:
+        """Add planned visits, given as plant and due time (UTC, ISO 8601); those that are known stay as they are."""
+        with self.writing():
+            for plant, due_utc in visits:
+                self.connection.execute(
+                    "INSERT INTO visits (plant, due_utc, state) SELECT id, ?, 'due' FROM plants WHERE name = ? ON CONFLICT DO NOTHING",
+                    (due_utc, plant),
+                )
+
+    def visits(self, *, plant: str | None = None, state: State | None = None) -> list[Visit]:
+        """Return the visits by due time, then in the order in which they were planned."""
+        found = self.rows(
+            "SELECT v.*, p.name, s.path FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan"
+            " WHERE (?1 IS NULL OR p.name = ?1) AND (?2 IS NULL OR v.state = ?2) ORDER BY v.due_utc, v.id",
+            (plant, state),
+        )
+        return [
+            Visit(
+                plant=row["name"],
+                due_utc=row["due_utc"],
+                state=row["state"],
+                began_utc=row["began_utc"],
+                ended_utc=row["ended_utc"],
+                scan=None if row["path"] is None else self.full_path(row["path"]),
+                note=row["note"],
+            )
+            for row in found
+        ]
+
+    def update_visit(self, visit: Visit, *, state: State, at_utc: str, scan: Path | None = None, note: str = "") -> Visit:
+        """Change the state of a visit.
+
+        Parameters
+        ----------
+        visit : Visit
+            As `visits` returns it.
+        state : State
+            New state.
+        at_utc : str
+            Time of the change, UTC as ISO 8601.
+        scan : Path or None
+            Dataset, which must have been added.
+        note : str
+            Reason, for people.
+
+        Returns
+        -------
+        Visit
+            The changed visit.
+
+        Raises
+        ------
+        UserError
+            If the dataset is not in the catalogue.
+        """
+        began = visit.began_utc or (at_utc if state == "scanning" else "")
+        ended = at_utc if state in ("scanned", "missed") else ""
+        with self.writing():
+            number = None if scan is None else self.scan_id(scan)
+            self.connection.execute(
+                "UPDATE visits SET state = ?, began_utc = ?, ended_utc = ?, scan = ?, note = ?"
+                " WHERE due_utc = ? AND plant = (SELECT id FROM plants WHERE name = ?)",
+                (state, began, ended, number, note, visit.due_utc, visit.plant),
+            )
+        return replace(visit, state=state, began_utc=began, ended_utc=ended, scan=scan, note=note)
+
+    def scan_id(self, folder: Path) -> int:
+        """Return the number of a dataset's row.
+
+        Raises
+        ------
+        UserError
+            If the dataset is not in the catalogue.
+        """
+        found = self.rows("SELECT id FROM scans WHERE path = ?", (self.stored_path(folder),))
+        if not found:
+            raise UserError(f"{folder}: is not in {self.path}; add it with `rhizotwin catalogue add`")
+        return int(found[0][0])
+
+    # helpers for `catalogue.adding`
+
+    def solution_id(self, solution: Solution) -> int | None:
+        """Return the number of a nutrient solution's row, which is added if it is new; None if nothing is known."""
+        return self._id_of("solutions", "content", plant_rows.solution_text(solution))
+
+    def _place(self, plant: Plant) -> Place:
+        return Place(f"{self.path}, plant {plant.name!r}")
+
+    def _id_of(self, table: str, column: str, value: str) -> int | None:
+        """Return the number of a row with a unique text; ``table`` and ``column`` are constants of this module."""
+        if not value:
+            return None
+        self.connection.execute(f"INSERT INTO {table} ({column}) VALUES (?) ON CONFLICT DO NOTHING", (value,))
+        return int(self.connection.execute(f"SELECT id FROM {table} WHERE {column} = ?", (value,)).fetchone()[0])
+
+    def _names(self, sql: str) -> Mapping[int, tuple[str, ...]]:
+        found: dict[int, tuple[str, ...]] = {}
+        for number, name in self.rows(sql):
+            found[number] = (*found.get(number, ()), name)
+        return found
+
+
+def now_utc() -> str:
+    """Return the time as it is stored."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _selection(plant: str | None, treatment: str | None, day: float | None, *, plants: str) -> tuple[str, list[Any]]:
+    """Return the condition of a selection and its values; ``plants`` selects the plants of a row ``x``."""
+    conditions, values = [], list[Any]()
+    if plant is not None:
+        conditions.append(f"EXISTS (SELECT 1 FROM plants p WHERE p.id IN ({plants}) AND p.name = ?)")
+        values.append(plant)
+    if treatment is not None:
+        conditions.append(
+            f"EXISTS (SELECT 1 FROM plants p JOIN treatments t ON t.id = p.treatment WHERE p.id IN ({plants}) AND t.name = ?)"
+        )
+        values.append(treatment)
+    if day is not None:
+        conditions.append("x.day = ?")
+        values.append(day)
+    return f" WHERE {' AND '.join(conditions)}" if conditions else "", values

@@ -1,0 +1,55 @@
+"""`rhizotwin phantom`."""
+
+from typing import Annotated
+
+from rhizotwin.arguments import ResultFolder, list_of, option, read_number
+from rhizotwin.scenes.errors import UserError
+
+WIRE_LIMITS_MM, MASS_LIMITS_MG = (0.01, 10.0), (0.1, 1e6)
+WIRES_MM = (0.1, 0.2, 0.4, 0.8)
+
+
+def read_wire_mm(text: str) -> float:
+    """Read the diameter of a wire."""
+    return read_number(text, WIRE_LIMITS_MM, "mm", "millimetres")
+
+
+def phantom(
+    result: ResultFolder,
+    /,
+    *,
+    wires_mm: Annotated[tuple[float, ...] | None, option(list_of(read_wire_mm), "MM,MM,...")] = None,
+    mg_per_m: Annotated[
+        tuple[float, ...] | None, option(list_of(lambda text: read_number(text, MASS_LIMITS_MG, "mg/m")), "MG,MG,...")
+    ] = None,
+) -> int:
+    """Compare a scan of copper wires with their known diameters.
+
+    For each wire the volume per length is compared with its section: down to which diameter does this rig measure
+    roots? The exit code is 1 if a wire is not measured within 3 %.
+
+    Parameters
+    ----------
+    result : Path
+        Result of a scan of the phantom.
+    wires_mm : tuple of float, optional
+        Diameters of the wires; default: 0.1,0.2,0.4,0.8.
+    mg_per_m : tuple of float, optional
+        Instead of the diameters, mass of a metre of each wire in mg: weigh a length that you have measured.
+
+    Examples
+    --------
+    rhizotwin phantom my_result
+    rhizotwin phantom my_result --mg-per-m 69.8,283.1,1129,4493
+    """
+    from rhizotwin.experiment.phantom import diameter_of, measure_wires
+
+    if wires_mm is not None and mg_per_m is not None:
+        raise UserError("--wires-mm and --mg-per-m exclude each other; give one of them")
+    diameters = wires_mm or (WIRES_MM if mg_per_m is None else tuple(diameter_of(mass) for mass in mg_per_m))
+    found = measure_wires(result, diameters)
+    print("wire (mm)  length (mm)  volume (mm3)  error of the section")
+    for one in found:
+        error = f"{100.0 * one.error:+.1f} %" if one.length_mm else "-"
+        print(f"{one.diameter_mm:9.4g}  {one.length_mm:11.1f}  {one.volume_mm3:12.4g}  {error:>8}  {one.verdict}")
+    return int(any(not one.verdict.startswith("measured") for one in found))

@@ -1,0 +1,278 @@
+"""REST API of the console, and its page; the OpenAPI schema is served as ``/api/openapi.json``."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import time
+from concurrent.futures import Future
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Annotated, Any
+from urllib.parse import parse_qs
+
+from fastapi import FastAPI, Header, Query, Request
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
+
+from rhizotwin.console import bodies as body
+from rhizotwin.console.access import Access, cookie_of, login_headers
+from rhizotwin.console.console import Console
+from rhizotwin.console.messages import for_console
+from rhizotwin.scenes.errors import UserError
+
+LOOK_S = 0.05
+"""Interval at which a waiting request looks for a change of the state (s)."""
+LONGEST_WAIT_S = 30.0
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+)
+"""A report runs its own script, so that it is kept apart from the console: without cookies and without requests."""
+_PAGE = files("rhizotwin.console").joinpath("page")
+
+Client = Annotated[str, Header(alias="X-Rhizotwin-Client", max_length=100, description="Random identifier of the client")]
+
+
+def create_app(console: Console, access: Access) -> FastAPI:
+    """Return the application; `access.Guard` has to stand before it.
+
+    Parameters
+    ----------
+    console : Console
+        The console.
+    access : Access
+        The secrets, for the page that asks for the password.
+    """
+    app = FastAPI(
+        title="rhizotwin console",
+        version=version("rhizotwin"),
+        summary="Control a root-imaging rig: devices, scans and reconstructions.",
+        openapi_url="/api/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+    )
+
+    @app.exception_handler(UserError)
+    async def refused(_: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"detail": for_console(str(error))}, status_code=409)
+
+    _add_pages(app, access)
+    _add_state(app, console)
+    _add_rig(app, console)
+    _add_scans(app, console)
+    _add_plans(app, console)
+    return app
+
+
+def _add_pages(app: FastAPI, access: Access) -> None:
+    """Add the page and its files."""
+
+    @app.get("/", include_in_schema=False)
+    def page(request: Request) -> HTMLResponse:
+        secret = str(request.scope.get("state", {}).get("page_secret", ""))
+        return HTMLResponse(_text("console.html").replace("PAGE_SECRET", html.escape(secret, quote=True)))
+
+    @app.get("/console.css", include_in_schema=False)
+    def style() -> Response:
+        return Response(_text("console.css"), media_type="text/css")
+
+    @app.get("/console.js", include_in_schema=False)
+    def script() -> Response:
+        return Response(_text("console.js"), media_type="text/javascript")
+
+    @app.get("/sketch.js", include_in_schema=False)
+    def sketch_script() -> Response:
+        return Response(_text("sketch.js"), media_type="text/javascript")
+
+    @app.get("/login", include_in_schema=False)
+    def login_page() -> HTMLResponse:
+        return HTMLResponse(_text("login.html").replace("<!--error-->", ""))
+
+    @app.post("/login", include_in_schema=False)
+    async def login(request: Request) -> Response:
+        given = parse_qs((await request.body()).decode("utf-8", "replace")).get("password", [""])[0]
+        if not await access.allows(given):
+            wrong = '<p class="wrong">The password is wrong.</p>'
+            return HTMLResponse(_text("login.html").replace("<!--error-->", wrong), status_code=401)
+        headers = login_headers(cookie_of(request.scope), access.new_session())
+        return RedirectResponse(headers.pop("Location"), status_code=303, headers=headers)
+
+
+def _add_state(app: FastAPI, console: Console) -> None:
+    """Add what clients read."""
+
+    @app.get("/api/state", tags=["state"])
+    async def state(
+        client: Client = "",
+        after: Annotated[int, Query(description="Version that the client has: wait for a later one")] = 0,
+        wait_s: Annotated[float, Query(ge=0.0, le=LONGEST_WAIT_S, description="Longest wait (s)")] = 0.0,
+    ) -> dict[str, Any]:
+        """Return devices, picture, scan, queue and messages."""
+        end_s = time.monotonic() + wait_s
+        while console.version == after and time.monotonic() < end_s:
+            await asyncio.sleep(LOOK_S)
+        return await asyncio.to_thread(console.state, client)
+
+    @app.get("/api/picture.jpg", tags=["state"], response_class=Response, responses={200: {"content": {"image/jpeg": {}}}})
+    def picture() -> Response:
+        """Return the latest picture, with the outlines of its markers."""
+        shown = console.shown
+        if shown is None:
+            raise UserError("no picture has been taken yet")
+        return Response(shown.jpeg, media_type="image/jpeg")
+
+    @app.get("/api/sketch", tags=["state"], response_class=Response, responses={200: {"content": {"application/octet-stream": {}}}})
+    def sketch() -> Response:
+        """Return the sketch of the roots: float32, little-endian: edge of a cell, then x, y, z of each centre (mm)."""
+        cells_mm, edge_mm = console.sketch()
+        data = cells_mm.astype("<f4").tobytes()
+        edge = cells_mm.dtype.type(edge_mm).astype("<f4").tobytes()
+        return Response(edge + data, media_type="application/octet-stream")
+
+    @app.get("/results/{name}/report.html", tags=["state"], response_class=FileResponse)
+    def report(name: str) -> FileResponse:
+        """Return the report of a reconstruction."""
+        path = console.folders.report(name)
+        return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+    @app.get("/growth.html", tags=["state"], response_class=FileResponse)
+    def growth() -> FileResponse:
+        """Return the page with the curves of growth."""
+        path = console.folders.growth()
+        if path is None:
+            raise UserError("there are no curves of growth yet")
+        return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+
+def _add_rig(app: FastAPI, console: Console) -> None:
+    """Add what uses the devices."""
+    controls = console.controls
+
+    @app.post("/api/control", tags=["control"])
+    def take_control(request: body.TakeControl, client: Client) -> dict[str, object]:
+        """Take control of the rig, even from another client."""
+        controls.take(client, request.name)
+        return controls.state(client)
+
+    @app.delete("/api/control", tags=["control"])
+    def release_control(client: Client) -> dict[str, object]:
+        """Release control of the rig."""
+        controls.release(client)
+        return controls.state(client)
+
+    @app.post("/api/devices/check", tags=["rig"])
+    def check_devices(client: Client) -> list[dict[str, str]]:
+        """Check every device; nothing moves. The states are returned."""
+        controls.require(client)
+        _wait(console.check_devices())
+        return console.devices.plain()
+
+    @app.post("/api/devices/release", tags=["rig"])
+    def release_devices(client: Client) -> None:
+        """Switch the lights off, park the arm, switch its torque off and close the devices."""
+        controls.require(client)
+        _wait(console.let_go())
+
+    @app.post("/api/command", tags=["rig"])
+    def command(request: body.Command, client: Client) -> list[str]:
+        """Carry out a command of `rhizotwin rig jog`; the replies are returned."""
+        controls.require(client)
+        replies: list[str] = _wait(console.command(request.line))
+        return replies
+
+    @app.post("/api/picture", tags=["rig"])
+    def take_picture(client: Client) -> dict[str, str]:
+        """Take one picture, and write it to the folder `pictures`; its name is returned."""
+        controls.require(client)
+        return {"name": _wait(console.take_picture())}
+
+    @app.post("/api/live", tags=["rig"])
+    def live(request: body.Switch, client: Client) -> None:
+        """Start or end live pictures."""
+        controls.require(client)
+        console.set_live(on=request.on)
+
+
+def _add_scans(app: FastAPI, console: Console) -> None:
+    """Add scans."""
+    controls = console.controls
+
+    @app.post("/api/scans", tags=["scans"], status_code=202)
+    def start(request: body.StartScan, client: Client) -> dict[str, str]:
+        """Start a scan; its name is returned."""
+        controls.require(client)
+        more = request.model_dump(include={"name", "reconstruct", "paused", "table_angle_deg"})
+        return {"name": console.start_scan(request.subject(), **more)}
+
+    @app.post("/api/scans/{name}/finish", tags=["scans"], status_code=202)
+    def finish(name: str, request: body.Finish, client: Client) -> None:
+        """Finish an interrupted scan: only missing pictures are taken."""
+        controls.require(client)
+        console.resume_scan(name, **request.model_dump())
+
+    @app.post("/api/scan/pause", tags=["scans"])
+    def pause(client: Client) -> None:
+        """Pause the running scan before its next picture."""
+        controls.require(client)
+        console.running().live.pause(paused=True)
+
+    @app.post("/api/scan/continue", tags=["scans"])
+    def go_on(client: Client) -> None:
+        """Continue the paused scan."""
+        controls.require(client)
+        console.running().live.pause(paused=False)
+
+    @app.post("/api/scan/stop", tags=["scans"])
+    def stop() -> None:
+        """Stop the running scan safely: lights off, arm parked, pictures kept. Every client may do this."""
+        console.running().live.stop()
+
+    @app.post("/api/answer", tags=["rig"])
+    def answer(request: body.Answer, client: Client) -> None:
+        """Answer the question to the person at the rig."""
+        controls.require(client)
+        console.questions.answer(request.text)
+
+
+def _add_plans(app: FastAPI, console: Console) -> None:
+    """Add the schedule and the queue."""
+    controls = console.controls
+
+    @app.post("/api/schedule/start", tags=["schedule"], status_code=202)
+    def start_schedule(client: Client) -> None:
+        """Make the planned scans that are due, and wait for the others."""
+        controls.require(client)
+        console.start_schedule()
+
+    @app.post("/api/schedule/stop", tags=["schedule"])
+    def stop_schedule(client: Client) -> None:
+        """End the schedule after the present scan."""
+        controls.require(client)
+        console.stop_schedule()
+
+    @app.post("/api/queue", tags=["reconstructions"], status_code=202)
+    def add(request: body.QueueScan, client: Client) -> None:
+        """Add a complete scan to the queue of reconstructions."""
+        controls.require(client)
+        console.queue.add(request.scan)
+
+    @app.delete("/api/queue/{scan}", tags=["reconstructions"])
+    def remove(scan: str, client: Client) -> None:
+        """Remove a scan from the queue, or stop its reconstruction."""
+        controls.require(client)
+        console.queue.remove(scan)
+
+
+def _wait(future: Future[Any]) -> Any:
+    """Return the result of an action of the rig's thread; errors other than `UserError` become one."""
+    from rhizotwin.scenes.formatting import error_sentence
+
+    try:
+        return future.result()
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(error_sentence(error)) from error
+
+
+def _text(name: str) -> str:
+    return _PAGE.joinpath(name).read_text(encoding="utf-8")

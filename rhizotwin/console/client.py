@@ -1,0 +1,226 @@
+"""Python client of the console's REST API, with the standard library only."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import secrets
+import time
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import parse_qs, quote, urlsplit
+from urllib.request import ProxyHandler, Request, build_opener
+
+from rhizotwin.scenes.errors import UserError
+
+TIMEOUT_S = 120.0
+"""Longest time without an answer (s): the arm's alignment takes most of it."""
+WAIT_S = 20.0
+
+
+class Console:
+    """A connection to a console.
+
+    Parameters
+    ----------
+    address : str
+        As `rhizotwin console` printed it, with its token; or without, together with ``password``.
+    password : str
+        Password of a console in the network.
+
+    Examples
+    --------
+    >>> console = Console(address)  # doctest: +SKIP
+    >>> console.take_control("night robot")  # doctest: +SKIP
+    >>> name = console.start_scan(plant="P7", day=12)  # doctest: +SKIP
+    >>> console.wait_for_scan()  # doctest: +SKIP
+    """
+
+    def __init__(self, address: str, *, password: str = "") -> None:
+        parts = urlsplit(address)
+        self._base = f"{parts.scheme}://{parts.netloc}"
+        self._secret = password or parse_qs(parts.query).get("token", [""])[0]
+        self._client = secrets.token_hex(16)
+        self._opener = build_opener(ProxyHandler({}))  # a console is in the same network
+
+    def request(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
+        """Send a request and return its answer: JSON values, or bytes of other types.
+
+        Parameters
+        ----------
+        method, path : str
+            As in the OpenAPI schema, ``/api/openapi.json``.
+        body : dict or None
+            JSON values.
+
+        Raises
+        ------
+        UserError
+            With the console's reason for a refusal, or where it cannot be reached.
+        """
+        data = None if method == "GET" else b"" if body is None else json.dumps(body).encode()
+        headers = {"Authorization": f"Bearer {self._secret}", "X-Rhizotwin-Client": self._client, "Content-Type": "application/json"}
+        request = Request(f"{self._base}{path}", data=data, method=method, headers=headers)
+        try:
+            with self._opener.open(request, timeout=TIMEOUT_S) as answer:
+                content = answer.read()
+                is_json = answer.headers.get_content_type() == "application/json"
+        except HTTPError as error:
+            raise UserError(_reason(error)) from None
+        except (URLError, OSError, http.client.HTTPException) as error:
+            raise UserError(f"the console at {self._base} cannot be reached ({error})") from error
+        return json.loads(content) if is_json else content
+
+    def state(self, *, after: int = 0, wait_s: float = 0.0) -> dict[str, Any]:
+        """Return devices, picture, scan, queue and messages.
+
+        Parameters
+        ----------
+        after : int
+            Version of the state that is known: wait for a later one.
+        wait_s : float
+            Longest wait.
+        """
+        found: dict[str, Any] = self.request("GET", f"/api/state?after={after}&wait_s={wait_s:g}")
+        return found
+
+    def take_control(self, name: str) -> None:
+        """Take control of the rig under a name that others see, even from another client."""
+        self.request("POST", "/api/control", {"name": name})
+
+    def release_control(self) -> None:
+        """Release control of the rig."""
+        self.request("DELETE", "/api/control")
+
+    def check_devices(self) -> list[dict[str, str]]:
+        """Check every device; return their states."""
+        found: list[dict[str, str]] = self.request("POST", "/api/devices/check")
+        return found
+
+    def release_devices(self) -> None:
+        """Switch the lights off, park the arm, switch its torque off and close the devices."""
+        self.request("POST", "/api/devices/release")
+
+    def command(self, line: str) -> list[str]:
+        """Carry out a command of ``rhizotwin rig jog``, such as ``table +9``; return its replies."""
+        found: list[str] = self.request("POST", "/api/command", {"line": line})
+        return found
+
+    def take_picture(self) -> str:
+        """Take a picture and keep it; return its file's name."""
+        return str(self.request("POST", "/api/picture")["name"])
+
+    def picture(self) -> bytes:
+        """Return the latest picture as JPEG."""
+        found: bytes = self.request("GET", "/api/picture.jpg")
+        return found
+
+    def start_scan(self, **options: Any) -> str:
+        """Start a scan; return its name.
+
+        Parameters
+        ----------
+        **options : object
+            As ``StartScan`` in the OpenAPI schema: plant, treatment, day, name, reconstruct and others.
+        """
+        return str(self.request("POST", "/api/scans", options)["name"])
+
+    def finish_scan(self, name: str, **options: Any) -> None:
+        """Finish an interrupted scan; the options are those of ``Finish`` in the OpenAPI schema."""
+        self.request("POST", f"/api/scans/{quote(name, safe='')}/finish", options)
+
+    def pause_scan(self) -> None:
+        """Pause the running scan before its next picture."""
+        self.request("POST", "/api/scan/pause")
+
+    def continue_scan(self) -> None:
+        """Continue the paused scan."""
+        self.request("POST", "/api/scan/continue")
+
+    def stop_scan(self) -> None:
+        """Stop the running scan safely; its pictures are kept."""
+        self.request("POST", "/api/scan/stop")
+
+    def answer(self, text: str) -> None:
+        """Answer the question to the person at the rig (``question`` in the state)."""
+        self.request("POST", "/api/answer", {"text": text})
+
+    def start_schedule(self) -> None:
+        """Make the planned scans of the experiment that are due, and wait for the others."""
+        self.request("POST", "/api/schedule/start")
+
+    def stop_schedule(self) -> None:
+        """End the schedule after the present scan."""
+        self.request("POST", "/api/schedule/stop")
+
+    def reconstruct(self, scan: str) -> None:
+        """Add a complete scan to the queue of reconstructions."""
+        self.request("POST", "/api/queue", {"scan": scan})
+
+    def cancel_reconstruction(self, scan: str) -> None:
+        """Remove a scan from the queue, or stop its reconstruction."""
+        self.request("DELETE", f"/api/queue/{quote(scan, safe='')}")
+
+    def report(self, scan: str) -> bytes:
+        """Return the report of a reconstruction, an HTML page."""
+        found: bytes = self.request("GET", f"/results/{quote(scan, safe='')}/report.html")
+        return found
+
+    def wait_for_scan(self, *, timeout_s: float = float("inf")) -> dict[str, Any]:
+        """Wait until no scan is running; return the state of the last one.
+
+        Raises
+        ------
+        UserError
+            When the scan still runs at the end of the time, or was not completed.
+        """
+        state = self._wait(lambda state: state["activity"] == "", timeout_s, "the rig is still busy")
+        scan: dict[str, Any] | None = state["scan"]
+        if scan is None:
+            raise UserError("no scan was started")
+        listed = {one["name"]: one for one in state["scans"]}
+        if not listed.get(scan["name"], {}).get("complete"):
+            errors = [message["text"] for message in state["messages"] if message["kind"] == "error"]
+            raise UserError(errors[0] if errors else f"{scan['name']}: the scan was stopped")
+        return scan
+
+    def wait_for_reconstruction(self, scan: str, *, timeout_s: float = float("inf")) -> dict[str, Any]:
+        """Wait until a scan has left the queue; return its result.
+
+        Raises
+        ------
+        UserError
+            When the reconstruction failed, or still runs at the end of the time.
+        """
+
+        def ended(state: dict[str, Any]) -> bool:
+            return not any(job["scan"] == scan and job["state"] in ("waiting", "running") for job in state["queue"])
+
+        state = self._wait(ended, timeout_s, f"{scan} is still in the queue")
+        job = next((job for job in state["queue"] if job["scan"] == scan), None)
+        if job is not None and job["state"] == "failed":
+            raise UserError(f"{scan}: {job['error']}")
+        result: dict[str, Any] | None = next((one["result"] for one in state["scans"] if one["name"] == scan), None)
+        if result is None:
+            raise UserError(f"{scan} has no result")
+        return result
+
+    def _wait(self, until: Any, timeout_s: float, late: str) -> dict[str, Any]:
+        end_s = time.monotonic() + timeout_s
+        state = self.state()
+        while not until(state):
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                raise UserError(late)
+            state = self.state(after=state["version"], wait_s=min(WAIT_S, left_s))
+        return state
+
+
+def _reason(error: HTTPError) -> str:
+    """Return the reason of a refusal, as the console gives it."""
+    text = error.read().decode("utf-8", "replace").strip()
+    try:
+        detail = json.loads(text)["detail"]
+    except (ValueError, KeyError, TypeError):
+        return text or f"the console answered {error.code} {error.reason}"
+    return detail if isinstance(detail, str) else "; ".join(f"{one['loc'][-1]}: {one['msg']}" for one in detail)

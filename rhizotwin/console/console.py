@@ -1,0 +1,390 @@
+"""The console: rig, scans, queue and messages, with one state that every client sees."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rhizotwin import rigs
+from rhizotwin.arguments import SubjectOptions
+from rhizotwin.console.controls import Controls
+from rhizotwin.console.devices import DeviceStates
+from rhizotwin.console.messages import Messages, for_console
+from rhizotwin.console.pictures import Shown, show
+from rhizotwin.console.plants import Plants
+from rhizotwin.console.questions import Questions
+from rhizotwin.console.reconstruction_queue import Job, Queue
+from rhizotwin.console.rig_thread import RigThread
+from rhizotwin.console.running_scan import RunningScan
+from rhizotwin.console.scan_folders import ScanFolders, check_name
+from rhizotwin.console.schedule import ScheduleRun
+from rhizotwin.console.state import StateView
+from rhizotwin.rig.bench import check
+from rhizotwin.rig.scanning.markers import read_strip
+from rhizotwin.rig.scanning.observers import Observers
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import error_sentence
+from rhizotwin.scenes.lock import lock_file
+from rhizotwin.timelapse.runner import Runner
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from rhizotwin.rig.scanning.observer import Look
+    from rhizotwin.scenes.model import Scene
+    from rhizotwin.scenes.picture_codec import Grey
+    from rhizotwin.timelapse.experiment import Experiment
+
+LOCK = ".rhizotwin-console-lock"
+CATALOGUE = "laboratory.rhizotwin"
+"""Catalogue of a console without an experiment."""
+LIVE_S = 8.0
+"""Live pictures end so long after the last client asked for the state (s)."""
+WORDS = ("table", "home", "lights", "band", "joint", "go", "look", "align", "park", "relax", "pose", "markers")
+"""Commands of `rig.jog` that clients may give; its ``picture`` writes a file of any name."""
+
+
+class Console:
+    """The laboratory's rig, scans and reconstructions.
+
+    Parameters
+    ----------
+    bench : Bench
+        The rig.
+    folder : path
+        Of scans, results and the queue; one console at a time works in it.
+    twin : TwinPictures or None
+        How the twin makes its pictures; None for a real rig.
+    experiment : Experiment or None
+        Whose plants and schedule; its folders are used, and ``folder`` is that of its file.
+
+    Raises
+    ------
+    UserError
+        When another console works in the folder.
+    """
+
+    def __init__(self, bench: rigs.Bench, folder: Path, *, twin: rigs.TwinPictures | None, experiment: Experiment | None = None) -> None:
+        self.bench, self.twin, self.experiment = bench, twin, experiment
+        self.version = 1
+        """Increases with every change of the state."""
+        self._lock = threading.Lock()
+        self.controls = Controls(self.changed)
+        self.devices = DeviceStates(self.changed)
+        self.messages = Messages(self.changed)
+        self.questions = Questions(self.changed)
+        self.schedule: ScheduleRun | None = None
+        """The running schedule."""
+        self.shown: Shown | None = None
+        """The latest picture."""
+        self.scan: RunningScan | None = None
+        """The running or the last scan."""
+        self._closing = False
+        self._replies: list[str] = []
+        self._view = StateView(self)
+        own = {} if experiment is None else {"scans": experiment.scans_folder, "results": experiment.results_folder}
+        self.folders = ScanFolders(folder, **own)
+        with ExitStack() as stack:
+            stack.enter_context(lock_file(folder / LOCK, what=str(folder)))
+            self.plants = Plants(folder / CATALOGUE if experiment is None else experiment.catalogue_path)
+            if experiment is not None:
+                Runner(experiment).prepare()
+            self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
+            stack.callback(self.queue.close)
+            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_change=self.changed)
+            stack.callback(self.rig.close)
+            self._stack = stack.pop_all()
+
+    def close(self) -> None:
+        """Stop scan, schedule and reconstruction, leave the rig safe, and release the folder."""
+        self._closing = True
+        self.stop_schedule()
+        if self.scan is not None:
+            self.scan.live.stop()
+        self._stack.close()
+
+    def changed(self) -> None:
+        """Note a change of the state."""
+        with self._lock:
+            self.version += 1
+
+    # state
+
+    def state(self, client: str) -> dict[str, Any]:
+        """Return everything that a client shows, as JSON values."""
+        if self.rig.live_until_s > 0.0:
+            self.rig.live_until_s = time.monotonic() + LIVE_S
+        self.controls.touch(client)
+        return self._view.plain(client)
+
+    def sketch(self) -> tuple[np.ndarray[Any, np.dtype[np.float32]], float]:
+        """Return the centres (N, 3) of the sketch's cells in the canister's frame, and their edge (mm)."""
+        if self.scan is None:
+            return np.zeros((0, 3), np.float32), 1.0
+        live = self.scan.live
+        return live.cells_mm.astype(np.float32), live.cell_mm
+
+    # actions
+
+    def check_devices(self) -> Future[None]:
+        """Check every device, as `rhizotwin rig check` does; nothing moves."""
+        return self._begin("check of the devices", self._check)
+
+    def command(self, line: str) -> Future[list[str]]:
+        """Carry out a line of `rhizotwin rig jog`, and return its replies.
+
+        Raises
+        ------
+        UserError
+            For a command that clients may not give, and while the rig is busy.
+        """
+        words = line.split()
+        if not words or words[0] not in WORDS:
+            raise UserError(f"{line[:60]!r} is not a command; give one of {', '.join(WORDS)}")
+        return self._begin(line, lambda: self._command(words))
+
+    def take_picture(self) -> Future[str]:
+        """Take a picture, and write it to the folder ``pictures`` under a name made of the time; return its name."""
+        return self._begin("picture", self._take_picture)
+
+    def let_go(self) -> Future[None]:
+        """Switch the lights off, park the arm, switch its torque off, and close the devices."""
+        self.set_live(on=False)
+        return self._begin("leaving the rig safe", self.rig.let_go)
+
+    def set_live(self, *, on: bool) -> None:
+        """Start or end live pictures; they are taken only while clients ask for the state."""
+        self.rig.live_until_s = time.monotonic() + LIVE_S if on else 0.0
+        self.changed()
+
+    def start_scan(
+        self,
+        subject: SubjectOptions,
+        *,
+        name: str = "",
+        reconstruct: bool = True,
+        paused: bool = False,
+        table_angle_deg: float | None = None,
+    ) -> str:
+        """Start a scan and return its name.
+
+        Parameters
+        ----------
+        subject : SubjectOptions
+            Whose roots are in the canister.
+        name : str
+            Name of a new scan; empty: plant and date.
+        reconstruct : bool
+            Add the finished scan to the queue.
+        paused : bool
+            Wait before the first picture.
+        table_angle_deg : float or None
+            Present angle of the table, where the markers cannot be read.
+
+        Raises
+        ------
+        UserError
+            For a name that exists, a subject that is not valid, and while the rig is busy.
+        """
+        scene = self.plants.scene_of(subject.apply_to(self.bench.scene))
+        dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
+        scene = replace(scene, subject=dated)
+        name = check_name(name) if name else self.folders.new_name(scene.subject)
+        if (self.folders.scans / name / "dataset.json").exists():
+            raise UserError(f"there is a scan {name!r} already: choose another name, or finish that scan")
+        self._start(name, scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
+        return name
+
+    def resume_scan(self, name: str, *, reconstruct: bool = True, table_angle_deg: float | None = None) -> None:
+        """Finish an interrupted scan, with the subject that it was begun with.
+
+        Raises
+        ------
+        UserError
+            For a scan that does not exist, and while the rig is busy.
+        """
+        before = load_dataset(self.folders.scan(name))
+        known = before.scene
+        scene = replace(self.bench.scene, subject=known.subject, solution=known.solution, strip=known.strip)
+        self._start(name, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
+
+    def start_schedule(self) -> None:
+        """Make the planned scans of the experiment that are due, and wait for the others.
+
+        Raises
+        ------
+        UserError
+            Without an experiment, and while the rig is busy.
+        """
+        if self.experiment is None:
+            raise UserError("there is no schedule: start the console with --experiment")
+        schedule = ScheduleRun(self.experiment, ask=self._ask, say=self._say_scan, show_scan=self._show_scan)
+
+        def run() -> None:
+            self.rig.let_go()
+            self.schedule = schedule
+            schedule.stopping = self._closing
+            try:
+                outcome = schedule.run()
+            except KeyboardInterrupt:
+                self.messages.add("the schedule was stopped; it can be started again")
+                return
+            finally:
+                self.schedule = None
+            left = f", {len(outcome.open)} still to be made" if outcome.open else ""
+            self.messages.add(f"schedule ended: {outcome.scanned} scans made, {len(outcome.missed)} missed{left}")
+
+        self.set_live(on=False)
+        self._begin(f"schedule of {self.experiment.name}", run)
+
+    def stop_schedule(self) -> None:
+        """End the schedule after the present scan; an open question is withdrawn."""
+        schedule = self.schedule
+        if schedule is not None:
+            schedule.stopping = True
+            self.changed()
+
+    def running(self) -> RunningScan:
+        """Return the running scan.
+
+        Raises
+        ------
+        UserError
+            Where none is running.
+        """
+        scan = self.scan
+        if scan is None or scan.live.ended:
+            raise UserError("no scan is running")
+        return scan
+
+    # in the rig's thread
+
+    def _begin(self, what: str, action: Callable[[], Any]) -> Future[Any]:
+        def reported() -> Any:
+            try:
+                return action()
+            except Exception as error:
+                text = for_console(error_sentence(error))
+                self.devices.read_error(text)
+                self.messages.error(text)
+                raise
+
+        return self.rig.begin(what, reported)
+
+    def _check(self) -> None:
+        self.rig.let_go()
+        bench = self.bench
+
+        def say(line: str) -> None:
+            self.devices.read_check(line)
+            self._say(line)
+
+        check(bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=say, folder=self.folders.root)
+
+    def _command(self, words: list[str]) -> list[str]:
+        self._replies = []
+        self.rig.command(words)
+        return self._replies
+
+    def _take_picture(self) -> str:
+        now = datetime.now().astimezone()
+        path = self.folders.pictures / f"{now:%Y-%m-%d-%H%M%S}-{now.microsecond // 1000:03d}.png"
+        self.rig.command(["picture", str(path)])
+        return path.name
+
+    def _start(self, name: str, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
+        folder = self.folders.scans / name
+        identify = self.plants.identity(scene.subject, scene.strip)
+
+        def run() -> None:
+            self.rig.let_go()
+            scan = self._show_scan(name, scene, paused=paused)
+            observers = Observers(ask=self._ask, say=self._say_scan, observer=scan.live, identify=identify)
+            try:
+                with ExitStack() as stack:
+                    stack.callback(scan.live.close)
+                    devices = self.bench.open_devices(None, stack)
+                    rigs.take_scan(
+                        self.bench,
+                        devices,
+                        scene,
+                        folder,
+                        observers=observers,
+                        twin=self.twin,
+                        resume=True,
+                        table_angle_deg=table_angle_deg,
+                    )
+            except KeyboardInterrupt:
+                self.messages.add(f"{name}: stopped; it can be finished later")
+                return
+            except Exception as error:
+                scan.error = for_console(error_sentence(error))
+                raise
+            finally:
+                if (folder / "dataset.json").is_file():
+                    self.plants.add_scan(folder)
+            self.messages.add(f"{name}: the scan is complete")
+            if reconstruct and not (self.twin is not None and self.twin.fidelity == "sketch"):
+                self.queue.add(name)
+
+        self.set_live(on=False)
+        self._begin(f"scan {name}", run)
+
+    def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
+        """Make a scan the one that the console shows."""
+        self.scan = RunningScan(name, scene, on_look=self._show_look, on_change=self.changed, paused=paused)
+        if self._closing:
+            self.scan.live.stop()
+        self.changed()
+        return self.scan
+
+    def _ask(self, question: str) -> str:
+        """Ask the person at the rig; the end of the scan, the schedule or the console ends the wait."""
+
+        def cancelled() -> bool:
+            scan, schedule = self.scan, self.schedule
+            return self._closing or (scan is not None and scan.live.stopping) or (schedule is not None and schedule.stopping)
+
+        return self.questions.ask(question, cancelled=cancelled)
+
+    # what the rig's thread reports
+
+    def _say(self, text: str) -> None:
+        self._replies.append(text)
+        self.messages.add(text)
+
+    def _say_scan(self, text: str) -> None:
+        self.devices.read_report(text)
+        self.messages.add(text)
+
+    def _show_live(self, image: Grey) -> None:
+        self._show(image, read_strip(image, self.bench.scene), title=f"live, {datetime.now().astimezone():%H:%M:%S}")
+
+    def _show_look(self, look: Look) -> None:
+        scan = self.scan
+        panel = None if scan is None else scan.live.panel
+        self._show(look.image, look.sighting, title=look.frame.file, panel=panel, motion=look.motion)
+
+    def _show(self, image: Grey, sighting: Any, *, title: str, **more: Any) -> None:
+        number = 1 if self.shown is None else self.shown.number + 1
+        self.shown = show(image, sighting, number=number, title=title, **more)
+        self.changed()
+
+    def _reconstructed(self, job: Job) -> None:
+        if job.state == "failed":
+            self.messages.error(f"{job.scan}: not reconstructed: {job.error}")
+            return
+        self.messages.add(f"{job.scan}: reconstructed")
+        try:
+            self.plants.add_result(self.folders.result(job.scan))
+        except UserError as error:
+            self.messages.error(f"{job.scan}: not added to the catalogue: {error}")

@@ -1,0 +1,70 @@
+"""Messages of the console: recent lines of scans, commands and errors, with their time."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import Literal
+
+from rhizotwin.scenes.formatting import printable
+
+KEPT = 200
+IN_THE_CONSOLE = (
+    ("finish the scan with --resume", "finish the scan, or start it again"),
+    ("resume with --resume", "finish the scan, or start it again"),
+    ("start the scan again with --resume", "finish the scan, or start it again"),
+)
+"""Advice for the command line, and the same for the console."""
+Kind = Literal["info", "error"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """One line."""
+
+    number: int
+    time: str
+    """Local time, such as 14:05:10."""
+    kind: Kind
+    text: str
+
+
+def for_console(text: str) -> str:
+    """Return a message with advice for the console instead of the command line."""
+    for words, replacement in IN_THE_CONSOLE:
+        text = text.replace(words, replacement)
+    return printable(text)
+
+
+class Messages:
+    """The most recent messages.
+
+    Parameters
+    ----------
+    on_change : callable
+        Called after each message.
+    """
+
+    def __init__(self, on_change: Callable[[], object]) -> None:
+        self._on_change = on_change
+        self._lock = threading.Lock()
+        self._kept: deque[Message] = deque(maxlen=KEPT)
+        self._count = 0
+
+    def add(self, text: str, kind: Kind = "info") -> None:
+        """Add a message."""
+        with self._lock:
+            self._count += 1
+            now = datetime.now().astimezone()
+            self._kept.append(Message(number=self._count, time=f"{now:%H:%M:%S}", kind=kind, text=for_console(text)))
+        self._on_change()
+
+    def error(self, text: str) -> None:
+        """Add an error."""
+        self.add(text, "error")
+
+    def plain(self) -> list[dict[str, object]]:
+        """Return the messages as JSON values, the latest first."""
+        with self._lock:
+            return [asdict(message) for message in reversed(self._kept)]

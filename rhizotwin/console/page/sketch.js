@@ -1,0 +1,94 @@
+// Draws the cells of the sketch and the canister on a canvas; dragging turns the view.
+
+const LAYERS = 12;
+
+export class Sketch {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.points = new Float32Array();
+    this.edge = 1;
+    this.radius = 75;
+    this.height = 150;
+    this.turn = 0.5;
+    this.tilt = 0.25;
+    let from = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      from = [event.clientX, event.clientY, this.turn, this.tilt];
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (from === null) return;
+      this.turn = from[2] + (event.clientX - from[0]) * 0.01;
+      this.tilt = Math.max(-1.5, Math.min(1.5, from[3] + (event.clientY - from[1]) * 0.01));
+      this.draw();
+    });
+    canvas.addEventListener("pointerup", () => { from = null; });
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  // Set the cells: edge of a cell, then x, y, z of each centre (mm).
+  set(numbers, radius, height) {
+    this.edge = numbers[0];
+    this.points = numbers.subarray(1);
+    this.radius = radius;
+    this.height = height;
+    this.draw();
+  }
+
+  draw() {
+    const ratio = window.devicePixelRatio || 1;
+    const width = Math.round(this.canvas.clientWidth * ratio);
+    const height = Math.round(this.canvas.clientHeight * ratio);
+    if (!width || !height) return;
+    this.canvas.width = width;
+    this.canvas.height = height;
+    const context = this.canvas.getContext("2d");
+    const style = getComputedStyle(document.documentElement);
+    const scale = Math.min(height / (this.height * 1.25), width / (this.radius * 2.4));
+    const [sin, cos, up, back] = [Math.sin(this.turn), Math.cos(this.turn), Math.sin(this.tilt), Math.cos(this.tilt)];
+    const project = (x, y, z) => {
+      const across = x * sin + y * cos;
+      const away = x * cos - y * sin;
+      return [width / 2 + across * scale, height / 2 - ((z + this.height / 2) * back - away * up) * scale];
+    };
+    context.strokeStyle = style.getPropertyValue("--line");
+    context.lineWidth = ratio;
+    for (const z of [0, -this.height]) {
+      context.beginPath();
+      for (let k = 0; k <= 64; k++) {
+        const angle = (k / 64) * 2 * Math.PI;
+        context.lineTo(...project(this.radius * Math.cos(angle), this.radius * Math.sin(angle), z));
+      }
+      context.stroke();
+    }
+    for (const side of [-1, 1]) {
+      context.beginPath();
+      const [x, y] = [side * this.radius * sin, side * this.radius * cos];
+      context.moveTo(...project(x, y, 0));
+      context.lineTo(...project(x, y, -this.height));
+      context.stroke();
+    }
+    this.drawCells(context, project, Math.max(1, this.edge * scale), style);
+  }
+
+  // Draw the cells from far to near, the nearer the darker.
+  drawCells(context, project, size, style) {
+    const count = Math.floor(this.points.length / 3);
+    const layers = Array.from({ length: LAYERS }, () => []);
+    const [sin, cos] = [Math.sin(this.turn), Math.cos(this.turn)];
+    const depth = (k) => this.points[3 * k] * cos - this.points[3 * k + 1] * sin;
+    let [near, far] = [Infinity, -Infinity];
+    for (let k = 0; k < count; k++) {
+      near = Math.min(near, depth(k));
+      far = Math.max(far, depth(k));
+    }
+    for (let k = 0; k < count; k++) layers[Math.min(LAYERS - 1, Math.floor(((far - depth(k)) / (far - near || 1)) * LAYERS))].push(k);
+    layers.forEach((layer, number) => {
+      context.fillStyle = `color-mix(in srgb, ${style.getPropertyValue("--main")} ${Math.round(25 + (75 * (number + 1)) / LAYERS)}%, ${style.getPropertyValue("--paper")})`;
+      for (const k of layer) {
+        const [x, y] = project(this.points[3 * k], this.points[3 * k + 1], this.points[3 * k + 2]);
+        context.fillRect(x - size / 2, y - size / 2, size, size);
+      }
+    });
+  }
+}

@@ -1,0 +1,156 @@
+"""Pictures of the rig for people: brightness for a screen, outlines of the markers, and measurements with limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.settings import TrustSettings
+from rhizotwin.rig.scanning import picture_change, preflight
+from rhizotwin.rig.scanning.markers import Sighting
+from rhizotwin.scenes.picture_codec import Grey
+
+TRUST = TrustSettings()
+"""Limits of the checks of the reconstruction, so that a picture that is good here is good there."""
+PICTURE_PX = 800
+"""Width to which wider pictures are reduced."""
+JPEG_QUALITY = 85
+_MARKER_BGR = (90, 210, 0)
+
+State = Literal["good", "fair", "bad"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meter:
+    """One measurement of a picture."""
+
+    name: str
+    value: str
+    limits: str
+    state: State
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """A picture as the console shows it."""
+
+    number: int
+    """Increases with every picture."""
+    title: str
+    jpeg: bytes
+    meters: tuple[Meter, ...]
+
+
+def show(
+    image: Grey,
+    sighting: Sighting | None,
+    *,
+    number: int,
+    title: str,
+    panel: tuple[float, float] | None = None,
+    motion: float | None = None,
+) -> Shown:
+    """Prepare a picture for the console.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16 array
+        Linear in light.
+    sighting : Sighting or None
+        Markers of the picture.
+    number, title : int, str
+        As in `Shown`.
+    panel : tuple of float or None
+        5th and 95th percentile of the panel's brightness, where they are known.
+    motion : float or None
+        Fraction of the picture that moved after the stop, where it was measured.
+    """
+    return Shown(number=number, title=title, jpeg=jpeg(image, sighting), meters=meters(image, sighting, panel=panel, motion=motion))
+
+
+def meters(image: Grey, sighting: Sighting | None, *, panel: tuple[float, float] | None, motion: float | None) -> tuple[Meter, ...]:
+    """Measure a picture.
+
+    Parameters
+    ----------
+    image, sighting : (H, W) uint8 or uint16 array, Sighting or None
+        The picture and its markers.
+    panel, motion : tuple of float or None, float or None
+        As in `show`.
+    """
+    parts: tuple[Callable[[], Meter | None], ...] = (
+        lambda: _markers(sighting),
+        lambda: _focus(sighting),
+        lambda: _exposure(image),
+        lambda: _panel(panel),
+        lambda: _motion(motion),
+    )
+    return tuple(found for part in parts if (found := part()) is not None)
+
+
+def jpeg(image: Grey, sighting: Sighting | None) -> bytes:
+    """Encode a picture as JPEG with sRGB-like brightness and the outlines of its markers."""
+    height, width = image.shape
+    scale = min(1.0, PICTURE_PX / width)
+    if scale < 1.0:
+        image = cv2.resize(image, (PICTURE_PX, max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
+    light = image.astype(np.float32) / np.iinfo(image.dtype).max
+    shown: NDArray[np.uint8] = np.round(255.0 * light ** (1.0 / 2.2)).astype(np.uint8)
+    colour = cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR)
+    if sighting is not None:
+        corners = (sighting.corners_px + 0.5) * scale - 0.5
+        cv2.polylines(colour, list(np.round(corners * 16).astype(np.int32)), True, _MARKER_BGR, 1, cv2.LINE_AA, 4)
+    _, data = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes()
+
+
+def _markers(sighting: Sighting | None) -> Meter:
+    if sighting is None:
+        return Meter(name="Markers", value="not readable", limits="the table angle is not confirmed by markers", state="fair")
+    value = f"{sighting.markers} read, {sighting.reprojection_px:.2f} px residual"
+    return Meter(name="Markers", value=value, limits="root mean square of their corners", state="good")
+
+
+def _focus(sighting: Sighting | None) -> Meter | None:
+    if sighting is None or sighting.blur_px is None:
+        return None
+    good, bad = TRUST.blur_px
+    state = _state(-sighting.blur_px, -good, -bad)
+    return Meter(name="Focus", value=f"blur {sighting.blur_px:.2f} px", limits=f"good to {good:g} px, bad over {bad:g} px", state=state)
+
+
+def _exposure(image: Grey) -> Meter:
+    light = preflight.measure_exposure(image)
+    least, most = 100.0 * preflight.DIMMEST, 100.0 * preflight.MOST_SATURATED
+    good = light.bright >= preflight.DIMMEST and light.saturated <= preflight.MOST_SATURATED
+    value = f"{100.0 * light.bright:.0f} % of full scale, {100.0 * light.saturated:.1f} % saturated"
+    limits = f"at least {least:.0f} %, at most {most:.0f} % saturated"
+    return Meter(name="Exposure", value=value, limits=limits, state="good" if good else "bad")
+
+
+def _panel(panel: tuple[float, float] | None) -> Meter | None:
+    if panel is None or panel[1] <= 0.0:
+        return None
+    good, bad = TRUST.dim
+    value = f"{100.0 * panel[0]:.0f} to {100.0 * panel[1]:.0f} % of full scale"
+    limits = f"darkest part good from {100.0 * good:.0f} %, bad below {100.0 * bad:.0f} %"
+    return Meter(name="Panel", value=value, limits=limits, state=_state(panel[0], good, bad))
+
+
+def _motion(motion: float | None) -> Meter | None:
+    if motion is None:
+        return None
+    still = motion < picture_change.LEAST_SHARE
+    value = "at rest" if still else f"{100.0 * motion:.1f} % of the picture still moves"
+    limits = f"less than {100.0 * picture_change.LEAST_SHARE:g} %; otherwise increase settle_s in the rig file"
+    return Meter(name="After the turn", value=value, limits=limits, state="good" if still else "fair")
+
+
+def _state(value: float, good: float, bad: float) -> State:
+    """Grade a value that is better the larger it is."""
+    return "good" if value >= good else "fair" if value >= bad else "bad"

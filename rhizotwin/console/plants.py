@@ -1,0 +1,169 @@
+"""The plants of the console's catalogue: who is on the table, which scans exist, what is planned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.catalogue import adding
+from rhizotwin.catalogue.identity import WrongPlantError, check_plant, identify
+from rhizotwin.catalogue.records import Plant, Visit
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import MarkerStrip, Scene
+from rhizotwin.scenes.picture_codec import Grey
+from rhizotwin.scenes.subject import Subject
+
+KEPT = ("species", "treatment", "replicate")
+"""Fields of the subject that the catalogue knows of a plant."""
+MOST_SHOWN = 6
+"""Planned scans that are shown beside those of today."""
+
+
+class Plants:
+    """Plants, scans and planned scans of a catalogue.
+
+    Parameters
+    ----------
+    path : path
+        The catalogue; created where there is none.
+
+    Raises
+    ------
+    UserError
+        For a file that is not a catalogue.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with Catalogue.open_or_create(path):
+            pass
+        self._stamp: Any = None
+        self._plain: tuple[list[dict[str, object]], dict[str, Any]] = [], {}
+
+    def scene_of(self, scene: Scene) -> Scene:
+        """Return a scan's scene with what the catalogue knows of its plant: treatment, species, strip on its pot.
+
+        Raises
+        ------
+        UserError
+            Where the subject contradicts the catalogue.
+        """
+        subject, plant = scene.subject, self._plant(scene.subject.plant)
+        if plant is None:
+            return scene
+        for name in KEPT:
+            given, known = getattr(subject, name), getattr(plant, name)
+            if given not in ("", None) and known not in ("", None) and given != known:
+                raise UserError(
+                    f"the {name} of plant {plant.name} is {known!r} in the catalogue, not {given!r}: correct the plant's name or its {name}"
+                )
+        known_fields = {name: getattr(plant, name) for name in KEPT if getattr(subject, name) in ("", None)}
+        strip = scene.strip
+        if plant.tag is not None and plant.tag.dictionary == strip.dictionary:
+            strip = replace(strip, first_id=plant.tag.first_id)
+        return replace(scene, subject=replace(subject, **known_fields), strip=strip)
+
+    def identity(self, subject: Subject, strip: MarkerStrip) -> Callable[[Grey], object]:
+        """Return the check of a scan's first picture: it must show no other plant of the catalogue.
+
+        Parameters
+        ----------
+        subject : Subject
+            Of the scan. A plant whose strip is known must be on the table; another name must not be that of a pot with
+            the strip of a known plant.
+        strip : MarkerStrip
+            Of the scan's scene.
+        """
+        with Catalogue.open(self.path, read_only=True) as catalogue:
+            plants = catalogue.plants()
+        expected = next((plant for plant in plants if plant.name == subject.plant), None)
+        if expected is not None and expected.tag is not None:
+            return check_plant(expected, plants, strip)
+        if not any(plant.tag is not None for plant in plants):
+            return lambda _: None
+
+        def check(image: Grey) -> None:
+            try:
+                found = identify(image, plants, strip)
+            except WrongPlantError:
+                return
+            raise WrongPlantError(
+                f"the canister on the table is that of plant {found.name}, not {subject.plant or 'a plant without a name'}: "
+                f"put the right canister on the table, or start the scan for {found.name}",
+                found=found.name,
+            )
+
+        return check
+
+    def add_scan(self, folder: Path) -> None:
+        """Add a scan, or update its entry."""
+        with Catalogue.open(self.path) as catalogue:
+            adding.add_scan(catalogue, folder)
+
+    def add_result(self, folder: Path) -> None:
+        """Add a result, or update its entry."""
+        with Catalogue.open(self.path) as catalogue:
+            adding.add_result(catalogue, folder)
+
+    def plain(self) -> tuple[list[dict[str, object]], dict[str, Any]]:
+        """Return plants and planned scans as JSON values."""
+        stamp = (date.today(), *(_stamp(self.path.with_name(f"{self.path.name}{end}")) for end in ("", "-wal")))  # noqa: DTZ011 - local
+        if stamp != self._stamp:
+            with Catalogue.open(self.path, read_only=True) as catalogue:
+                self._plain = _plants(catalogue), _visits(catalogue.visits())
+            self._stamp = stamp
+        return self._plain
+
+    def _plant(self, name: str) -> Plant | None:
+        with Catalogue.open(self.path, read_only=True) as catalogue:
+            return next((plant for plant in catalogue.plants() if plant.name == name), None)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+def _plants(catalogue: Catalogue) -> list[dict[str, object]]:
+    scans = catalogue.scans()
+    today = datetime.now().astimezone().date()
+    found: list[dict[str, object]] = []
+    for plant in catalogue.plants():
+        own = [scan for scan in scans if plant.name in scan.plants]
+        day = (today - date.fromisoformat(plant.sown)).days if plant.sown else None
+        last = max((scan.date for scan in own), default="")
+        tag = "" if plant.tag is None else str(plant.tag)
+        found.append({"name": plant.name, "treatment": plant.treatment, "tag": tag, "day": day, "scans": len(own), "last": last})
+    return found
+
+
+def _visits(visits: list[Visit]) -> dict[str, Any]:
+    """Return the planned scans: those of today, the next ones, and those that were missed."""
+    today = datetime.now().astimezone().date()
+    open_ = [visit for visit in visits if visit.state in ("due", "scanning")]
+    todays = [visit for visit in visits if _local(visit).date() == today]
+    following = [visit for visit in open_ if visit not in todays][:MOST_SHOWN]
+    missed = [visit for visit in visits if visit.state == "missed" and visit not in todays]
+    return {
+        "planned": len(visits),
+        "scanned": sum(visit.state == "scanned" for visit in visits),
+        "missed_count": sum(visit.state == "missed" for visit in visits),
+        "today": [_visit(visit) for visit in todays],
+        "next": [_visit(visit) for visit in following],
+        "missed": [_visit(visit) for visit in missed[-MOST_SHOWN:]],
+    }
+
+
+def _local(visit: Visit) -> datetime:
+    return datetime.fromisoformat(visit.due_utc).astimezone()
+
+
+def _visit(visit: Visit) -> dict[str, str]:
+    return {"plant": visit.plant, "due": f"{_local(visit):%Y-%m-%d %H:%M}", "state": visit.state, "note": visit.note}

@@ -1,0 +1,58 @@
+"""The scan that the console shows: its name, its scene and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rhizotwin.console.live import Live
+
+if TYPE_CHECKING:
+    from rhizotwin.rig.scanning.observer import Look
+    from rhizotwin.scenes.model import Scene
+
+
+class RunningScan:
+    """One run of a scan.
+
+    Parameters
+    ----------
+    name, scene : str, Scene
+        Name of the scan; the rig's scene with the subject.
+    on_look, on_change : callable
+        Receives each picture; called after every change.
+    paused : bool
+        Wait before the first picture.
+    """
+
+    def __init__(
+        self, name: str, scene: Scene, *, on_look: Callable[[Look], object], on_change: Callable[[], object], paused: bool = False
+    ) -> None:
+        self.name, self.scene = name, scene
+        self.error = ""
+        """Why the scan failed."""
+        self._on_change, self._on_look = on_change, on_look
+        self._shown: Look | None = None
+        self.live = Live(scene, on_change=self._live_changed, paused=paused)
+
+    def plain(self) -> dict[str, object]:
+        """Return the scan as JSON values."""
+        live = self.live
+        state = "ended" if live.ended else "stopping" if live.stopping else "paused" if live.paused else "running"
+        left_s = live.left_s()
+        return {
+            "name": self.name,
+            "subject": str(self.scene.subject),
+            "state": state,
+            "done": live.done,
+            "total": live.total,
+            "error": self.error,
+            "left_s": None if left_s is None or state != "running" else round(left_s),
+        }
+
+    def _live_changed(self) -> None:
+        look = self.live.last
+        if look is not None and look is not self._shown:
+            self._shown = look
+            self._on_look(look)
+        self._on_change()

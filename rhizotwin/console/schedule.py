@@ -1,0 +1,129 @@
+"""The schedule of a time-lapse experiment in the console: a person is asked for each canister, and sees each scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rhizotwin.rig.scanning.observer import Look, Observer
+from rhizotwin.timelapse.changers import Changer, PersonChanger
+from rhizotwin.timelapse.runner import Listener, Outcome, Runner
+from rhizotwin.timelapse.table import EmulatedTable, RealTable
+
+if TYPE_CHECKING:
+    from rhizotwin.catalogue.records import Visit
+    from rhizotwin.console.running_scan import RunningScan
+    from rhizotwin.rig.scanning.homing import Ask
+    from rhizotwin.scenes.model import Scene
+    from rhizotwin.timelapse.experiment import Experiment, Member
+
+
+class ScheduleRun:
+    """One run of an experiment's schedule; the catalogue keeps what it has done.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Plants, rig and schedule.
+    ask : Ask
+        Asks the person at the rig.
+    say : callable
+        Receives lines for people.
+    show_scan : callable
+        Called with name and scene of each scan that begins; returns it as the console shows it.
+    """
+
+    def __init__(
+        self, experiment: Experiment, *, ask: Ask, say: Callable[[str], None], show_scan: Callable[[str, Scene], RunningScan]
+    ) -> None:
+        self.experiment = experiment
+        self.stopping = False
+        """Whether the run ends before the next scan."""
+        self._ask, self._say, self._show_scan = ask, say, show_scan
+        self._scan: RunningScan | None = None
+
+    def run(self) -> Outcome:
+        """Make all scans that are due, until the schedule is done or stopped.
+
+        Raises
+        ------
+        UserError
+            When another run works on the experiment, or its files cannot be used.
+        KeyboardInterrupt
+            When a scan was stopped.
+        """
+        listener = Listener(
+            say=self._say, on_visit=self._follow, stop=lambda: self.stopping, ask=self._ask, observer=_Forwarding(lambda: self._scan)
+        )
+        by_hand = self.experiment.schedule.change == "person"
+        changer: Changer | None = _Person(lambda: runner.table, self._ask) if by_hand else None
+        runner = Runner(self.experiment, listener=listener, changer=changer)
+        try:
+            return runner.run()
+        finally:
+            self._end_scan()
+
+    def _follow(self, visit: Visit) -> None:
+        """Show the scan of a visit that begins, and end that of one that is over."""
+        self._end_scan()
+        if visit.state == "scanning":
+            member = self.experiment.member(visit.plant)
+            name = self.experiment.scan_folder(member, visit.due_utc).name
+            self._scan = self._show_scan(name, self.experiment.known_scene(member, visit.due_utc))
+
+    def _end_scan(self) -> None:
+        scan, self._scan = self._scan, None
+        if scan is not None:
+            scan.live.close()
+
+
+class _Person(PersonChanger):
+    """A person who is asked; on the emulated rig the answer may be the number of another canister."""
+
+    def __init__(self, table: Callable[[], RealTable | EmulatedTable | None], ask: Ask) -> None:
+        super().__init__(self._asked)
+        self._table = table
+        self._to_person, self._answer = ask, ""
+
+    def change(self, member: Member, *, reason: str = "") -> None:
+        """Ask for the canister, and put it on an emulated table."""
+        super().change(member, reason=reason)
+        table = self._table()
+        if isinstance(table, EmulatedTable):
+            table.put(int(self._answer) if self._answer.isdecimal() else member.canister)
+
+    def _asked(self, question: str) -> str:
+        emulated = " On the emulated rig, the answer may be the number of another canister." if self._table_is_emulated() else ""
+        self._answer = self._to_person(f"{question.removesuffix('then press Enter: ')}then confirm.{emulated}").strip()
+        return self._answer
+
+    def _table_is_emulated(self) -> bool:
+        return isinstance(self._table(), EmulatedTable)
+
+
+class _Forwarding(Observer):
+    """Passes on to the observer of the present scan."""
+
+    watches_motion = True
+
+    def __init__(self, scan: Callable[[], RunningScan | None]) -> None:
+        self._scan = scan
+
+    def on_plan(self, total: int, done: int) -> None:
+        """Pass on the number of pictures."""
+        if (scan := self._scan()) is not None:
+            scan.live.on_plan(total, done)
+
+    def on_look(self, look: Look) -> None:
+        """Pass on a picture."""
+        if (scan := self._scan()) is not None:
+            scan.live.on_look(look)
+
+    def on_drop(self, files: list[str]) -> None:
+        """Pass on rejected pictures."""
+        if (scan := self._scan()) is not None:
+            scan.live.on_drop(files)
+
+    def holds(self) -> bool:
+        """Return whether the scan is paused."""
+        return (scan := self._scan()) is not None and scan.live.holds()

@@ -1,0 +1,97 @@
+"""The console's state as JSON values, as its clients show it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rhizotwin.console.console import Console
+
+
+class StateView:
+    """Collects the state of a console.
+
+    Parameters
+    ----------
+    console : Console
+        The console.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._lock = threading.Lock()
+        self._sketch: tuple[int, Any] = (0, None)
+
+    def plain(self, client: str) -> dict[str, Any]:
+        """Return everything that a client shows."""
+        console = self._console
+        version = console.version  # before the rest, so that a later change is not missed
+        queue = console.queue.plain()
+        plants, visits = console.plants.plain()
+        return {
+            "version": version,
+            "rig": self._rig(),
+            "controls": console.controls.state(client),
+            "devices": console.devices.plain(),
+            "activity": console.rig.busy,
+            "open": console.rig.open,
+            "live": console.rig.live_until_s > time.monotonic(),
+            "picture": self._picture(),
+            "scan": None if console.scan is None else console.scan.plain(),
+            "question": console.questions.text,
+            "sketch": self._sketch_state(),
+            "plants": plants,
+            "schedule": self._schedule(visits),
+            "scans": self._scans(queue),
+            "queue": queue,
+            "messages": console.messages.plain(),
+        }
+
+    def _rig(self) -> dict[str, Any]:
+        bench, twin = self._console.bench, self._console.twin
+        return {
+            "name": bench.rig.name,
+            "emulated": twin is not None,
+            "scene": bench.scene.name,
+            "arm": bench.rig.arm is not None,
+            "sketch": twin is not None and twin.fidelity == "sketch",
+            "views": sum(ring.views for ring in bench.scene.plan.rings),
+        }
+
+    def _picture(self) -> dict[str, Any] | None:
+        shown = self._console.shown
+        if shown is None:
+            return None
+        return {"number": shown.number, "title": shown.title, "meters": [asdict(meter) for meter in shown.meters]}
+
+    def _schedule(self, visits: dict[str, Any]) -> dict[str, Any] | None:
+        experiment, schedule = self._console.experiment, self._console.schedule
+        if experiment is None:
+            return None
+        state = "stopped" if schedule is None else "stopping" if schedule.stopping else "running"
+        return {"name": experiment.name, "state": state, "growth": self._console.folders.growth() is not None, **visits}
+
+    def _sketch_state(self) -> dict[str, object]:
+        """Return the number of the sketch, which changes with it, and the size of the canister."""
+        scan, can = self._console.scan, self._console.bench.scene.canister
+        cells = None if scan is None else scan.live.cells_mm
+        with self._lock:
+            if cells is not self._sketch[1]:
+                self._sketch = self._sketch[0] + 1, cells
+            number = self._sketch[0]
+        size = {"radius_mm": can.outer_radius_mm, "height_mm": can.height_mm}
+        return {"number": number, "cells": 0 if cells is None else len(cells), **size}
+
+    def _scans(self, queue: list[dict[str, object]]) -> list[dict[str, object]]:
+        folders, scan = self._console.folders, self._console.scan
+        jobs = {job["scan"]: job["state"] for job in queue}
+        running = scan.name if scan is not None and not scan.live.ended else ""
+        listed = []
+        for entry in folders.list_scans():
+            result = folders.result_of(entry.name)
+            more = {"running": entry.name == running, "queue": jobs.get(entry.name, "")}
+            listed.append(asdict(entry) | more | {"result": None if result is None else asdict(result)})
+        return listed

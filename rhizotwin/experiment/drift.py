@@ -1,0 +1,194 @@
+"""Drift of the rig: numbers of every scan over time, with control limits, and their effect on traits.
+
+Individuals control chart: centre line at the mean, limits at 3 standard deviations, which are estimated from the mean
+moving range of successive points divided by d2 = 1.128 (W. A. Shewhart, Economic Control of Quality of Manufactured
+Product, 1931; NIST/SEMATECH e-Handbook of Statistical Methods, section 6.3.2.2).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import acos, degrees, isfinite
+from typing import Any
+
+import numpy as np
+
+from rhizotwin.recon.results.parts import Json
+from rhizotwin.rig.scanning.preflight import measure_exposure
+from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.errors import UserError
+
+D2 = 1.128
+"""Mean range of two normal values, in standard deviations."""
+SIGMAS = 3.0
+LEAST_POINTS = 4
+"""With fewer points no limits are computed."""
+PICTURES = 4
+"""Pictures from which the panel's level is read."""
+SURE = 0.05
+"""Level of the test of a trend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigNumber:
+    """A number of the rig that is measured by every scan."""
+
+    name: str
+    heading: str
+    """For people, with the unit."""
+    effects: Mapping[str, float]
+    """Exponents of the traits: a trait changes by the factor of the number to this power. Traits that are missing have
+    no known relation to it."""
+    is_ratio: bool = False
+    """Its change is relative to its mean; otherwise it is in the number's own unit."""
+
+
+RIG_NUMBERS = (
+    RigNumber(
+        name="focal_scale",
+        heading="focal length, relative to the calibrated one",
+        effects={},
+        is_ratio=True,
+    ),
+    RigNumber(
+        name="focal_left",
+        heading="focal length, part that the reconstruction has not corrected",
+        effects={"total_length": 1.0, "depth": 1.0, "volume": 3.0},
+        is_ratio=True,
+    ),
+    RigNumber(name="canister_tilt_deg", heading="tilt of the canister in the strip (deg)", effects={}),
+    RigNumber(name="table_tilt_deg", heading="tilt of the canister on the table (deg)", effects={}),
+    RigNumber(name="blur_px", heading="blur of the markers (px)", effects={}),
+    RigNumber(name="panel_level", heading="panel, fraction of full scale", effects={}, is_ratio=True),
+    RigNumber(name="table_steps_deg", heading="scatter of the table's angles (deg)", effects={}),
+    RigNumber(name="n_water", heading="refractive index of the water, as measured", effects={}),
+    RigNumber(name="marker_inset_px", heading="inset of the markers' edges (px)", effects={}),
+    RigNumber(name="reprojection_px", heading="reprojection error of the markers (px)", effects={}),
+    RigNumber(name="attenuation_per_mm", heading="attenuation of the roots (1/mm)", effects={"volume": -1.0}, is_ratio=True),
+)
+"""Numbers of the rig. Lengths are proportional to the scale of the pictures, volumes to its cube; the volume of thin
+translucent roots, whose opacity is attenuation times chord, is inversely proportional to the attenuation."""
+BY_NAME = {one.name: one for one in RIG_NUMBERS}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """An individuals control chart."""
+
+    times: tuple[float, ...]
+    """Days, ascending."""
+    values: tuple[float, ...]
+    centre: float
+    sigma: float | None
+    """Standard deviation by the moving range; None: too few points."""
+    slope_per_day: float
+    """Of the straight line through all points."""
+    slope_p: float
+    """Probability of such a slope without a trend; 1: too few points."""
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """Lower and upper control limit; None: too few points."""
+        return None if self.sigma is None else (self.centre - SIGMAS * self.sigma, self.centre + SIGMAS * self.sigma)
+
+    @property
+    def outside(self) -> tuple[int, ...]:
+        """Indices of the points beyond the limits."""
+        if self.limits is None:
+            return ()
+        low, high = self.limits
+        return tuple(i for i, value in enumerate(self.values) if not low <= value <= high)
+
+    @property
+    def has_trend(self) -> bool:
+        """Whether the values rise or fall with time."""
+        return self.slope_p < SURE
+
+    @property
+    def change(self) -> float:
+        """Change over the experiment: the larger of the trend and the farthest point beyond the limits; 0: none."""
+        trend = abs(self.slope_per_day) * (self.times[-1] - self.times[0]) if self.has_trend else 0.0
+        return max([trend, *(abs(self.values[i] - self.centre) for i in self.outside)])
+
+
+def rig_numbers(summary: Json) -> dict[str, float]:
+    """Return the numbers of the rig that a ``result.json`` holds, by the names of `RIG_NUMBERS`.
+
+    A focal length that the reconstruction has corrected by the markers or the roots leaves no uncorrected part. The
+    panel's level is not among them, see `panel_level`.
+    """
+    rig: dict[str, Any] = summary.get("rig") or {}
+    checks = {str(one.get("name")): one.get("value") for one in summary.get("checks") or [] if isinstance(one, dict)}
+    focal, applied = rig.get("focal_scale_found"), rig.get("focal_scale", 1.0)
+    found = {
+        "focal_scale": focal,
+        "focal_left": focal if applied == 1.0 else 1.0,
+        "canister_tilt_deg": _tilt_deg(rig.get("canister_from_strip")),
+        "table_tilt_deg": _tilt_deg(rig.get("table_from_canister")),
+        "blur_px": checks.get("sharpness"),
+        "table_steps_deg": rig.get("table_correction_deg"),
+        "n_water": rig.get("n_water_found"),
+        "marker_inset_px": rig.get("marker_inset_px"),
+        "reprojection_px": rig.get("reprojection_after_px"),
+        "attenuation_per_mm": summary.get("root_mu_per_mm"),
+    }
+    numbers = {name: value for name, value in found.items() if isinstance(value, int | float) and not isinstance(value, bool)}
+    return {name: float(value) for name, value in numbers.items() if isfinite(value)}
+
+
+def panel_level(dataset: Dataset) -> float | None:
+    """Return the grey level of the panel in the pictures of a scan, as a fraction of full scale.
+
+    Median over a few pictures of the level that a quarter of the pixels exceeds, as the scan judges its exposure
+    (`rig.scanning.preflight.measure_exposure`). None if the pictures are silhouettes or cannot be read.
+    """
+    frames = [frame for frame in dataset.frames if frame.kind == "root"]
+    if dataset.masks or not frames:
+        return None
+    chosen = frames[:: max(1, len(frames) // PICTURES)][:PICTURES]
+    try:
+        return float(np.median([measure_exposure(read_image(dataset, frame)).bright for frame in chosen]))
+    except UserError:
+        return None
+
+
+def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:
+    """Compute an individuals control chart.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Days, in any order; at least one.
+    values : sequence of float
+        Of the same length.
+    """
+    order = np.argsort(np.asarray(times, np.float64), kind="stable")
+    t, x = np.asarray(times, np.float64)[order], np.asarray(values, np.float64)[order]
+    enough = len(x) >= LEAST_POINTS
+    sigma = float(np.abs(np.diff(x)).mean()) / D2 if enough else None
+    slope, p = _trend(t, x) if enough else (0.0, 1.0)
+    return Chart(times=tuple(t), values=tuple(x), centre=float(x.mean()), sigma=sigma, slope_per_day=slope, slope_p=p)
+
+
+def effect_of(chart: Chart, number: RigNumber, trait: str) -> float:
+    """Return by which factor drift of a number changes a trait over the experiment; 1: not at all, or not known."""
+    power = number.effects.get(trait, 0.0)
+    if not power or not number.is_ratio or chart.centre <= 0.0:
+        return 1.0
+    return float((1.0 + chart.change / chart.centre) ** abs(power))
+
+
+def _trend(t: np.ndarray[Any, Any], x: np.ndarray[Any, Any]) -> tuple[float, float]:
+    """Return slope and p of a straight line."""
+    from scipy.stats import linregress
+
+    if np.ptp(t) == 0.0 or np.ptp(x) == 0.0:
+        return 0.0, 1.0
+    line = linregress(t, x)
+    return float(line.slope), float(line.pvalue)
+
+
+def _tilt_deg(pose: Any) -> float | None:
+    """Return the angle between the z axes of two frames."""
+    if pose is None:
+        return None
+    return degrees(acos(max(-1.0, min(1.0, float(pose[2][2])))))

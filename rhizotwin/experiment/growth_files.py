@@ -1,0 +1,50 @@
+"""The folder that `rhizotwin growth` writes: curves, tables, pictures and the page."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rhizotwin.experiment import growth, growth_page, mass_curves
+from rhizotwin.experiment.measured import read_all
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.folders import contents, new_folder
+
+PAGE = "growth.html"
+
+
+def write(results: Sequence[Path], output: Path, *, replace: bool = False) -> list[str]:
+    """Measure growth and write its folder, which appears whole or not at all; return the findings, a sentence each.
+
+    Parameters
+    ----------
+    results : sequence of Path
+        Results, folders of results, tables of traits and tables of masses.
+    output : Path
+        Folder to write.
+    replace : bool
+        Whether an earlier folder of this kind is replaced; otherwise the folder must be new or empty.
+
+    Raises
+    ------
+    UserError
+        If results lack plant or day, nothing is reliable, or the folder cannot be written.
+    """
+    weighed = [path for path in results if mass_curves.is_of_masses(path)]
+    others = [path for path in results if path not in weighed]
+    curves = mass_curves.measure(mass_curves.read(weighed))
+    measured = growth.measure(read_all(others)) if others or not weighed else None
+    picture = mass_curves.draw(curves) if curves else None
+    old = contents(output) if replace and (output / PAGE).is_file() else ()
+    with new_folder(output, replaces=old) as building:
+        if measured is not None:
+            growth.write(measured, building)
+        if measured is not None and measured.curves:
+            atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
+        if measured is not None and measured.responses:
+            atomic.write_bytes(building / "doses.png", growth_page.draw_responses(measured))
+        if measured is not None and (together := growth.neighbours_csv(measured)):
+            atomic.write_text(building / "neighbours.csv", together)
+        if picture is not None:
+            atomic.write_bytes(building / "masses.png", picture)
+            atomic.write_text(building / "masses.csv", mass_curves.to_csv(curves))
+        atomic.write_text(building / PAGE, growth_page.page(measured, picture))
+    return [] if measured is None else growth_page.sentences(measured)

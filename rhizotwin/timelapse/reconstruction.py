@@ -1,0 +1,74 @@
+"""Reconstruct finished scans of an experiment, and update its curves of growth."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rhizotwin.catalogue import adding
+from rhizotwin.catalogue.records import Scan
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.experiment import growth_files
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.timelapse.experiment import Experiment
+
+GROWTH = "growth"
+"""Folder of the curves of growth in the folder of the results."""
+
+
+def reconstruct_scans(experiment: Experiment, catalogue: Catalogue, *, leave_out: set[Path], say: Callable[[str], object]) -> set[Path]:
+    """Reconstruct every complete scan that has no result, as `rhizotwin batch` does, and update the curves of growth.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its settings.
+    catalogue : Catalogue
+        Results are added to it.
+    leave_out : set of Path
+        Datasets that were tried before.
+    say : callable
+        Receives lines for people.
+
+    Returns
+    -------
+    set of Path
+        Datasets that were tried.
+    """
+    known = {one.scan for one in catalogue.results()}
+    waiting = [one for one in catalogue.scans() if one.complete and one.path not in known and one.path not in leave_out]
+    sketches, pictures = [one for one in waiting if one.sketch], [one for one in waiting if not one.sketch]
+    if sketches:
+        say(f"reconstruction of {_count(sketches)} skipped: sketches of the emulated rig show no roots")
+    if pictures:
+        _reconstruct(experiment, catalogue, pictures, say)
+        _update_growth(experiment, catalogue, say)
+    return {one.path for one in waiting}
+
+
+def _reconstruct(experiment: Experiment, catalogue: Catalogue, scans: list[Scan], say: Callable[[str], object]) -> None:
+    from rhizotwin.batches import collect
+    from rhizotwin.batches.run import run
+
+    folder = str(experiment.results_folder)
+    sources = [str(one.path) for one in scans]
+    jobs = collect.reconstructions(sources, folder, voxel_mm=experiment.reconstruction.voxel_mm, settings=None, device="auto")
+    made = run(jobs, folder)
+    for job in (*made.kept, *made.done):
+        try:
+            adding.add_result(catalogue, Path(job.output))
+        except UserError as error:
+            say(f"{job.name}: {error}")
+    for job, sentence in made.failed:
+        say(f"{job.name} was not reconstructed: {sentence}")
+
+
+def _update_growth(experiment: Experiment, catalogue: Catalogue, say: Callable[[str], object]) -> None:
+    phantoms = {one.name for one in experiment.plants if one.phantom}
+    results = [one.path for one in catalogue.chosen_results() if not phantoms.intersection(one.plants)]
+    try:
+        growth_files.write(results, experiment.results_folder / GROWTH, replace=True)
+    except UserError as error:
+        say(f"no curves of growth yet: {error}")
+
+
+def _count(scans: list[Scan]) -> str:
+    return f"{len(scans)} scan{'' if len(scans) == 1 else 's'}"

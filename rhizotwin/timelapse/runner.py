@@ -1,0 +1,245 @@
+"""Run a time-lapse experiment: wait, change canisters, check the tag, scan, reconstruct, update the curves of growth.
+
+The catalogue holds the state of every planned scan, so that a run that was interrupted at any point, also by a power
+cut, goes on where it stopped: a scan is recorded as begun before anything moves, and as done in the same transaction
+that adds its dataset. The folder of a dataset depends on plant and due time alone, so that no scan is made twice.
+"""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from rhizotwin import rigs
+from rhizotwin.catalogue import adding, identity
+from rhizotwin.catalogue.records import Visit
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.scanning.homing import Ask
+from rhizotwin.rig.scanning.observer import Observer
+from rhizotwin.rig.scanning.observers import Observers
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import lock_file
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.timelapse import reconstruction
+from rhizotwin.timelapse.changers import Changer
+from rhizotwin.timelapse.clocks import Calendar, SystemCalendar, VirtualCalendar
+from rhizotwin.timelapse.experiment import Experiment, Member
+from rhizotwin.timelapse.table import EmulatedTable, RealTable, changer_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Listener:
+    """Receives the events of a run; the console or the command line."""
+
+    say: Callable[[str], None] = lambda _: None
+    """Receives lines for people."""
+    on_visit: Callable[[Visit], object] = lambda _: None
+    """Called after each change of a planned scan."""
+    stop: Callable[[], bool] = lambda: False
+    """Whether the run shall end before the next scan."""
+    ask: Ask | None = None
+    """Asks a person a question; None: there is no one to ask."""
+    observer: Observer = field(default_factory=Observer)
+    """Receives the pictures of the scan, and may hold it."""
+    monitor: Monitor = field(default_factory=Monitor)
+    """Receives the progress of the scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """State of an experiment when a run ends."""
+
+    scanned: int
+    missed: tuple[Visit, ...]
+    open: tuple[Visit, ...]
+    """Scans that are still to be made."""
+    growth: Path | None
+    """Page with the curves of growth; None: there are none."""
+
+
+class Runner:
+    """Runs an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As `load_experiment` returns it.
+    listener : Listener or None
+        Receives the events.
+    changer : Changer or None
+        Who puts the canisters on the table; None: as the schedule says.
+    calendar : Calendar or None
+        Time of day; None: that of the computer, and virtual time on the emulated rig.
+    """
+
+    def __init__(
+        self, experiment: Experiment, *, listener: Listener | None = None, changer: Changer | None = None, calendar: Calendar | None = None
+    ) -> None:
+        self.experiment = experiment
+        self.listener = listener or Listener()
+        self._changer = changer
+        self._calendar = calendar
+        self._numbers = {visit: number for number, visit in enumerate(experiment.visits())}
+        self.table: RealTable | EmulatedTable | None = None
+        """The rig, once the run has begun."""
+
+    def prepare(self) -> None:
+        """Create the catalogue if there is none, and add the plants and planned scans; what is known stays as it is.
+
+        Raises
+        ------
+        UserError
+            If the experiment contradicts the catalogue.
+        """
+        with Catalogue.open_or_create(self.experiment.catalogue_path) as catalogue:
+            self._prepare(catalogue)
+
+    def run(self) -> Outcome:
+        """Make all scans that are due, until the schedule is done or the listener stops it.
+
+        Raises
+        ------
+        UserError
+            If another run works on the experiment, or the catalogue, the folders or the rig file cannot be used.
+        """
+        path = self.experiment.catalogue_path
+        with lock_file(path.with_name(f".{path.name}.lock"), what=self.experiment.file), Catalogue.open_or_create(path) as catalogue:
+            self._prepare(catalogue)
+            calendar = self._calendar = self._calendar or self._usual_calendar(catalogue)
+            self.table = self.table or (EmulatedTable if self.experiment.is_emulated else RealTable)(self.experiment)
+            self._changer = self._changer or changer_of(self.experiment, self.table, ask=self.listener.ask)
+            tried: set[Path] = set()
+            while (visit := _next_visit(catalogue)) is not None and not self.listener.stop():
+                due = datetime.fromisoformat(visit.due_utc)
+                if due > calendar.now():
+                    tried |= self._reconstruct(catalogue, leave_out=tried)
+                    calendar.wait_until(due, stop=self.listener.stop)
+                    continue
+                self._visit(catalogue, visit)
+            self._reconstruct(catalogue, leave_out=tried)
+            return outcome_of(self.experiment, catalogue)
+
+    def _prepare(self, catalogue: Catalogue) -> None:
+        with catalogue.writing():
+            for member in self.experiment.plants:
+                catalogue.add_plant(self.experiment.plant(member))
+            catalogue.plan_visits(self.experiment.visits())
+
+    def _usual_calendar(self, catalogue: Catalogue) -> Calendar:
+        if not self.experiment.is_emulated:
+            return SystemCalendar()
+        times = [one for visit in catalogue.visits() for one in (visit.began_utc, visit.ended_utc) if one]
+        return VirtualCalendar(max([self.experiment.start_utc, *(datetime.fromisoformat(one) for one in times)]))
+
+    def _visit(self, catalogue: Catalogue, visit: Visit) -> None:
+        """Make a scan that is due, or record it as missed."""
+        member = self.experiment.member(visit.plant)
+        folder = self.experiment.scan_folder(member, visit.due_utc)
+        if self._is_complete(folder, member):
+            self._finish(catalogue, visit, folder)
+            return
+        late = timedelta(hours=self.experiment.schedule.late_h)
+        if self._now() > datetime.fromisoformat(visit.due_utc) + late:
+            note = visit.note or ("was interrupted and not continued in time" if visit.state == "scanning" else "was not begun in time")
+            self._change(catalogue, visit, state="missed", note=note)
+            return
+        reason = ""
+        for attempt in range(1, self.experiment.schedule.tries + 1):
+            visit = self._change(catalogue, visit, state="scanning", note=reason)
+            try:
+                self._scan(catalogue, visit, member, folder, reason=reason)
+            except (RigError, identity.WrongPlantError) as error:
+                reason = str(error)
+                self.listener.say(f"{member.name}: try {attempt} of {self.experiment.schedule.tries} failed: {reason}")
+                if self.listener.stop():
+                    return
+                if attempt < self.experiment.schedule.tries and isinstance(error, RigError):
+                    self._wait(timedelta(minutes=self.experiment.schedule.pause_min))
+            else:
+                self._finish(catalogue, visit, folder)
+                return
+        self._change(catalogue, visit, state="missed", note=reason)
+
+    def _scan(self, catalogue: Catalogue, visit: Visit, member: Member, folder: Path, *, reason: str) -> None:
+        """Change the canister, check its tag in the first picture, and scan."""
+        if self.table is None or self._changer is None or self._calendar is None:
+            raise RuntimeError("the run has not begun")
+        self._changer.change(member, reason=reason)
+        scene = self.experiment.known_scene(member, visit.due_utc)
+        number = self._numbers.get((visit.plant, visit.due_utc), 0)
+        bench, twin = self.table.bench(scene, visit.due_utc, number)
+        plants = catalogue.plants()
+        observers = Observers(
+            ask=self.listener.ask,
+            say=self.listener.say,
+            observer=self.listener.observer,
+            monitor=self.listener.monitor,
+            identify=identity.check_plant(catalogue.plant(member.name), plants, scene.strip),
+        )
+        begin_s = bench.clock.now_s()
+        try:
+            with ExitStack() as stack:
+                devices = bench.open_devices(None, stack)
+                rigs.take_scan(bench, devices, bench.scene, folder, observers=observers, twin=twin, resume=True)
+        finally:
+            self._calendar.advance(bench.clock.now_s() - begin_s)
+
+    def _finish(self, catalogue: Catalogue, visit: Visit, folder: Path) -> None:
+        """Add the dataset and record the scan as made, in one transaction."""
+        with catalogue.writing():
+            adding.add_scan(catalogue, folder)
+            done = catalogue.update_visit(visit, state="scanned", at_utc=self._now().isoformat(timespec="seconds"), scan=folder)
+        pictures = len(load_dataset(folder).frames)
+        self.listener.say(f"{visit.plant}: scan of {visit.due_utc} done, {pictures} pictures in {folder}")
+        self.listener.on_visit(done)
+
+    def _reconstruct(self, catalogue: Catalogue, *, leave_out: set[Path]) -> set[Path]:
+        """Reconstruct the scans that have no result yet; return those that were tried."""
+        if not self.experiment.reconstruction.run:
+            return set()
+        return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
+
+    def _change(self, catalogue: Catalogue, visit: Visit, *, state: str, note: str) -> Visit:
+        changed = catalogue.update_visit(
+            visit, state="missed" if state == "missed" else "scanning", at_utc=self._now().isoformat(timespec="seconds"), note=note
+        )
+        if state == "missed":
+            self.listener.say(f"{visit.plant}: scan of {visit.due_utc} missed: {note}")
+        self.listener.on_visit(changed)
+        return changed
+
+    def _is_complete(self, folder: Path, member: Member) -> bool:
+        """Return whether a run that was interrupted has finished a scan, but not recorded it."""
+        if not (folder / "dataset.json").is_file():
+            return False
+        dataset = load_dataset(folder)
+        if dataset.scene.subject.plant != member.name:
+            raise UserError(f"{folder}: is a scan of plant {dataset.scene.subject.plant!r}, not of {member.name}; move it away")
+        return dataset.origin.get("complete") is True
+
+    def _now(self) -> datetime:
+        return datetime.now(UTC) if self._calendar is None else self._calendar.now()
+
+    def _wait(self, pause: timedelta) -> None:
+        if self._calendar is not None:
+            self._calendar.wait_until(self._now() + pause, stop=self.listener.stop)
+
+
+def outcome_of(experiment: Experiment, catalogue: Catalogue) -> Outcome:
+    """Return the state of an experiment."""
+    visits = catalogue.visits()
+    page = experiment.results_folder / reconstruction.GROWTH / "growth.html"
+    return Outcome(
+        scanned=sum(one.state == "scanned" for one in visits),
+        missed=tuple(one for one in visits if one.state == "missed"),
+        open=tuple(one for one in visits if one.state in ("due", "scanning")),
+        growth=page if page.is_file() else None,
+    )
+
+
+def _next_visit(catalogue: Catalogue) -> Visit | None:
+    """Return the first scan that is neither made nor missed."""
+    return next((one for one in catalogue.visits() if one.state in ("due", "scanning")), None)

@@ -1,0 +1,61 @@
+"""One picture before a scan, to see which canister is on the table."""
+
+from rhizotwin.rig import bands
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.scanning import preflight
+from rhizotwin.rig.scanning.arm_stand import ArmStand
+from rhizotwin.rig.scanning.observers import Observers
+from rhizotwin.rig.scanning.safety import make_safe
+from rhizotwin.rig.scanning.scan_camera import ScanCamera
+from rhizotwin.rig.scanning.stand import Stand, Tripod
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.picture_codec import Grey
+
+
+def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Grey:
+    """Light the canister, place the camera for the first ring, and take one picture; the rig is left safe.
+
+    Parameters
+    ----------
+    devices : Devices
+        Open; they stay open.
+    scene : Scene
+        Rig and plan; the numbers of its strip do not matter.
+    observers : Observers
+        Receives the lines, and is asked where there is no arm.
+
+    Returns
+    -------
+    (H, W) uint8 or uint16 array
+        The picture.
+
+    Raises
+    ------
+    RigError
+        When a device fails.
+    """
+
+    def note(_: str, text: str) -> None:
+        observers.say(text)
+
+    ring = scene.plan.rings[0]
+    camera = ScanCamera(devices.camera, devices.clock, scene, note=note)
+    stand: Stand = Tripod(scene, camera, ask=observers.ask, note=note)
+    if devices.arm is not None and devices.rig.arm is not None:
+        stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, camera, note=note)
+    stand.refuse([ring])
+    used = False
+    try:
+        preflight.check_table(devices.table)
+        bands.light(devices.lights, devices.rig, plan.main_band(scene, 0))
+        if devices.arm is not None:
+            used = True
+            preflight.check_arm(devices.arm)
+        preflight.check_camera(devices.camera)
+        stand.place(ring)
+        shot, _ = stand.search(ring)
+        preflight.check_picture(shot.image, scene.camera)
+        return shot.image
+    finally:
+        make_safe(devices, scene, say=observers.say, board=True, arm=used, finished=False, arm_failed=stand.failed)

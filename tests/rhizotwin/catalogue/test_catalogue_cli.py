@@ -1,0 +1,134 @@
+"""The commands of a catalogue, and those that accept one in place of folders."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from rhizotwin.catalogue import adding, sources
+from rhizotwin.catalogue.records import Plant
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.files import save_scene
+from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from tests.command import Command
+
+SCENE = Scene(
+    camera=Camera().resized((400, 300)),
+    strip=MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0),
+    plan=CapturePlan(rings=(Ring(views=3, height_mm=-20.0),)),
+)
+SKETCH = ("--rig", "twin", "--fidelity", "sketch", "--profile", "clean", "--seed", "2")
+
+
+def _results(make_dataset, ball_result) -> None:
+    for plant, treatment, volume in (("P1", "control", 900.0), ("P2", "low N", 700.0)):
+        for day in (5.0, 6.0):
+            dataset = make_dataset(f"{plant}_{day:g}", plant=plant, treatment=treatment, day=day)
+            ball_result(
+                f"results/{plant}_{day:g}",
+                dataset_sha256=dataset.sha256,
+                subject={"plant": plant, "treatment": treatment, "day": day},
+                volume_mm3=volume + 10.0 * day,
+                rig={"focal_scale_found": 1.0 + 0.001 * day},
+            )
+
+
+def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Command, make_dataset, ball_result):
+    file = tmp_path / "my.rhizotwin"
+    _results(make_dataset, ball_result)
+    (tmp_path / "masses.csv").write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
+    words = ("catalogue", "add", file, tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
+    assert "4 datasets, 4 results and 1 tables of masses added" in command.works(*words).out
+    assert command.works("catalogue", "list", file).out.split()[:4] == ["plants", "2", "scans", "4"]
+    assert "low N" in command.works("catalogue", "list", file, "plants").out
+    assert "2 rows" in command.works("catalogue", "list", file, "scans", "--plant", "P2").out
+    command.fails("catalogue", "list", file, "scans", "--plant", "P9", named=["has no plant 'P9'; its plants are P1, P2"])
+    assert "P1" in command.works("catalogue", "query", file, "SELECT name FROM plants ORDER BY name LIMIT 1").out
+    command.fails("catalogue", "query", file, "DELETE FROM plants", named=["does more than read"])
+    assert "no difference" in command.works("catalogue", "check", file).out
+    command.works("catalogue", "export", file, "-o", tmp_path / "tables")
+    assert (tmp_path / "tables" / "masses.csv").read_text().startswith("plant,day,kind,grams,source\nP1,6,root_fresh,0.9,masses.csv\n")
+    assert "report: " in command.works("catalogue", "report", file, "-o", tmp_path / "report").out
+    assert (
+        "focal length" in (tmp_path / "report" / "drift.csv").read_text() or (tmp_path / "report" / "catalogue.html").stat().st_size > 5000
+    )
+    rebuilt = tmp_path / "new.rhizotwin"
+    command.works("catalogue", "rebuild", rebuilt, tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
+    with Catalogue.open(file) as old, Catalogue.open(rebuilt) as new:
+        assert new.scans() == old.scans()
+        assert new.results() == old.results()
+        assert new.masses() == old.masses()
+    command.fails("catalogue", "rebuild", rebuilt, tmp_path / "scans", named=["exists already"])
+
+
+def test_damaged_entry_is_reported(tmp_path: Path, command: Command, make_dataset):
+    make_dataset("P1", plant="P1")
+    (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
+    failed = command.fails("catalogue", "add", tmp_path / "my.rhizotwin", tmp_path / "scans", named=["1 could not be added"])
+    assert "not added:" in failed.out
+
+
+def test_catalogue_in_place_of_folders(tmp_path: Path, command: Command, make_dataset, ball_result):
+    file = tmp_path / "my.rhizotwin"
+    _results(make_dataset, ball_result)
+    (tmp_path / "masses.csv").write_text("plant,day,root_fresh_g\nP1,6,0.9\nP2,6,0.7\n")
+    command.works("catalogue", "add", file, tmp_path / "scans", tmp_path / "results", tmp_path / "masses.csv")
+    assert "P1" in command.works("traits", file).out
+    command.works("growth", file, "-o", tmp_path / "growth")
+    assert (tmp_path / "growth" / "masses.csv").is_file()
+    assert (tmp_path / "growth" / "traits.csv").read_text() == _growth_of(tmp_path, command)
+    command.fails("biomass", "fit", file, "-o", tmp_path / "model.json", named=["plants"])  # two are too few, but both were found
+    command.fails("biomass", "fit", tmp_path / "none.rhizotwin", "-o", tmp_path / "model.json", named=["there is no such file"])
+    failed = command("batch", file, "-o", tmp_path / "out")  # the datasets of the catalogue show no markers
+    assert "4 of 4 scans failed" in failed.sentence
+
+
+def test_phantoms_are_left_out_of_growth(tmp_path: Path, make_dataset, ball_result):
+    _results(make_dataset, ball_result)
+    with Catalogue.create(tmp_path / "my.rhizotwin") as opened:
+        adding.add_all(opened, [tmp_path / "scans", tmp_path / "results"])
+        opened.add_plant(Plant(name="P2", phantom=True))
+        opened.add_plant(Plant(name="P2"))
+        assert opened.plant("P2").phantom
+    assert len(sources.expand_results([tmp_path / "my.rhizotwin"])) == 4
+    assert {path.name[:2] for path in sources.expand_results([tmp_path / "my.rhizotwin"], phantoms=False)} == {"P1"}
+
+
+def _growth_of(tmp_path: Path, command: Command) -> str:
+    command.works("growth", tmp_path / "results", "-o", tmp_path / "growth_of_folders")
+    return (tmp_path / "growth_of_folders" / "traits.csv").read_text()
+
+
+def test_scan_recognises_the_plant(tmp_path: Path, command: Command):
+    file, scene, canister_2 = tmp_path / "my.rhizotwin", tmp_path / "scene.toml", tmp_path / "canister_2.toml"
+    save_scene(SCENE, scene)
+    save_scene(replace(SCENE, strip=replace(SCENE.strip, first_id=22)), canister_2)
+    command.fails("catalogue", "plant", file, "P1", "--canister", "1", named=["--canister and --scene belong together"])
+    for number, treatment in ((1, "control"), (2, "low N")):
+        words = ("catalogue", "plant", file, f"P{number}", "--canister", number, "--scene", scene)
+        command.works(*words, "--treatment", treatment, "--sown", "2026-11-20")
+    scan = ("scan", "--scene", canister_2, *SKETCH, "--catalogue", file, "--date", "2026-12-01", "-o")
+    assert "plant: P2, treatment low N, day 11" in command.works(*scan, tmp_path / "d").out
+    assert load_dataset(tmp_path / "d").scene.subject.plant == "P2"
+    with Catalogue.open(file) as opened:
+        assert [(one.plants, one.day) for one in opened.scans()] == [(("P2",), 11.0)]
+    command.fails(*scan, tmp_path / "e", "--plant", "P1", named=["is that of plant P2, not P1: put P1 on the table"])
+    assert not list(tmp_path.glob("e/images/*"))
+    command.fails(*scan, tmp_path / "f", "--plant", "P7", named=["has no plant 'P7'"])
+
+
+def test_strips_of_canisters(tmp_path: Path, command: Command):
+    save_scene(SCENE, tmp_path / "scene.toml")
+    told = command.works("markers", tmp_path / "scene.toml", "-o", tmp_path / "strips.pdf", "--labels", "3").out
+    assert "canister 3: APRILTAG_36h11 markers 44 to 65" in told
+    command.fails("markers", tmp_path / "scene.toml", "-o", tmp_path / "more.pdf", "--labels", "27", named=["enough for 26 strips of 22"])
+
+
+def test_time_lapse_commands(tmp_path: Path, command: Command):
+    file = tmp_path / "e.toml"
+    command.works("timelapse", "example", "-o", file)
+    assert "60 scans are planned" in command.works("timelapse", "status", file).out
+    save_scene(SCENE, tmp_path / "scene.toml")
+    text = file.read_text().replace("radish_day15a", "scene.toml").replace("rounds = 10", "rounds = 1").replace('"bench"', '"clean"')
+    file.write_text(text)
+    assert "6 scans made, 0 missed, 0 still to be made" in command.works("timelapse", "run", file, "--quiet").out
+    assert command.works("timelapse", "status", file, "--every").out.count("scanned") == 6

@@ -1,0 +1,204 @@
+"""Entries of a catalogue: added once, completed, never contradicted."""
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.catalogue import adding, export, schema, sources
+from rhizotwin.catalogue.records import Plant, Tag
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.verify import check
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import MarkerStrip
+from rhizotwin.scenes.solution import Solution
+from tests.rhizotwin.catalogue.conftest import SCENE
+
+TAG = Tag(dictionary="APRILTAG_36h11", first_id=62, markers=62)
+
+
+def test_plant_round_trip(catalogue: Catalogue):
+    plant = Plant(
+        name="P1",
+        species="Raphanus sativus",
+        treatment="low N",
+        replicate=2,
+        sown="2026-11-01",
+        notes="x",
+        solution=Solution(recipe="kliman_2022", factors={"N": 0.5}),
+        tag=TAG,
+    )
+    catalogue.add_plant(plant)
+    catalogue.add_plant(Plant(name="P1"))
+    with Catalogue.open(catalogue.path, read_only=True) as again:
+        assert again.plants() == [plant]
+        assert again.plant_with_tag(TAG) == plant
+        assert again.plant_with_tag(replace(TAG, first_id=0)) is None
+        with pytest.raises(UserError):
+            again.add_plant(Plant(name="P2"))
+
+
+def test_entry_is_completed_but_not_contradicted(catalogue: Catalogue):
+    catalogue.add_plant(Plant(name="P1", treatment="control"))
+    catalogue.add_plant(Plant(name="P1", species="Raphanus sativus"))
+    assert catalogue.plant("P1") == Plant(name="P1", treatment="control", species="Raphanus sativus")
+    catalogue.add_plant(Plant(name="P1", replicate=0))
+    for change, words in (
+        (Plant(name="P1", treatment="low N"), "treatment control, not low N"),
+        (Plant(name="P1", replicate=1), "replicate 0, not 1"),
+    ):
+        with pytest.raises(UserError, match=words):
+            catalogue.add_plant(change)
+
+
+def test_strips_share_no_markers(catalogue: Catalogue):
+    catalogue.add_plant(Plant(name="P1", tag=TAG))
+    with pytest.raises(UserError, match="shares markers with that of P1"):
+        catalogue.add_plant(Plant(name="P2", tag=replace(TAG, first_id=100)))
+    assert [one.name for one in catalogue.plants()] == ["P1"]
+
+
+def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dataset, ball_result):
+    dataset = make_dataset("P1_day_05", plant="P1", treatment="control", day=5.0)
+    result = ball_result(
+        "results/P1_day_05",
+        dataset_sha256=dataset.sha256,
+        subject={"plant": "P1", "treatment": "control", "day": 5.0},
+        rig={"focal_scale_found": 1.001, "table_correction_deg": 0.05},
+    )
+    masses = tmp_path / "masses.csv"
+    masses.write_text("plant,day,root_fresh_g\nP1,5,0.4\n")
+    for _ in range(2):  # adding again changes nothing
+        added = adding.add_all(catalogue, [tmp_path / "scans", tmp_path / "results", masses])
+        assert (len(added.scans), len(added.results), len(added.tables), added.failed) == (1, 1, 1, ())
+        (scan,) = catalogue.scans(plant="P1", treatment="control", day=5.0)
+        assert (scan.path, scan.plants, scan.pictures, scan.complete) == (dataset.folder, ("P1",), 2, True)
+        (stored,) = catalogue.results(plant="P1")
+        assert (stored.path, stored.scan, stored.plants) == (result, dataset.folder, ("P1",))
+        assert stored.rig_numbers == {
+            "focal_scale": 1.001,
+            "focal_left": 1.001,
+            "table_steps_deg": 0.05,
+            "panel_level": pytest.approx(90.5 / 255.0),
+        }
+        assert [(one.plant, one.kind, one.grams) for one in catalogue.masses()] == [("P1", "root_fresh", 0.4)]
+    assert catalogue.scans(plant="P2") == catalogue.results(treatment="low N") == []
+    assert check(catalogue) == []
+    assert sources.expand_scans([str(catalogue.path)]) == [str(dataset.folder)]
+    assert sources.expand_results([catalogue.path], masses=True) == [result, masses]
+    assert "P1,control" in export.table(catalogue, "traits").csv()
+
+
+def test_paths_move_with_the_catalogue(tmp_path: Path, make_dataset):
+    study = tmp_path / "study"
+    make_dataset("../study/scans/P1", plant="P1")
+    with Catalogue.create(study / "my.rhizotwin") as made:
+        adding.add_all(made, [study / "scans"])
+        assert made.rows("SELECT path FROM scans")[0][0] == "scans/P1"
+    study.rename(tmp_path / "moved")
+    with Catalogue.open(tmp_path / "moved" / "my.rhizotwin") as moved:
+        assert check(moved) == []
+
+
+def test_damaged_dataset_does_not_stop_the_others(catalogue: Catalogue, tmp_path: Path, make_dataset):
+    make_dataset("P1", plant="P1")
+    (make_dataset("P2", plant="P2").folder / "dataset.json").write_text("{")
+    added = adding.add_all(catalogue, [tmp_path / "scans"])
+    assert [path.name for path in added.scans] == ["P1"]
+    assert len(added.failed) == 1
+
+
+def test_check_names_differences(catalogue: Catalogue, tmp_path: Path, make_dataset, ball_result):
+    kept, lost, changed = (make_dataset(name, plant=name) for name in ("P1", "P2", "P3"))
+    result = ball_result("results/P1")
+    adding.add_all(catalogue, [tmp_path / "scans", tmp_path / "results"])
+    make_dataset("P4", plant="P4")
+    (kept.folder / "images" / "view_000.png").write_bytes(b"")
+    (changed.folder / "images" / "view_001.png").unlink()
+    (result / "result.json").write_text("{}")
+    lost.folder.rename(tmp_path / "elsewhere")
+    found = {(one.path.relative_to(tmp_path).as_posix(), one.kind) for one in check(catalogue)}
+    assert found == {
+        ("scans/P1/images/view_000.png", "changed"),
+        ("scans/P2", "missing"),
+        ("scans/P3/images/view_001.png", "missing"),
+        ("scans/P4", "unlisted"),
+        ("results/P1/result.json", "changed"),
+    }
+
+
+def test_tags_are_taken_from_strips_of_one_plant(catalogue: Catalogue, tmp_path: Path, make_dataset):
+    for name, first, plant in (("a", 62, "P1"), ("b", 62, "P1"), ("c", 0, "P2"), ("d", 0, "P3")):
+        make_dataset(name, scene=replace(SCENE, strip=MarkerStrip(first_id=first)), plant=plant)
+    adding.add_all(catalogue, [tmp_path / "scans"])
+    assert adding.set_tags(catalogue) == ["P1"]
+    assert catalogue.plant("P1").tag == TAG
+
+
+@pytest.mark.parametrize(
+    ("sql", "words"),
+    [
+        ("DELETE FROM plants", "does more than read"),
+        ("ATTACH '/tmp/other.db' AS other", "does more than read"),
+        ("PRAGMA journal_mode = DELETE", "does more than read"),
+        ("SELECT * FROM other", "no such table"),
+        ("SELECT 1; DROP TABLE plants", "one statement"),
+        ("SELECT load_extension('x')", "does more than read"),
+    ],
+)
+def test_query_only_reads(catalogue: Catalogue, sql: str, words: str):
+    with pytest.raises(UserError, match=words):
+        export.query(catalogue, sql)
+    catalogue.add_plant(Plant(name="P1"))  # the connection is as before
+    assert export.query(catalogue, "SELECT name FROM plants WHERE name = ?", ["P1"]).rows == (("P1",),)
+
+
+def test_query_without_an_end_is_interrupted(catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(export, "MOST_S", 0.1)
+    with pytest.raises(UserError, match="takes more than"):
+        export.query(catalogue, "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT max(i) FROM n")
+
+
+def test_foreign_files_are_rejected(tmp_path: Path):
+    path = tmp_path / "x.rhizotwin"
+    with pytest.raises(UserError, match="no such file"):
+        Catalogue.open(path)
+    path.write_bytes(b"SQLite format 3\0" + bytes(300))
+    with pytest.raises(UserError, match=r"damaged|no catalogue|not a catalogue"):
+        Catalogue.open(path)
+    path.unlink()
+    other = sqlite3.connect(path)
+    other.execute("CREATE TABLE plants (name)")
+    other.commit()
+    other.close()
+    with pytest.raises(UserError, match="not a catalogue"):
+        Catalogue.open(path)
+    with pytest.raises(UserError, match="exists already"):
+        Catalogue.create(path)
+
+
+@pytest.mark.parametrize("change", ["PRAGMA user_version = 9", "CREATE TRIGGER t AFTER INSERT ON plants BEGIN DELETE FROM scans; END"])
+def test_other_versions_and_tables_are_rejected(tmp_path: Path, change: str):
+    path = tmp_path / "x.rhizotwin"
+    Catalogue.create(path).close()
+    raw = sqlite3.connect(path)
+    raw.execute(change)
+    raw.commit()
+    raw.close()
+    with pytest.raises(UserError, match="rebuild"):
+        Catalogue.open(path)
+
+
+def test_names_are_values_and_no_statements(catalogue: Catalogue):
+    name = "'); DROP TABLE plants; --"
+    catalogue.add_plant(Plant(name=name))
+    assert [one.name for one in catalogue.plants()] == [name]
+    assert catalogue.scans(plant=name, treatment=name) == []
+
+
+def test_file_that_a_killed_run_left_empty(tmp_path: Path):
+    path = tmp_path / "x.rhizotwin"
+    schema._connect(path).close()
+    with Catalogue.open_or_create(path) as made:
+        assert made.plants() == []

@@ -1,0 +1,90 @@
+"""Control charts against hand-computed limits, and the caution beside an effect."""
+
+import numpy as np
+import pytest
+
+from rhizotwin.experiment.drift import BY_NAME, RIG_NUMBERS, chart_of, effect_of, rig_numbers
+from rhizotwin.experiment.growth import measure
+from rhizotwin.experiment.growth_page import drift_cautions, sentences
+from rhizotwin.experiment.measured import read_all
+
+DAYS = range(10)
+
+
+def test_limits_by_hand():
+    """Moving ranges 2, 1, 1, 2: mean 1.5, over 1.128."""
+    chart = chart_of([3.0, 0.0, 1.0, 2.0, 4.0], [12.0, 10.0, 12.0, 11.0, 14.0])
+    assert chart.times == (0.0, 1.0, 2.0, 3.0, 4.0)
+    assert chart.values == (10.0, 12.0, 11.0, 12.0, 14.0)
+    assert chart.centre == pytest.approx(11.8)
+    assert chart.sigma == pytest.approx(1.5 / 1.128)
+    assert chart.limits == pytest.approx((11.8 - 3.0 * 1.5 / 1.128, 11.8 + 3.0 * 1.5 / 1.128))
+
+
+def test_few_points_have_no_limits():
+    chart = chart_of([0.0, 1.0, 2.0], [1.0, 5.0, 1.0])
+    assert (chart.limits, chart.outside, chart.has_trend, chart.change) == (None, (), False, 0.0)
+
+
+def test_steady_rig_raises_few_alarms():
+    """Of normal values about 0.3 % lie beyond 3 standard deviations; limits from twenty ranges are less sure."""
+    rng = np.random.default_rng(43)
+    charts = [chart_of(range(20), rng.normal(1.0, 0.001, 20)) for _ in range(300)]
+    assert sum(len(one.outside) for one in charts) / 6000 < 0.01
+    assert sum(one.has_trend for one in charts) / 300 < 0.08
+
+
+def test_a_step_and_a_trend_are_found():
+    rng = np.random.default_rng(1)
+    step = chart_of(range(20), rng.normal(1.0, 0.0005, 20) + 0.01 * (np.arange(20) >= 15))
+    assert step.outside
+    trend = chart_of(range(20), rng.normal(1.0, 0.0005, 20) + 0.001 * np.arange(20))
+    assert trend.has_trend
+    assert trend.change == pytest.approx(0.019, rel=0.2)
+
+
+def test_effect_of_the_scale():
+    chart = chart_of(DAYS, [1.0 + 0.002 * day for day in DAYS])
+    assert effect_of(chart, BY_NAME["focal_left"], "total_length") == pytest.approx(1.018, abs=1e-3)
+    assert effect_of(chart, BY_NAME["focal_left"], "volume") == pytest.approx(1.018**3, abs=2e-3)
+    assert effect_of(chart, BY_NAME["blur_px"], "volume") == 1.0
+
+
+def test_caution_only_beside_small_effects():
+    charts = {"focal_left": chart_of(DAYS, [1.0 + 0.002 * day for day in DAYS])}
+    (caution,) = drift_cautions(charts, "volume", 1.04)
+    assert "the focal length changed by 1.8 % over the experiment, which could change the volume by 5.4 %" in caution
+    assert drift_cautions(charts, "volume", 0.8) == drift_cautions(charts, "tips", 1.001) == []
+
+
+def test_rig_numbers_of_a_result():
+    tilted = [[1.0, 0.0, 0.0, 0.0], [0.0, np.cos(0.01), 0.0, 0.0], [0.0, 0.0, np.cos(0.01), 0.0], [0.0, 0.0, 0.0, 1.0]]
+    found = rig_numbers(
+        {"rig": {"table_from_canister": tilted, "focal_scale_found": None}, "checks": [{"name": "sharpness", "value": 0.4}]}
+    )
+    assert found == {"table_tilt_deg": pytest.approx(np.rad2deg(0.01)), "blur_px": 0.4}
+    assert set(found) <= {one.name for one in RIG_NUMBERS}
+    assert rig_numbers({}) == {}
+    corrected = rig_numbers({"rig": {"focal_scale_found": 1.02, "focal_scale": 1.02}})
+    assert corrected == {"focal_scale": 1.02, "focal_left": 1.0}
+
+
+def test_growth_says_so_beside_a_small_effect(ball_result):
+    """Plants of two treatments differ by 2 % while the focal length rises by 2 %, which is 6 % of volume."""
+    folders = []
+    rng = np.random.default_rng(43)
+    for treatment, size in (("control", 1.0), ("low N", 0.98)):
+        for number in range(3):
+            for day in range(5, 10):
+                whose = {"plant": f"{treatment} {number}", "treatment": treatment, "day": float(day)}
+                volume = 900.0 * size * 1.1**day * float(rng.normal(1.0, 0.002))
+                rig = {"focal_scale_found": 1.0 + 0.005 * (day - 5) + 1e-5 * number}
+                span = [0.98 * volume, 1.02 * volume]
+                folders.append(
+                    ball_result(f"{treatment}_{number}_{day}", subject=whose, volume_mm3=volume, volume_interval_mm3=span, rig=rig)
+                )
+    growth = measure(read_all(folders))
+    assert growth.drift["focal_left"].has_trend
+    (caution,) = [one for one in sentences(growth) if "caution" in one]
+    assert "the focal length changed by 2 % over the experiment" in caution
+    assert "as much as this difference" in caution

@@ -1,0 +1,79 @@
+"""Wires of known section: matched by diameter, compared per length."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin.experiment.phantom import diameter_of, measure_wires
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import load_scene
+from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.sim.growth import grow
+from tests.command import Command
+
+WIRES = (0.1, 0.2, 0.4, 0.8)
+
+
+def _wire(diameter_mm: float, length_mm: float, x: float) -> Root:
+    z = np.linspace(-12.0, -12.0 - length_mm, 7)
+    return Root(points_mm=np.stack([np.full(7, x), np.zeros(7), z], axis=1), diameters_mm=np.full(7, diameter_mm), order=0, parent=-1)
+
+
+def test_sections_by_hand(tmp_path: Path):
+    roots = [
+        _wire(0.101, 60.0, 0.0),
+        _wire(0.2, 30.0, 10.0),
+        _wire(0.2, 28.0, 10.0),
+        _wire(0.43, 59.0, 20.0),
+        _wire(0.8, 4.0, 30.0),
+        _wire(3.0, 9.0, 40.0),
+    ]
+    write_rsml(tmp_path / "roots.rsml", roots)
+    thin, pieces, thick, short = measure_wires(tmp_path, WIRES)
+    assert (thin.length_mm, thin.error) == (pytest.approx(60.0), pytest.approx(0.0201, abs=1e-4))
+    assert (pieces.length_mm, pieces.error) == (pytest.approx(58.0), pytest.approx(0.0, abs=1e-6))
+    assert thick.error == pytest.approx(1.075**2 - 1.0, abs=1e-4)
+    assert [one.verdict for one in (thin, pieces, thick, short)] == [
+        "measured within 3 %",
+        "measured within 3 %",
+        "not measurable within 3 %",
+        "not measurable: too little of it was found",
+    ]
+
+
+def test_diameter_from_mass():
+    """A metre of 1 mm wire has pi / 4 times 8.96 g."""
+    assert diameter_of(1000.0 * np.pi / 4.0 * 8.96) == pytest.approx(1.0)
+
+
+def test_mistakes_are_named(tmp_path: Path):
+    with pytest.raises(UserError, match="too close to each other"):
+        measure_wires(tmp_path, (0.4, 0.5))
+    with pytest.raises(UserError, match="no centre lines were found"):
+        measure_wires(tmp_path, WIRES)
+
+
+def test_scene_has_straight_wires_of_these_diameters():
+    scene = load_scene("wire_phantom")
+    for plant, diameter_mm in zip(scene.plants, WIRES, strict=True):
+        (root,) = grow(plant.specimen)
+        assert np.ptp(root.points_mm[:, :2]) == pytest.approx(0.0, abs=1e-9)
+        length_mm = float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum())
+        assert plant.specimen.volume_ml * 1000.0 == pytest.approx(np.pi / 4.0 * diameter_mm**2 * 60.0, rel=1e-4)
+        assert length_mm == pytest.approx(60.0, abs=1.5)
+
+
+def test_command(tmp_path: Path, command: Command):
+    write_rsml(tmp_path / "roots.rsml", [_wire(diameter, 60.0, 10.0 * k) for k, diameter in enumerate(WIRES)])
+    assert command.works("phantom", tmp_path).out.count("measured within 3 %") == 4
+    assert command("phantom", tmp_path, "--mg-per-m", "60,283,1129,4493").code == 1
+    command.fails("phantom", tmp_path, "--wires-mm", "0.1", "--mg-per-m", "60", named=["exclude each other"])
+
+
+@pytest.mark.slow
+def test_wires_on_the_twin(tmp_path: Path, command: Command):
+    """Each wire is measured within 3 % on a bench."""
+    command.works("simulate", "wire_phantom", "-o", tmp_path / "d", "--profile", "bench", "--quiet")
+    command.works("reconstruct", tmp_path / "d", "-o", tmp_path / "r", "--quiet")
+    assert command.works("phantom", tmp_path / "r").out.count("  measured within 3 %") == 4

@@ -1,0 +1,54 @@
+"""Experiment files: what they plan, and what is rejected."""
+
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.timelapse.example import EXAMPLE
+from rhizotwin.timelapse.experiment import load_experiment
+
+
+def test_example_plans_six_plants_for_ten_days(tmp_path: Path):
+    (tmp_path / "e.toml").write_text(EXAMPLE)
+    experiment = load_experiment(tmp_path / "e.toml")
+    visits = experiment.visits()
+    assert len(visits) == 60
+    assert [name for name, _ in visits[:7]] == ["P1", "P2", "P3", "P4", "P5", "P6", "P1"]
+    first, last = (experiment.known_scene(experiment.member("P5"), visits[k][1]) for k in (4, 58))
+    assert (first.subject.plant, first.subject.treatment, first.subject.day, first.subject.date) == ("P5", "low N", 5.0, "2026-12-01")
+    assert (last.subject.day, last.subject.date) == (14.0, "2026-12-10")
+    assert first.strip.first_id == 4 * first.strip.rows * first.strip.columns
+    assert first.solution.factors == {"N": 0.5}
+    assert len({experiment.scan_folder(experiment.member(name), due) for name, due in visits}) == 60
+
+
+def test_phantom_has_an_interval_of_its_own(make_experiment):
+    path = make_experiment(plants=1, rounds=15)
+    path.write_text(path.read_text() + '[[plants]]\nname = "wires"\ncanister = 9\nevery_h = 168\n')
+    experiment = load_experiment(path)
+    due = [due for name, due in experiment.visits() if name == "wires"]
+    assert due == ["2026-12-01T09:00:00+00:00", "2026-12-08T09:00:00+00:00"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("canister = 2", "canister = 1", r"\[plants 2\] canister = 1: is the canister of plant P1"),
+        ('"P2"', '"P1"', r"is too much like the name 'P1'"),
+        ('"P2"', '""', "is empty"),
+        ("canister = 2", "canister = 27", "enough for 26 strips of 22"),
+        ("rounds = 2", "rounds = 0", "rounds = 0"),
+        ("2026-12-01T09:00:00", "noon", "must be a date and time"),
+        ("[twin]", "[twins]", "unknown key"),
+        ("canister = 2", 'canister = 2\nsown = "2027-01-01"', "must not be later than the first scan"),
+        ("canister = 2", 'canister = 2\nsown = "soon"', "must be a date"),
+        ('scene = "small.toml"', 'scene = "small.toml"\ncatalogue = "x.db"', "must end in .rhizotwin"),
+    ],
+)
+def test_mistakes_are_named(make_experiment, old: str, new: str, words: str):
+    path = make_experiment()
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(UserError, match=words):
+        load_experiment(path)

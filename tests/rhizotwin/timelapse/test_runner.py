@@ -1,0 +1,246 @@
+"""Runs of small experiments on the emulated rig, in virtual time."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.catalogue.store import Catalogue
+from rhizotwin.catalogue.verify import check
+from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.scenes import files
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Ring
+from rhizotwin.timelapse.changers import CarouselChanger, PersonChanger
+from rhizotwin.timelapse.clocks import VirtualCalendar
+from rhizotwin.timelapse.experiment import load_experiment
+from rhizotwin.timelapse.runner import Listener, Runner
+from rhizotwin.timelapse.table import EmulatedTable
+
+ROOT = Path(__file__).resolve().parents[3]
+KILLS = 20
+
+
+def test_every_plant_is_scanned_in_every_round(make_experiment):
+    experiment, lines = load_experiment(make_experiment(plants=2, rounds=2)), list[str]()
+    outcome = Runner(experiment, listener=Listener(say=lines.append)).run()
+    assert (outcome.scanned, outcome.missed, outcome.open, outcome.growth) == (4, (), (), None)
+    assert any("reconstruction of 2 scans skipped: sketches" in line for line in lines)
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        assert check(catalogue) == []
+        assert [(one.plants, one.day, one.complete) for one in catalogue.scans()] == [
+            (("P1",), 0.0, True),
+            (("P2",), 0.0, True),
+            (("P1",), 1.0, True),
+            (("P2",), 1.0, True),
+        ]
+        for scan in catalogue.scans():
+            subject = load_dataset(scan.path).scene.subject
+            assert (subject.plant,) == scan.plants
+    again = Runner(experiment).run()  # nothing is left to do
+    assert again.scanned == 4
+
+
+class Hand:
+    """A person who puts canisters on the emulated table, at first the wrong ones."""
+
+    def __init__(self, canisters: list[int]) -> None:
+        self.canisters = canisters
+        self.questions = list[str]()
+        self.runner: Runner | None = None
+
+    def ask(self, question: str) -> str:
+        """Put the next canister on the table."""
+        self.questions.append(question)
+        assert self.runner is not None
+        assert isinstance(self.runner.table, EmulatedTable)
+        self.runner.table.put(self.canisters.pop(0))
+        return ""
+
+
+def test_wrong_canister_is_not_scanned(make_experiment):
+    experiment = load_experiment(make_experiment(plants=2, rounds=1, schedule="tries = 4"))
+    hand = Hand([2, 0, 9, 1, 2])  # of the other plant, none, of no plant, then right
+    hand.runner = Runner(experiment, listener=Listener(ask=hand.ask), changer=PersonChanger(hand.ask))
+    assert hand.runner.run().scanned == 2
+    first, other, none, unknown, second = hand.questions
+    assert first == "Put canister 1 (plant P1) on the table, then press Enter: "
+    assert "is that of plant P2, not P1" in other
+    assert "cannot be read" in none
+    assert "is that of no plant in the catalogue (APRILTAG_36h11 markers 1" in unknown
+    assert second == "Put canister 2 (plant P2) on the table, then press Enter: "
+    for scan, ids in (("P1_day_000.00", 0), ("P2_day_000.00", 22)):
+        dataset = load_dataset(experiment.scans_folder / scan)
+        assert dataset.scene.strip.first_id == ids
+
+
+def test_wrong_canister_to_the_end_is_missed_and_leaves_nothing(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    hand = Hand([5, 5, 5])
+    hand.runner = Runner(experiment, listener=Listener(ask=hand.ask), changer=PersonChanger(hand.ask))
+    (missed,) = hand.runner.run().missed
+    assert "is that of no plant" in missed.note
+    assert not list(experiment.scans_folder.rglob("*.png"))
+
+
+def test_nobody_there(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=1))
+    with pytest.raises(UserError, match="there is no one to put its canister"):
+        Runner(experiment, changer=PersonChanger(None)).run()
+    assert Runner(experiment).run().scanned == 1
+
+
+def test_late_scans_are_missed(make_experiment):
+    experiment = load_experiment(make_experiment(plants=1, rounds=3))
+    calendar = VirtualCalendar(datetime.fromisoformat("2026-12-02T22:00:00+00:00"))
+    outcome = Runner(experiment, calendar=calendar).run()
+    assert outcome.scanned == 1
+    assert [(one.due_utc[:10], one.note) for one in outcome.missed] == [
+        ("2026-12-01", "was not begun in time"),
+        ("2026-12-02", "was not begun in time"),
+    ]
+
+
+def test_carousel(make_experiment):
+    experiment = load_experiment(make_experiment(plants=3, rounds=1, schedule='change = "carousel"'))
+    assert Runner(experiment).run().scanned == 3
+
+
+class Blocked:
+    """A carousel that is blocked at its first movement."""
+
+    def __init__(self) -> None:
+        self.loads = 0
+        self.runner: Runner | None = None
+
+    def describe(self) -> str:
+        """Return a short description."""
+        return "blocked"
+
+    def prepare(self) -> None:
+        """Do nothing."""
+
+    def load(self, place: int) -> None:
+        """Fail once, then load."""
+        self.loads += 1
+        if self.loads == 1:
+            raise UnsafeError("carousel: does not turn; remove what blocks it and go on")
+        assert self.runner is not None
+        assert isinstance(self.runner.table, EmulatedTable)
+        self.runner.table.put(place)
+
+    def unload(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def test_blocked_carousel_is_tried_again(make_experiment):
+    experiment, carousel, lines = load_experiment(make_experiment(plants=1, rounds=1)), Blocked(), list[str]()
+    carousel.runner = Runner(experiment, listener=Listener(say=lines.append), changer=CarouselChanger(carousel))
+    assert carousel.runner.run().scanned == 1
+    assert any("try 1 of 3 failed: carousel: does not turn" in line for line in lines)
+
+
+def test_listener_stops_the_run_between_scans(make_experiment):
+    experiment, done = load_experiment(make_experiment(plants=2, rounds=1)), list[str]()
+    listener = Listener(on_visit=lambda visit: done.append(visit.state), stop=lambda: "scanned" in done)
+    assert len(Runner(experiment, listener=listener).run().open) == 1
+    assert Runner(experiment).run().scanned == 2
+
+
+def test_dataset_of_another_plant_is_not_recorded(make_experiment):
+    experiment = load_experiment(make_experiment(plants=2, rounds=1))
+    Runner(experiment, listener=Listener()).run()
+    experiment.catalogue_path.unlink()
+    (experiment.scans_folder / "P1_day_000.00").rename(experiment.scans_folder / "x")
+    (experiment.scans_folder / "P2_day_000.00").rename(experiment.scans_folder / "P1_day_000.00")
+    with pytest.raises(UserError, match="is a scan of plant 'P2', not of P1"):
+        Runner(experiment).run()
+
+
+def test_lost_catalogue_is_filled_from_the_datasets(make_experiment):
+    experiment = load_experiment(make_experiment(plants=2, rounds=1))
+    Runner(experiment).run()
+    taken = {path: path.stat().st_mtime_ns for path in experiment.scans_folder.rglob("*.png")}
+    experiment.catalogue_path.unlink()
+    assert Runner(experiment).run().scanned == 2
+    assert {path: path.stat().st_mtime_ns for path in experiment.scans_folder.rglob("*.png")} == taken
+
+
+def test_changed_plan_contradicts_the_catalogue(make_experiment):
+    experiment = load_experiment(make_experiment(plants=2, rounds=1))
+    Runner(experiment).prepare()
+    (one, two) = experiment.plants
+    swapped = replace(experiment, plants=(replace(one, treatment="low N"), two))
+    with pytest.raises(UserError, match="plant P1 has the treatment control, not low N"):
+        Runner(swapped).prepare()
+
+
+@pytest.mark.slow
+def test_killed_at_random_points(make_experiment):
+    """Kill the run 20 times: nothing is lost, nothing is scanned twice, and the catalogue agrees with the files."""
+    path = make_experiment(plants=6, rounds=10, views=3)
+    words = [sys.executable, "-m", "rhizotwin", "timelapse", "run", str(path)]
+    rng, kills, kept = random.Random(43), 0, dict[Path, int]()
+    experiment = load_experiment(path)
+    while True:
+        running = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+        if kills < KILLS:
+            time.sleep(rng.uniform(0.5, 5.0))
+        else:
+            _, errors = running.communicate(timeout=600)
+            assert running.returncode == 0, errors.decode()[-500:]
+            break
+        if running.poll() is None:
+            os.killpg(running.pid, signal.SIGKILL)
+            kills += 1
+        running.communicate()
+        if experiment.catalogue_path.exists() and experiment.catalogue_path.stat().st_size:
+            with Catalogue.open_or_create(experiment.catalogue_path) as catalogue:
+                assert all(one.kind == "unlisted" for one in check(catalogue))  # finished or begun, and not recorded yet
+                for scan in catalogue.scans():
+                    for file in scan.path.rglob("*.png"):
+                        kept.setdefault(file, file.stat().st_mtime_ns)
+    assert kills == KILLS
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        visits = catalogue.visits()
+        assert len(visits) == 60
+        assert all(one.state == "scanned" for one in visits)
+        assert len({one.scan for one in visits}) == len(catalogue.scans()) == 60
+        assert check(catalogue) == []
+    assert len(list(experiment.scans_folder.iterdir())) == 60
+    assert all(file.stat().st_mtime_ns == when for file, when in kept.items())  # no picture was taken again
+
+
+@pytest.mark.slow
+def test_rendered_scans_are_reconstructed(tmp_path: Path):
+    """A radish on two days: results and the rig's numbers are in the catalogue, and each day has more root."""
+    scene = files.load_scene("radish_day05b")
+    plan = CapturePlan(rings=(Ring(views=16),))
+    files.save_scene(replace(scene, camera=scene.camera.resized((400, 300)), plan=plan), tmp_path / "scene.toml")
+    text = (
+        'name = "radish"\nrig = "twin"\nscene = "scene.toml"\n[schedule]\nstart = "2026-12-01T09:00:00+00:00"\nrounds = 2\nevery_h = 72\n'
+    )
+    text += '[twin]\nfidelity = "render"\n[[plants]]\nname = "P1"\ncanister = 1\nsown = "2026-11-26"\n'
+    (tmp_path / "e.toml").write_text(text)
+    experiment = load_experiment(tmp_path / "e.toml")
+    assert Runner(experiment).run().scanned == 2
+    with Catalogue.open(experiment.catalogue_path) as catalogue:
+        first, second = catalogue.results()
+        assert (first.plants, first.day, second.day) == (("P1",), 5.0, 8.0)
+        assert {"focal_scale", "panel_level", "canister_tilt_deg"} <= set(first.rig_numbers)
+        lengths = dict(
+            catalogue.rows("SELECT x.day, t.value FROM traits t JOIN results x ON x.id = t.result WHERE t.name = 'total_length'")
+        )
+        assert lengths[8.0] > lengths[5.0] > 0.0
+        assert check(catalogue) == []
