@@ -68,4 +68,5 @@ class Questions:
         with self._lock:
             if not self.text:
                 raise UserError("nothing is asked at present")
+            self.text = ""
             self._answers.put(text)
