@@ -40,7 +40,7 @@ def test_twin_says_what_to_use_instead(tmp_path: Path) -> None:
     done = run(tmp_path, "twin")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(
-        "rhizotwin: rhizotwin twin needs pseudo-terminals, which Windows lacks; use scan --rig twin"
+        "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which Windows does not have; use 'rhizotwin scan --rig twin', or WSL"
     )
 
 
@@ -53,16 +53,16 @@ from as_windows import hide_posix
 hide_posix()
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.lock import lock_file
 lock = Path("lock")
-with locked(lock, what="a folder"):
+with lock_file(lock, what="a folder"):
     try:
-        with locked(lock, what="a folder"):
+        with lock_file(lock, what="a folder"):
             print("twice")
     except UserError as error:
-        print("refused" if "works in it" in str(error) else error)
+        print("refused" if "is using it" in str(error) else error)
 lock.write_text("left by a killed run")
-with locked(lock, what="a folder") as left:
+with lock_file(lock, what="a folder") as left:
     print("left", left)
 print("removed", not lock.exists())
 write_text("a.txt", "one\\n")

@@ -141,7 +141,7 @@ MISTAKES = [
     ("calibrate board -o board.pdf --square-mm 60", "does not fit"),
     ("calibrate board -o board.pdf --marker-mm 29", "marker_mm = 29.0: must be at most 27"),
     ("calibrate board -o board.pdf --dictionary 9X9", "9X9"),
-    ("calibrate board -o board.pdf --squares 20x20 --square-mm 8", "needs 200 markers"),
+    ("calibrate board -o board.pdf --squares 20x20 --square-mm 8", "requires 200 markers"),
     ("calibrate camera no_such_folder -o lens", "no_such_folder"),
     ("calibrate camera pictures -o lens --board no_such.toml", "no_such.toml"),
     ("calibrate camera pictures -o lens --board b.toml --squares 9x6", "and --squares cannot be used together"),

@@ -44,8 +44,8 @@ def test_scan_of_the_twin(scene: Path, tmp_path: Path, command: Command) -> None
     assert dataset.seed == 2
     wire = [json.loads(line) for line in record.read_text().splitlines()]
     assert {entry.get("device") for entry in wire} == {None, "turntable", "arm"}
-    command.fails(*words, named=["holds a finished scan: choose a new folder"])
-    assert "all 3 pictures are there" in command.works(*words, "--resume").out
+    command.fails(*words, named=["contains a finished scan: choose a new folder"])
+    assert "all 3 pictures exist" in command.works(*words, "--resume").out
     assert load_dataset(tmp_path / "d").frames == dataset.frames
 
 
@@ -63,7 +63,7 @@ def test_plan_of_another_file(scene: Path, tmp_path: Path, command: Command) -> 
     command.works(*words, "-o", tmp_path / "d", "--plan", tmp_path / "plan.toml")
     assert len(load_dataset(tmp_path / "d").frames) == 2
     command.fails(*words, "-o", tmp_path / "e", "--plan", tmp_path / "none.toml", named=["none.toml has no [[plan.rings]]"])
-    command.fails(*words, "-o", tmp_path / "d", "--resume", named=["begun with another scene.plan.rings.1.views"])
+    command.fails(*words, "-o", tmp_path / "d", "--resume", named=["a scan with another scene.plan.rings.1.views"])
 
 
 def test_check_of_the_twin_and_of_a_rig_that_is_not_there(scene: Path, tmp_path: Path, command: Command) -> None:
@@ -79,7 +79,7 @@ def test_jog_from_a_pipe(scene: Path, command: Command, monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "stdin", io.StringIO("home 0\ntable +9\npose\nquit\n"))
     assert "table at 9.000 deg" in command.works(*words).out
     monkeypatch.setattr(sys, "stdin", io.StringIO("table sideways\nhome 0\n"))
-    assert "table at" not in command.fails(*words, named=["'table sideways' is not a valid command"]).out
+    assert "table at" not in command.fails(*words, named=["'table sideways' is invalid"]).out
 
 
 def test_example_is_written_once(tmp_path: Path, command: Command) -> None:
