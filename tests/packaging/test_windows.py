@@ -28,7 +28,7 @@ def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
         "view result --no-browser",
     )
     assert done.returncode == 0, done.stderr
-    assert "Ctrl-C ends it" in done.stdout
+    assert "press Ctrl-C to stop" in done.stdout
     assert (tmp_path / "result" / "report.html").is_file()
     left = list(tmp_path.rglob(".*"))  # locks and temporary files: Windows removes none that is open
     assert left == []
