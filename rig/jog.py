@@ -341,7 +341,7 @@ class Jog:
         if path.suffix.lower() != ".png":
             raise UserError(f"{name}: pictures are written as PNG; give a name that ends in .png")
         if path.exists():
-            raise UserError(f"{name} exists already; choose another name")
+            raise UserError(f"{name} already exists; choose another name")
         image = self.shot()
         write_bytes(path, encode_png(image))
         found = preflight.measure_exposure(image)

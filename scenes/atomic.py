@@ -72,7 +72,7 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
                 temporary.unlink(missing_ok=True)
     except OSError as error:
         if new and isinstance(error, FileExistsError) and os.path.lexists(path):
-            raise UserError(f"{asked}: exists already; choose another name") from error
+            raise UserError(f"{asked}: already exists; choose another name") from error
         raise write_error(error, asked) from error
 
 

@@ -139,7 +139,7 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
         if strange and finished:
             raise UserError(f"{goal}: is complete, although the run that wrote it was stopped; use it, or choose another name")
         if strange:
-            beside = f"holds {strange[0]}" if replaces else "already exists and is not empty"
+            beside = f"contains {strange[0]}" if replaces else "already exists and is not empty"
             raise UserError(f"{goal}: {beside}; choose another name or remove it")
         before = _files(folder)
         building = folder / NEW

@@ -142,7 +142,7 @@ def create(path: Path) -> sqlite3.Connection:
     if not path.parent.is_dir():
         raise UserError(f"{path.parent}: there is no such folder; create it first")
     if path.exists() and not is_empty(path):
-        raise UserError(f"{path} exists already; choose another name")
+        raise UserError(f"{path} already exists; choose another name")
     try:
         connection = _connect(path)
         try:

@@ -54,7 +54,7 @@ class Catalogue:
         Raises
         ------
         UserError
-            If the file exists already, its name does not end in ``.rhizotwin``, or it cannot be written.
+            If the file already exists, its name does not end in ``.rhizotwin``, or it cannot be written.
         """
         path = Path(path)
         return cls(path, schema.create(path))

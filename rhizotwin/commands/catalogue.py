@@ -312,7 +312,7 @@ def _show(table: "Table", csv: Path | None) -> None:
 
     if csv is not None:
         if csv.suffix.lower() != ".csv" or csv.exists():
-            raise UserError(f"{csv} {'exists already; choose another name' if csv.exists() else 'must end in .csv'}")
+            raise UserError(f"{csv} {'already exists; choose another name' if csv.exists() else 'must end in .csv'}")
         atomic.write_text(csv, table.csv(), new=True)
         print(f"wrote {len(table.rows)} rows to {csv}")
         return

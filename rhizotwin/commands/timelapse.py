@@ -39,7 +39,7 @@ def example(*, output: OutputFile) -> None:
     from rhizotwin.timelapse.example import EXAMPLE
 
     if output.suffix != ".toml" or output.exists():
-        raise UserError(f"{output} {'exists already; choose another name' if output.exists() else 'must end in .toml'}")
+        raise UserError(f"{output} {'already exists; choose another name' if output.exists() else 'must end in .toml'}")
     atomic.write_text(output, EXAMPLE, new=True)
     print(f"wrote {output}")
     print(f"next: rhizotwin timelapse run {output}")

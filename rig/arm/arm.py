@@ -150,7 +150,7 @@ class ServoArm:
         """
         target = self._checked_counts(joints_deg)
         if not self._prepared:
-            raise LostError("arm: its torque is off; prepare it before it is moved")
+            raise LostError("arm: its torque is off; prepare the arm before it is moved")
         self._check_torque()
         here = start = self._still()
         way_deg = max(abs(target[j.servo] - start[j.servo]) / j.counts_per_deg for j in self._part.joints)
@@ -299,7 +299,7 @@ class ServoArm:
         if limp is not None:
             self._prepared = False
             raise LostError(
-                f"arm: the {self._name(limp)} has lost its torque, as after a brown-out or its own protection;"
+                f"arm: the {self._name(limp)} has lost its torque, possibly after a voltage drop or by its own protection;"
                 " check the supply, then prepare the arm again"
             )
 
@@ -316,7 +316,7 @@ class ServoArm:
 
     def _checked_counts(self, joints_deg: tuple[float, ...]) -> Counts:
         if len(joints_deg) != JOINTS:
-            raise UnsafeError(f"arm: {len(joints_deg)} joint angles were given but it has {JOINTS} joints; nothing was moved")
+            raise UnsafeError(f"arm: {len(joints_deg)} joint angles are given but the arm has {JOINTS} joints; nothing was moved")
         counts = {}
         for joint, angle_deg in zip(self._part.joints, joints_deg, strict=True):
             name = self._name(joint.servo)

@@ -97,7 +97,7 @@ class LscBoard:
         Raises
         ------
         NoAnswerError
-            If the board does not answer, omits a servo, or no two readings agree.
+            If the board does not reply, omits a servo, or no two readings agree.
         """
         before = self._positions_once(ids)
         for _ in range(_AGREE_TRIES):
@@ -106,7 +106,7 @@ class LscBoard:
                 return now
             before = now
         raise NoAnswerError(
-            "arm: no two readings of the positions agree; the arm is pushed, falls without torque, or the line to its board is disturbed"
+            "arm: repeated readings of the positions differ; the arm is pushed, falls without torque, or the line to its board is disturbed"
         )
 
     def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002
@@ -117,7 +117,7 @@ class LscBoard:
             if abs(now_v - before_v) <= _AGREE_V:
                 return now_v
             before_v = now_v
-        raise NoAnswerError("arm: no two readings of the voltage agree; the supply is unsteady, or the line to the board is disturbed")
+        raise NoAnswerError("arm: repeated readings of the voltage differ; the supply is unsteady, or the line to the board is disturbed")
 
     def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
         """Return None, as the board does not report temperatures."""
@@ -202,5 +202,5 @@ def _positions(params: bytes) -> dict[int, int] | None:
 
 def _silence(heard: bytes) -> NoAnswerError:
     if heard:
-        return NoAnswerError(f"arm: the board's answers cannot be understood; check that the line runs at {BAUD} Bd, and the cable")
-    return NoAnswerError("arm: the board does not answer; check that it is switched on and that TX and RX are not swapped")
+        return NoAnswerError(f"arm: the replies of the board are invalid; check that the line runs at {BAUD} Bd, and the cable")
+    return NoAnswerError("arm: the board does not reply; check that it is switched on and that TX and RX are not swapped")

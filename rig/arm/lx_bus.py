@@ -201,14 +201,14 @@ def _silence(servo: int, request: bytes, heard: bytes, *, echo: bool | None) -> 
     """Return an error that describes the kind of missing reply."""
     if heard.replace(request, b""):
         return NoAnswerError(
-            f"arm: servo {servo} does not answer, only damaged or foreign bytes come back; check the baud rate and the bus cable,"
+            f"arm: servo {servo} does not reply, only damaged or foreign bytes come back; check the baud rate and the bus cable,"
             " and connect long chains of servos as two short ones"
         )
     if echo and not heard:
         return NoAnswerError(
-            f"arm: servo {servo} does not answer, and not even the adapter's echo comes back; check the adapter, or echo in the rig file"
+            f"arm: servo {servo} does not reply, and the adapter sends no echo; check the adapter, or echo in the rig file"
         )
-    return NoAnswerError(f"arm: servo {servo} does not answer; check the servos' supply, the bus cable and the servo's number")
+    return NoAnswerError(f"arm: servo {servo} does not reply; check the servos' supply, the bus cable and the servo's number")
 
 
 def _servo_names(servos: Collection[int]) -> str:

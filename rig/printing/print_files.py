@@ -54,7 +54,7 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     paths = svg_names if suffix == ".svg" and len(pages) > 1 else [path]
     for one in paths:
         if one.exists():
-            raise UserError(f"{one} exists already; choose another name or remove it")
+            raise UserError(f"{one} already exists; choose another name or remove it")
     contents = [_pdf(pages, title)] if suffix == ".pdf" else [_svg(page, title) for page in pages]
     for one, content in zip(paths, contents, strict=True):
         write_bytes(one, content)

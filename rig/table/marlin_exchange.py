@@ -117,7 +117,7 @@ class Exchange:
         """Raise `RigError` if the firmware reported an unknown command."""
         if self._unknown_text is not None:
             raise RigError(
-                f'{self._wire.name}: the firmware does not know "{self._unknown_text}"; '
+                f'{self._wire.name}: the firmware does not support "{self._unknown_text}"; '
                 "build Marlin 2.1 with the options that the docs list"
             )
 
@@ -144,7 +144,7 @@ class Exchange:
             return False
         self._silences += 1
         if self._silences > MOST_SILENCES:
-            raise self._no_answer("did not answer")
+            raise self._no_answer("did not reply")
         self._send(patience_s=AGAIN_S)
         return False
 

@@ -169,7 +169,7 @@ class Twin:
             path = Path(folder) / frame.file
             shot = self.record.shot_of(decode_grey(path.read_bytes(), where=str(path)))
             if shot is None:
-                raise UserError(f"{path}: was not taken by this twin, so that its true pose is unknown")
+                raise UserError(f"{path}: was not taken by this emulated rig, so that its true pose is unknown")
             taken.append((frame.file, shot.sight))
         self._rendered.write_truth(Path(folder), taken)
         return True

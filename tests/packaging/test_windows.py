@@ -28,7 +28,7 @@ def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
         "view result --no-browser",
     )
     assert done.returncode == 0, done.stderr
-    assert "Ctrl-C ends it" in done.stdout
+    assert "press Ctrl-C to stop" in done.stdout
     assert (tmp_path / "result" / "report.html").is_file()
     left = list(tmp_path.rglob(".*"))  # locks and temporary files: Windows removes none that is open
     assert left == []
@@ -40,7 +40,11 @@ def test_twin_says_what_to_use_instead(tmp_path: Path) -> None:
     done = run(tmp_path, "twin")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(
+<<<<<<< HEAD
         "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which Windows does not have; use 'rhizotwin scan --rig twin'"
+=======
+        "rhizotwin: 'rhizotwin twin' needs pseudo-terminals, which Windows does not have; use 'rhizotwin scan --rig twin', or WSL"
+>>>>>>> cb9198d3088a57fe9adedfec33e58a2aa2e6a6e1
     )
 
 

@@ -117,7 +117,7 @@ def test_a_ring_that_sees_no_strip_is_said_before_pictures_are_taken(height_mm: 
     scene = replace(Scene(camera=Camera().resized((400, 300))), plan=CapturePlan(rings=(Ring(), ring)))
     found = marker_warnings(scene)
     assert bool(found) == blind
-    assert not blind or found[0].startswith(f"ring 2 (200 mm away, height {height_mm:g} mm) sees fewer than 4 whole markers")
+    assert not blind or found[0].startswith(f"ring 2 (200 mm away, height {height_mm:g} mm) sees fewer than 4 complete markers")
     assert marker_warnings(replace(scene, strip=replace(scene.strip, rows=0))) == []
 
 

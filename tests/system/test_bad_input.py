@@ -191,7 +191,7 @@ def test_places_that_cannot_be_written_are_named_at_once(tmp_path: Path, command
     (tmp_path / "loop").symlink_to("loop")
     simulate = ("simulate", "sphere_20mm", "--device", "cpu", "-o")
     command.fails(*simulate, tmp_path / "loop" / "out", named=["loop", "is not a valid path"])
-    command.fails(*simulate, tmp_path / ("d/" * 2000), named=["--output", "folders deep", "250"])
+    command.fails(*simulate, tmp_path / ("d/" * 2000), named=["--output", "nested folders", "250"])
     monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2**30, 2**30 - 300_000, 300_000))
     monkeypatch.setattr("rhizotwin.sim.simulate.draw_world", None)
     command.fails(*simulate, tmp_path / "out", named=["out", "the disk is full"])

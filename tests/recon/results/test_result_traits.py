@@ -48,9 +48,9 @@ def test_a_spreadsheet_of_two_results(scan):
     write_rsml(made.result / "roots.rsml", [root([4.0, -3.0, -45.0], [4.0, -3.0, -55.0], 12.0)])
     rooted = stored_traits.read(made.result)
     rows = list(csv.DictReader(io.StringIO(stored_traits.spreadsheet([("a", summary, plain), ("b, c", summary, rooted)]))))
-    assert [(row["result"], row["total_length (mm)"]) for row in rows] == [("a", ""), ("b, c", "10")]
-    assert float(rows[0]["tissue_density (g/ml)"]) == pytest.approx(0.5 / (summary["volume_mm3"] / 1000.0), rel=1e-5)
-    assert float(rows[0]["volume_low (mm3)"]) == pytest.approx(0.95 * summary["volume_mm3"], rel=1e-5)
+    assert [(row["result"], row["total_length_mm"]) for row in rows] == [("a", ""), ("b, c", "10")]
+    assert float(rows[0]["tissue_density_g_per_ml"]) == pytest.approx(0.5 / (summary["volume_mm3"] / 1000.0), rel=1e-5)
+    assert float(rows[0]["volume_mm3_low"]) == pytest.approx(0.95 * summary["volume_mm3"], rel=1e-5)
     assert json.loads(result_traits.trait_files(rooted, summary, mass_g=None)["traits.json"])["mass_g"] is None
     made.edit_summary(mass_g=0.9)  # given at the reconstruction
     assert stored_traits.read(made.result).tissue_density_g_per_ml == pytest.approx(0.9 / (4.0 / 3.0 * np.pi * 0.216), rel=1e-2)

@@ -57,7 +57,7 @@ def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Com
         assert new.scans() == old.scans()
         assert new.results() == old.results()
         assert new.masses() == old.masses()
-    command.fails("catalogue", "rebuild", rebuilt, tmp_path / "scans", named=["exists already"])
+    command.fails("catalogue", "rebuild", rebuilt, tmp_path / "scans", named=["already exists"])
 
 
 def test_damaged_entry_is_reported(tmp_path: Path, command: Command, make_dataset):

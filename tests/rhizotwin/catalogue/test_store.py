@@ -174,7 +174,7 @@ def test_foreign_files_are_rejected(tmp_path: Path):
     other.close()
     with pytest.raises(UserError, match="not a catalogue"):
         Catalogue.open(path)
-    with pytest.raises(UserError, match="exists already"):
+    with pytest.raises(UserError, match="already exists"):
         Catalogue.create(path)
 
 
