@@ -63,11 +63,7 @@ def test_plan_of_another_file(scene: Path, tmp_path: Path, command: Command) -> 
     command.works(*words, "-o", tmp_path / "d", "--plan", tmp_path / "plan.toml")
     assert len(load_dataset(tmp_path / "d").frames) == 2
     command.fails(*words, "-o", tmp_path / "e", "--plan", tmp_path / "none.toml", named=["none.toml has no [[plan.rings]]"])
-<<<<<<< HEAD
     command.fails(*words, "-o", tmp_path / "d", "--resume", named=["contains a scan with another scene.plan.rings.1.views"])
-=======
-    command.fails(*words, "-o", tmp_path / "d", "--resume", named=["a scan with another scene.plan.rings.1.views"])
->>>>>>> cb9198d3088a57fe9adedfec33e58a2aa2e6a6e1
 
 
 def test_check_of_the_twin_and_of_a_rig_that_is_not_there(scene: Path, tmp_path: Path, command: Command) -> None:
@@ -83,11 +79,7 @@ def test_jog_from_a_pipe(scene: Path, command: Command, monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "stdin", io.StringIO("home 0\ntable +9\npose\nquit\n"))
     assert "table at 9.000 deg" in command.works(*words).out
     monkeypatch.setattr(sys, "stdin", io.StringIO("table sideways\nhome 0\n"))
-<<<<<<< HEAD
     assert "table at" not in command.fails(*words, named=["'table sideways' is invalid; usage: table +9"]).out
-=======
-    assert "table at" not in command.fails(*words, named=["'table sideways' is invalid"]).out
->>>>>>> cb9198d3088a57fe9adedfec33e58a2aa2e6a6e1
 
 
 def test_example_is_written_once(tmp_path: Path, command: Command) -> None:
