@@ -55,7 +55,7 @@ def test_a_sound_rig_is_all_ok(tmp_path: Path) -> None:
 BROKEN = [
     ("turntable", Fault(kind="unplugged", device="table", at_s=0.0, amount=0.0), "unplugged|does not exist"),
     ("arm", Fault(kind="overheated", device="arm", at_s=0.0, amount=80.0), "°C, above 65 °C"),
-    ("arm", Fault(kind="reply_dropped", device="arm", at_message=1, count=FOR_GOOD), "does not answer"),
+    ("arm", Fault(kind="reply_dropped", device="arm", at_message=1, count=FOR_GOOD), "does not reply"),
     ("camera", Fault(kind="camera_stopped", device="camera", at_message=1, amount=0.0), "no picture"),
 ]
 

@@ -40,7 +40,7 @@ def test_asks_again_and_then_gives_up(heard: str) -> None:
     with scripted(LxBus, (ASK_POS_1, heard), (ASK_POS_1, POS_1_IS_500)) as bus:
         assert bus.positions([1]) == {1: 500}
     line = ScriptedLine(*[(ASK_POS_1, heard)] * 5)
-    with pytest.raises(NoAnswerError, match="servo 1 does not answer"):
+    with pytest.raises(NoAnswerError, match="servo 1 does not reply"):
         LxBus(line).positions([1])
     assert not line.script
     assert line.clock.at_s < 1.1
@@ -126,7 +126,7 @@ def test_stop_asks_nothing() -> None:
 
 def test_silence_of_the_adapter_is_distinguished_from_silence_of_a_servo() -> None:
     silence = [(ASK_POS_1, SILENT)] * 5
-    with pytest.raises(NoAnswerError, match="not even the adapter's echo"):
+    with pytest.raises(NoAnswerError, match="the adapter sends no echo"):
         LxBus(ScriptedLine(*silence), echo="yes").positions([1])
     for bus in (LxBus(ScriptedLine(*silence, echo=True), echo="yes"), LxBus(ScriptedLine(*silence), echo="no")):
         with pytest.raises(NoAnswerError, match="check the servos' supply"):

@@ -90,7 +90,7 @@ def test_a_reset_between_commands_is_seen_before_anything_is_sent(talk: Talk) ->
 
 
 HOPELESS = {
-    "silence": ([()] * 6, "did not answer after M400", 26.0),
+    "silence": ([()] * 6, "did not reply after M400", 26.0),
     "refused for ever": ([REFUSED] * 11, "rejected it 10 times after M400", 6.0),
     "busy for ever": ([(2.0, "echo:busy: processing") * 200], "busy without end after M400", LONGEST_S + 2.0),
     "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends invalid data without end", 1.0),
@@ -116,7 +116,7 @@ def test_what_never_ends_is_ended(answers: list[tuple[Any, ...]], says: str, mos
 def test_an_unknown_command_is_named_unless_it_is_allowed(talk: Talk) -> None:
     unknown = ('echo:Unknown command: "M150 S0"', "ok")
     link = talk.then(("N8 M150 S0", unknown), NEXT, ("N10 M150 S0", unknown))
-    with pytest.raises(RigError, match='the firmware does not know "M150 S0"') as caught:
+    with pytest.raises(RigError, match='the firmware does not support "M150 S0"') as caught:
         link.command("M150 S0")
     assert not isinstance(caught.value, LostError | NoAnswerError)
     link.command("M17")
@@ -222,6 +222,6 @@ def test_another_firmware_and_silence_are_named_in_time(make_board: Any) -> None
         link.start()
     assert not link.ready
     script = Script(make_board().clock, *[(GREETING[0][0], ())] * 6)
-    with pytest.raises(NoAnswerError, match="turntable on fake: did not answer after M110 N0; check supply, cable, port and baud rate"):
+    with pytest.raises(NoAnswerError, match="turntable on fake: did not reply after M110 N0; check supply, cable, port and baud rate"):
         MarlinLink(script).start()
     assert script.clock.now_s() < 30.0
