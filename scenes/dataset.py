@@ -308,8 +308,9 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
         raise place.at("kind").error('must be one of "root", "shoot"', frame.kind)
     if not 0 <= frame.ring < rings:
         raise place.at("ring").error(f"must be between 0 and {rings - 1}: the scene's plan has {rings} rings", frame.ring)
-    if frame.placement < 0:
-        raise place.at("placement").error("must be 0 or more", frame.placement)
+    for name, number in (("placement", frame.placement), ("view", frame.view)):
+        if number is not None and number < 0:
+            raise place.at(name).error("must be 0 or more", number)
     if frame.cam_from_canister is not None:
         check_rigid(frame.cam_from_canister, place.at("cam_from_canister"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.calibration.curve import verify_curve
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
@@ -45,7 +46,7 @@ def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tup
 
 def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
     """Compute cameras, silhouettes and hull."""
-    pictures = read_pictures(dataset, kind="shoot", settings=settings.pictures, monitor=monitor)
+    pictures = verify_curve(read_pictures(dataset, kind="shoot", settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     with monitor.stage("shoot"):
         drawn = _silhouettes(pictures, cameras)
@@ -74,7 +75,7 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
         mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k]) for k in drawn},
         hidden_share=hidden,
         enclosed_share=enclosed,
-        colour=colour.fields(),
+        colour=colour.values,
         warnings=(*pictures.warnings, *said, *colour.warnings),
     )
 

@@ -16,6 +16,7 @@ from rhizotwin.recon.read_pictures import Pictures
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.bands import bands_by_range, vegetation_indices
 from rhizotwin.scenes.dataset import Frame, read_image
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import marker_corners
 
@@ -24,31 +25,28 @@ _INSIDE_PX = 3
 """
 _FACING = 0.7
 """Minimum cosine of the angle between the paper's normal and the line of sight."""
-_FRONT_OFF = 0.02
-"""Brightness of paper, as a fraction of full scale, below which it is considered unlit, as noise would dominate."""
+_LEAST_LIGHT, _FULL = 0.02, 0.99
+"""Brightness of paper, as a fraction of full scale: below the first, noise would dominate; above the second, the camera
+is saturated (`rig.scanning.preflight.FULL`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Colour:
     """Colour of a shoot."""
 
-    reflectances: Mapping[str, float]
-    """Reflectances by the band's range (`scenes.bands.RANGES_NM`), relative to the strip's white paper, mean over the
-    leaves."""
+    values: Mapping[str, float]
+    """Reflectances in the ranges of `scenes.bands.RANGES_NM`, relative to the strip's white paper and averaged over the
+    leaves, and vegetation indices, by their names in `scenes.trait_table.COLOURS`."""
     warnings: tuple[str, ...] = ()
-
-    def fields(self) -> dict[str, float]:
-        """Return reflectances and their vegetation indices, by the field's name in the table of traits."""
-        named = {f"reflectance_{name}": value for name, value in self.reflectances.items()}
-        return named | vegetation_indices(self.reflectances)
 
 
 def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: Mapping[int, View]) -> Colour:
     """Measure the colour of a shoot in all bands whose panel is off.
 
-    Leaves and paper are lit by the same lamp and cover the same pixels in all bands, so that the strength of the light
-    and the inclination of the leaves cancel in the indices. Bands with the panel on are excluded: leaves transmit half
-    of its near infrared, which would count as reflected light.
+    Leaves and paper are lit by the same lamp and cover the same pixels in all bands of a view, so that the strength of
+    the light and the inclination of the leaves cancel in the indices, which are computed from views that have both
+    bands. Bands with the panel on are excluded: leaves transmit half of its near infrared, which would count as
+    reflected light.
 
     Parameters
     ----------
@@ -62,28 +60,49 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
     Colour
         Colour of the leaves; empty if no view was taken in another band.
     """
-    dataset, known = pictures.dataset, {band.name: band for band in pictures.dataset.scene.camera.bands}
-    others = {(frame.view, frame.band): frame for frame in dataset.frames if frame.kind == "shoot" and frame.band in known}
-    dark = [band for band in known.values() if dataset.scene.lights_in(band.name).backlight_level == 0.0]
-    reflectances, missing = dict[str, float](), list[str]()
-    for name, band in bands_by_range(dark).items():
-        ratios = []
-        for k, silhouette in drawn.items():
-            frame = others.get((pictures.frames[k].view, band))
-            if frame is not None and (ratio := _ratio(pictures, frame, silhouette, views[k])) is not None:
-                ratios.append(ratio)
-        if ratios:
-            reflectances[name] = float(np.mean(ratios))
-        elif any(taken == band for _, taken in others):
-            missing.append(band)
-    warnings = [f"no view shows both leaves and lit paper in the band {band}; its reflectance could not be determined" for band in missing]
-    return Colour(reflectances=reflectances, warnings=(*warnings, *_lit_bands(dataset.scene)))
+    scene, unread = pictures.dataset.scene, list[str]()
+    ranges = {band: name for name, band in _dark_bands(scene).items()}
+    number = {pictures.frames[k].view: k for k in drawn}
+    ratios: dict[str, dict[int, float]] = {}
+    for frame in pictures.dataset.frames:
+        if frame.kind != "shoot" or frame.band not in ranges:
+            continue
+        of_band = ratios.setdefault(ranges[frame.band], {})
+        if (k := number.get(frame.view)) is None:
+            continue
+        try:
+            ratio = _ratio(pictures, frame, drawn[k], views[k])
+        except UserError as error:
+            unread.append(f"{frame.file} is not used for the colour of the shoot: {error}")
+        else:
+            of_band |= {} if ratio is None else {k: ratio}
+    warnings = [
+        f"no view shows both leaves and well exposed paper in the range {name}; its reflectance could not be determined"
+        for name, found in ratios.items()
+        if not found
+    ]
+    return Colour(values=_average(ratios), warnings=(*unread, *warnings, *_lit_bands(scene)))
+
+
+def _average(ratios: Mapping[str, Mapping[int, float]]) -> dict[str, float]:
+    """Return mean reflectances, and indices of views that have both bands, from ratios by range and view."""
+    values = {f"reflectance_{name}": float(np.mean([*found.values()])) for name, found in ratios.items() if found}
+    for other in ("red", "red_edge"):
+        near, far = ratios.get("nir", {}), ratios.get(other, {})
+        if both := near.keys() & far.keys():
+            values |= vegetation_indices({"nir": sum(near[k] for k in both), other: sum(far[k] for k in both)})
+    return values
+
+
+def _dark_bands(scene: Scene) -> dict[str, str]:
+    """Return the names of the bands whose panel is off, by range."""
+    return bands_by_range([band for band in scene.camera.bands if scene.lights_in(band.name).backlight_level == 0.0])
 
 
 def _lit_bands(scene: Scene) -> tuple[str, ...]:
     """Return a warning for bands that would give an index if the panel were off."""
-    needed = bands_by_range(scene.camera.bands)
-    lit = [needed[name] for name in ("red", "red_edge", "nir") if name in needed and scene.is_lit(needed[name])]
+    needed, dark = bands_by_range(scene.camera.bands), _dark_bands(scene)
+    lit = [needed[name] for name in ("red", "red_edge", "nir") if name in needed and name not in dark]
     if not lit or "nir" not in needed:
         return ()
     return (
@@ -94,14 +113,15 @@ def _lit_bands(scene: Scene) -> tuple[str, ...]:
 
 def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> float | None:
     """Return the ratio of the mean light of the leaves to that of the strip's paper; None if either is not visible."""
-    picture = read_image(pictures.dataset, frame)
+    curve = pictures.curve
+    picture = read_image(pictures.dataset, frame, curve=None if curve is None or curve.warning is None else curve.curve)
     image = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
     leaves = _inside(silhouette)
     paper = _paper_pixels(view, pictures.dataset.scene, image.shape)
     if not leaves.any() or not len(paper):
         return None
     white = float(np.median(image[paper[:, 1], paper[:, 0]]))
-    return None if white < _FRONT_OFF else float(image[leaves].mean()) / white
+    return float(image[leaves].mean()) / white if _LEAST_LIGHT <= white <= _FULL else None
 
 
 def _inside(silhouette: Silhouette) -> Mask:

@@ -8,33 +8,40 @@ import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.read_pictures import Pictures
+from rhizotwin.recon.read_pictures import CurveFound, Pictures
 from rhizotwin.recon.shoots.shoot_colour import measure_colour
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.transfer import LINEAR, SRGB, Curve
 
 PAPER = 0.5
 LEAF = {"red": 0.06, "red_edge": 0.3, "nir": 0.48}
 NM = {"red": 670.0, "red_edge": 720.0, "nir": 850.0}
 
 
-def colour_of(folder: Path, *, panel_level: float = 0.0, paper: float = PAPER):
-    """Measure leaves in the upper half of two pictures, paper in the lower half; light differs by view and band."""
+def colour_of(folder: Path, *, panel_level: float = 0.0, paper: float = PAPER, damaged: str = "", curve: Curve = LINEAR):
+    """Measure leaves in the upper half of two pictures, paper in the lower half; light differs by view and band.
+
+    The second view's leaves are shaded, in all bands alike; a damaged picture cannot be read.
+    """
     bands = (Band(name="white"), *(Band(name=name, wavelength_nm=nm, panel_level=panel_level) for name, nm in NM.items()))
     scene = Scene(camera=replace(Camera().resized((200, 150)), bands=bands))
     listed = []
-    for view, brightness in enumerate((1.0, 0.6)):
+    for view, (brightness, shade) in enumerate(((1.0, 1.0), (0.6, 0.5))):
         for name, share in LEAF.items():
             light = np.full((150, 200), paper * brightness)
-            light[:60] = paper * brightness * share
-            write_image(folder / f"{view}_{name}.png", (light * 65535).astype(np.uint16))
+            light[:60] *= share * shade
+            write_image(folder / f"{view}_{name}.png", np.rint(curve.number(light) * 65535).astype(np.uint16))
             listed.append(Frame(file=f"{view}_{name}.png", sha256="", kind="shoot", band=name, view=view))
+    if damaged:
+        (folder / damaged).write_bytes(b"no picture")
     lit = tuple(Frame(file=f"{view}_white.png", sha256="", kind="shoot", band="white", view=view) for view in (0, 1))
     dataset = Dataset(folder=folder, scene=scene, frames=(*lit, *listed))
-    pictures = Pictures(dataset=dataset, frames=lit, images=(np.zeros((1, 1), np.uint8),) * 2)
+    known = CurveFound(curve=curve, stated=LINEAR, bend=0.0, stated_bend=0.18, markers=100)
+    pictures = Pictures(dataset=dataset, frames=lit, images=(np.zeros((1, 1), np.uint8),) * 2, curve=known)
     covered = np.zeros((150, 200), np.float32)
     covered[:60] = 1.0
     drawn = dict.fromkeys((0, 1), Silhouette(covered, np.ones((150, 200), bool)))
@@ -42,22 +49,37 @@ def colour_of(folder: Path, *, panel_level: float = 0.0, paper: float = PAPER):
     return measure_colour(pictures, drawn, dict.fromkeys((0, 1), View(camera=scene.camera, cam_from_canister=still)))
 
 
-def test_reflectances_are_relative_to_the_paper_in_the_same_light(tmp_path: Path) -> None:
-    found = colour_of(tmp_path)
-    assert found.reflectances == pytest.approx(LEAF, abs=2e-3)
-    assert found.fields()["ndvi"] == pytest.approx((0.48 - 0.06) / (0.48 + 0.06), abs=2e-3)
-    assert found.fields()["ndre"] == pytest.approx((0.48 - 0.3) / (0.48 + 0.3), abs=2e-3)
+INDICES = {"ndvi": (0.48 - 0.06) / (0.48 + 0.06), "ndre": (0.48 - 0.3) / (0.48 + 0.3)}
+
+
+@pytest.mark.parametrize("curve", [LINEAR, SRGB], ids=["linear", "undeclared curve"])
+def test_reflectances_are_relative_to_the_paper_in_the_same_light(curve: Curve, tmp_path: Path) -> None:
+    found = colour_of(tmp_path, curve=curve)
+    assert found.values == pytest.approx({f"reflectance_{name}": 0.75 * share for name, share in LEAF.items()} | INDICES, abs=2e-3)
     assert found.warnings == ()
+
+
+def test_a_damaged_picture_costs_its_view_and_not_the_index(tmp_path: Path) -> None:
+    """The other bands of that view have shaded leaves, which must not count against the remaining picture."""
+    found = colour_of(tmp_path, damaged="1_nir.png")
+    assert {name: found.values[name] for name in INDICES} == pytest.approx(INDICES, abs=2e-3)
+    assert found.values["reflectance_nir"] == pytest.approx(0.48, abs=2e-3)
+    assert "1_nir.png is not used for the colour of the shoot" in found.warnings[0]
 
 
 def test_light_through_the_leaves_counts_for_nothing(tmp_path: Path) -> None:
     """Half of the panel's near infrared comes through a leaf: with the panel on there is no index, and a reason."""
     found = colour_of(tmp_path, panel_level=0.75)
-    assert found.fields() == {}
+    assert found.values == {}
     assert "panel_level = 0" in found.warnings[0]
 
 
 def test_paper_that_is_not_lit_gives_no_reflectance(tmp_path: Path) -> None:
     found = colour_of(tmp_path, paper=0.01)
-    assert found.fields() == {}
+    assert found.values == {}
     assert len(found.warnings) == len(LEAF)
+
+
+def test_saturated_paper_is_not_used(tmp_path: Path) -> None:
+    """Only the second, darker view counts, in which the leaves are shaded."""
+    assert colour_of(tmp_path, paper=1.0).values["reflectance_nir"] == pytest.approx(0.24, abs=2e-3)
