@@ -110,6 +110,7 @@ def _leaves(filled: FillPoints, grid: Grid) -> Leaves:
     """Bin points that fill tubes into the finest nodes."""
     at = np.floor((filled.point_mm - np.asarray(grid.origin_mm)) / grid.size_mm).astype(np.int64)
     box = Box.around(at)
-    keys, inverse = np.unique(box.number(at), return_inverse=True)
+    keys, first, inverse = np.unique(box.number(at), return_index=True, return_inverse=True)
     share = np.bincount(inverse, weights=filled.volume_mm3 / grid.size_mm**3, minlength=len(keys)).astype(np.float64)
-    return Leaves(grid, box.cell(keys).astype(np.int32), np.ones(len(keys), np.int32), limit_occupancy(share).astype(np.float32))
+    occupancy = limit_occupancy(share, filled.branch[first]).astype(np.float32)
+    return Leaves(grid, box.cell(keys).astype(np.int32), np.ones(len(keys), np.int32), occupancy)

@@ -249,14 +249,26 @@ def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
     return np.concatenate(centres), np.concatenate(radii), np.concatenate(owners), np.concatenate(ways)
 
 
-def limit_occupancy(occupancy: Array) -> Array:
-    """Return occupancies (N,) of at most 1 with the same sum.
+def limit_occupancy(occupancy: Array, branch: Index) -> Array:
+    """Return occupancies (N,) of at most 1 with the same sum in each branch.
 
-    The excess that sampling put into full nodes is distributed over the others, in proportion.
+    The excess that sampling put into full nodes is distributed over the others of the same branch, in proportion: over
+    all branches it would make thin roots thicker and thick ones thinner.
+
+    Parameters
+    ----------
+    occupancy : (N,) float64 array
+        Volume of the points in each node, relative to that of the node.
+    branch : (N,) int64 array
+        Branch of each node.
     """
-    falling = np.sort(occupancy)[::-1]
-    full = np.arange(len(falling))  # number of full nodes, for the factor of the others
-    rest = np.cumsum(occupancy[np.argsort(occupancy)])[::-1]
-    factor = np.maximum(rest[:1] - full, 0.0) / np.maximum(rest, 1e-12)
-    enough = np.flatnonzero(factor * falling <= 1.0)
-    return np.minimum((factor[enough[0]] if len(enough) else 1.0) * occupancy, 1.0)
+    limited, order = occupancy.copy(), np.argsort(branch, kind="stable")
+    for nodes in np.split(order, np.flatnonzero(np.diff(branch[order])) + 1):
+        falling = np.sort(occupancy[nodes])[::-1]
+        if not len(falling) or falling[0] <= 1.0:
+            continue
+        full, rest = np.arange(len(falling)), np.cumsum(falling[::-1])[::-1]  # number of full nodes, sum of the others
+        factor = np.maximum(rest[0] - full, 0.0) / np.maximum(rest, 1e-12)
+        enough = np.flatnonzero(factor * falling <= 1.0)
+        limited[nodes] = np.minimum((factor[enough[0]] if len(enough) else 1.0) * occupancy[nodes], 1.0)
+    return limited

@@ -176,8 +176,11 @@ class Solid:
         if len(self.sources) > self.given:
             from rhizotwin.recon.tubes import filling
 
-            made = self._painted(alive, given=False) / room
-            volume += room * np.minimum(filling.limit_occupancy(made), 1.0 - volume / room)
+            made, owner = self._painted(alive, given=False) / room, np.full(len(room), -1)
+            for part in self._parts:
+                added = part.source >= self.given
+                owner[part.leaf[added]] = part.source[added]
+            volume += room * np.minimum(filling.limit_occupancy(made, owner), 1.0 - volume / room)
         volume[: len(gone)][gone] = 0.0
         return volume
 

@@ -70,8 +70,10 @@ def painted(found: tuple[Root, ...]) -> Leaves:
     radius = np.concatenate([root.diameters_mm for root in found]) / 2.0
     filled = filling.fill(Tubes(np.concatenate([root.points_mm for root in found]), radius, branches), 0.05)
     origin = np.array([-80.0, -80.0, -160.0])
-    at, number = np.unique(np.floor((filled.point_mm - origin) / VOXEL_MM).astype(np.int32), axis=0, return_inverse=True)
-    share = filling.limit_occupancy(np.bincount(number.ravel(), weights=filled.volume_mm3) / VOXEL_MM**3)
+    cells = np.floor((filled.point_mm - origin) / VOXEL_MM).astype(np.int32)
+    at, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    volume_mm3 = np.bincount(number.ravel(), weights=filled.volume_mm3)
+    share = filling.limit_occupancy(volume_mm3 / VOXEL_MM**3, filled.branch[first])
     return Leaves(low=at, size=np.ones(len(at), np.int32), occupancy=share.astype(np.float32), origin_mm=origin, voxel_mm=VOXEL_MM)
 
 

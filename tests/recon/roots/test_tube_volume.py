@@ -43,6 +43,19 @@ def test_tubes_are_painted_beside_solids():
     assert thick.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 20.0 + half_ball(1.0), rel=0.01)
 
 
+def test_a_thin_tube_keeps_its_volume_beside_a_wide_one():
+    """Points that overfill the nodes of the wide tube must not count for the thin one."""
+    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
+    thin, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 0.0, -20.0), (4.0, 0.0, -40.0))
+    system = tubes.place_nodes([wide, thin], [np.full(len(wide), 0.4), np.full(len(thin), 0.05)])
+    none = Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    leaves = tube_volume.combine(none, at_rest(system, px_a_mm=4.0, blur_px=0.3), everything(grid)).leaves
+    x, _, z = leaves.middles_mm.T
+    for side, radius_mm in ((x < 0.0, 0.05), (x > 0.0, 0.4)):
+        middle = leaves.select(side & (z > -38.0) & (z < -22.0))
+        assert middle.volume_mm3() == pytest.approx(np.pi * radius_mm**2 * 16.0, rel=0.01)
+
+
 def test_a_ball_on_a_rod_has_the_volume_of_its_cross_sections():
     """Spheres as wide as the cross-sections at their centres would make a ball of radius r reach 1.4 r down."""
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (16, 16, 32))
