@@ -5,13 +5,14 @@ It is a validated TOML file; unknown keys are rejected.
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from rhizotwin.scenes.files import read_toml
 from rhizotwin.scenes.limits import bounded
 from rhizotwin.scenes.schema import Place, from_plain
 
 JOINTS = 5
+Rgb: TypeAlias = tuple[int, int, int]
 LSC_BAUD = 9600
 
 
@@ -56,6 +57,25 @@ class LightsPart:
     front_level: float = bounded(1.0, 0.0, 1.0)
     settle_s: float = bounded(0.5, 0.0, 60.0)
     """Pause after a change before a picture."""
+
+    def strips(self, panel: float, front: float, band: "BandPart | None") -> tuple[tuple[int, Rgb, float], ...]:
+        """Return the state of both strips.
+
+        Parameters
+        ----------
+        panel, front : float
+            Levels of panel and front light.
+        band : BandPart or None
+            Band whose colours are used; None: those of ``[lights]``.
+
+        Returns
+        -------
+        tuple of (int, (int, int, int), float)
+            Number of the strip, colour at level 1, and level.
+        """
+        panel_rgb = (band.panel_rgb if band else None) or self.panel_rgb
+        front_rgb = (band.front_rgb if band else None) or self.front_rgb
+        return (self.panel_strip, panel_rgb, panel), (self.front_strip, front_rgb, front)
 
 
 @dataclass(frozen=True, kw_only=True)

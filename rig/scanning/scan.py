@@ -120,6 +120,10 @@ class _Scan:
         if devices.arm is not None and devices.rig.arm is not None:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._camera, note=self._note)
         self._board_used = self._arm_used = self._homed = False
+        self._main = ""
+        """Band of the ring's pictures that show the markers."""
+        self._selected: str | None = ""
+        """Band that lamps and filter are set for; None after a fault."""
         self._placement = 0
         self._rest_s = devices.rig.turntable.settle_s
         self._rest_known = devices.rig.turntable.rest == "given"
@@ -182,7 +186,8 @@ class _Scan:
 
     def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
         ring = self._scene.plan.rings[index]
-        self._select(plan.main_band(self._scene, index))
+        self._main = plan.main_band(self._scene, index)
+        self._select(self._main)
         self._turntable.forget_references()
         self._stand.place(ring)
         self._run_with_recovery(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
@@ -270,6 +275,8 @@ class _Scan:
             try:
                 if fault is not None:
                     self._session.flush()  # the pictures determine the angle
+                    self._turntable.band, self._selected = self._main, None  # whatever band failed, the markers are needed
+                    self._turn_filter(self._main)
                     if self._turntable.recover(fault, near_deg=near_deg, again=faults > 1):
                         self._placement += 1
                 return action()
@@ -281,9 +288,14 @@ class _Scan:
 
     def _select(self, band: str) -> None:
         """Set lamps and filter for a band of the camera, unless they are already set."""
-        if band == self._turntable.band:
+        if band == self._selected:
             return
+        self._selected = None
         self._turntable.light(band)
+        self._turn_filter(band)
+        self._selected = band
+
+    def _turn_filter(self, band: str) -> None:
         part = bands.band_part(self._devices.rig, band)
         if part is not None and part.filter_deg is not None and self._devices.arm is not None:
             self._devices.arm.turn_filter(part.filter_deg)
@@ -293,8 +305,8 @@ class _Scan:
 
         Then take the same view in the camera's other bands, and again for an observer that measures motion.
         """
-        main = plan.main_band(self._scene, view.ring)
-        clock = self._devices.clock
+        main, clock = self._main, self._devices.clock
+        self._select(main)
         read_deg = self._turntable.turn(view.table_deg)
         moved_s = clock.now_s()
         joints_deg, joints_read_deg = self._stand.joints()  # while the water comes to rest

@@ -174,13 +174,9 @@ class HatLights:
         self._fill(0.0, 0.0)
 
     def _fill(self, panel: float, front: float, band: BandPart | None = None) -> None:
-        part, band = self._part, band or BandPart()
         for output in self._outputs:
-            self._pins.output(output, int(output == band.output))
-        for strip, level, colour in (
-            (part.panel_strip, panel, band.panel_rgb or part.panel_rgb),
-            (part.front_strip, front, band.front_rgb or part.front_rgb),
-        ):
+            self._pins.output(output, int(band is not None and output == band.output))
+        for strip, colour, level in self._part.strips(panel, front, band):
             red, green, blue = (round(level * share) for share in colour)
             try:
                 self._pixels.fill(strip, (red, green, blue))

@@ -68,14 +68,10 @@ class MarlinLights:
             self._show(0.0, 0.0)
 
     def _show(self, panel: float, front: float, band: BandPart | None = None) -> None:
-        part, band = self._part, band or BandPart()
         self._link.command("M400")  # M150 does not wait for moves, and its interrupt lock would disturb their steps
-        for strip, rgb, level in (
-            (part.panel_strip, band.panel_rgb or part.panel_rgb, panel),
-            (part.front_strip, band.front_rgb or part.front_rgb, front),
-        ):
+        for strip, rgb, level in self._part.strips(panel, front, band):
             red, green, blue = rgb if level > 0.0 else (0, 0, 0)
             self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
         for output in self._outputs:
-            self._link.command(f"M106 P{output} S{_FULL}" if output == band.output else f"M107 P{output}")
+            self._link.command(f"M106 P{output} S{_FULL}" if band and output == band.output else f"M107 P{output}")
         self._link.ask("M114", POSITION)  # previous commands are done when this one is answered

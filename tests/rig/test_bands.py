@@ -10,9 +10,10 @@ from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
 from rhizotwin.rig.scanning.observers import Observers
 from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.twin.faults import Fault
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes.bands import Band
-from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.schema import Place
@@ -48,9 +49,7 @@ def scanned(twin: Twin, folder: Path, **options) -> Dataset:
 
 def bands_shown(twin: Twin, dataset: Dataset) -> list[tuple[str, str]]:
     """Return the band of each frame and the one that lamps and filter were set for when its picture was taken."""
-    by_time = sorted(dataset.frames, key=lambda frame: frame.time_s)
-    taken = [shot.sight.band for shot in twin.record.shots]
-    return [(frame.band, taken[-1 - k]) for k, frame in enumerate(reversed(by_time))]
+    return [(frame.band, twin.record.shot_of(read_image(dataset, frame)).sight.band) for frame in dataset.frames]
 
 
 @pytest.mark.slow
@@ -66,10 +65,24 @@ def test_a_scan_takes_every_view_in_all_bands_of_its_ring_and_takes_missing_ones
     views = {frame.view: frame.table_read_deg for frame in made.frames}
     assert all(frame.table_read_deg == views[frame.view] for frame in made.frames), "the table stands still for all bands of a view"
     assert not twin.world.outputs_on
+    assert all(set_for == band for band, set_for in bands_shown(twin, made))
     (tmp_path / "d" / "images" / "view_001_nir.png").unlink()
     again = scanned(twin, tmp_path / "d", resume=True)
     assert [frame.file for frame in again.frames] == [frame.file for frame in made.frames]
     assert again.frames[0].sha256 == made.frames[0].sha256
+
+
+@pytest.mark.slow
+def test_a_reset_in_another_band_is_recovered_in_the_band_that_shows_the_markers(tmp_path: Path) -> None:
+    whole = scanned(Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG), tmp_path / "whole")
+    times = {frame.file: frame.time_s for frame in whole.frames}
+    in_red = 0.5 * (times["images/view_001_white.png"] + times["images/view_001_red.png"])
+    twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG, faults=[Fault(kind="reset", device="table", at_s=in_red)])
+    made = scanned(twin, tmp_path / "d")
+    assert twin.pending.happened
+    assert [frame.file for frame in made.frames] == [frame.file for frame in whole.frames]
+    assert made.frames[4].placement == 1, "the angle was found anew before the view was taken again"
+    assert set(bands_shown(twin, made)) == {(name, name) for name in ("red", "white", "nir")}
 
 
 def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
