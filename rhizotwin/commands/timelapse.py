@@ -119,7 +119,7 @@ def _only_visits(experiment: "Experiment", say: Callable[[str], None]) -> Callab
 
 
 def _print(experiment: "Experiment", outcome: "Outcome") -> None:
-    """Print the number of scans, those that were missed with the reason, and the page of the curves."""
+    """Print the number of scans, each missed scan with its reason, and the paths of growth report and catalogue."""
     print(f"{outcome.scanned} scans made, {len(outcome.missed)} missed, {len(outcome.open)} still to be made")
     for visit in outcome.missed:
         print(f"missed: {visit.plant}, due {visit.due_utc}: {visit.note}")

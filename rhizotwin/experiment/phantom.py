@@ -75,13 +75,15 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
     Raises
     ------
     UserError
-        If the result has no centre lines, or two diameters are too close to each other.
+        If the result has no centre lines, or two diameters are too similar.
     """
     ordered = sorted(diameters_mm)
     least = NEAREST**2
     for thin, thick in pairwise(ordered):
         if thick / thin < least:
-            raise UserError(f"wires of {thin:g} and {thick:g} mm are too close to each other; choose a factor of {least:.2f} or more")
+            raise UserError(
+                f"wire diameters {thin:g} and {thick:g} mm are too similar; use diameters that differ by a factor of at least {least:.2f}"
+            )
     file = result / "roots.rsml"
     if not file.is_file():
         raise UserError(f"{file} does not exist: no centre lines were found, so that no wire is measured")

@@ -10,7 +10,7 @@ from rhizotwin.timelapse.experiment import Member
 
 
 class Changer(Protocol):
-    """Puts canisters on the table."""
+    """Interface for placing canisters on the turntable."""
 
     def change(self, member: Member, *, reason: str = "") -> None:
         """Put the canister of a plant on the table; return when it is there.
