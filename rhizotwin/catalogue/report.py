@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
-from rhizotwin.catalogue import export
+from rhizotwin.catalogue import export, schema
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
 from rhizotwin.experiment.phantom import measure_wires
@@ -35,12 +35,21 @@ class DriftPoint:
 
 
 def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
-    """Return the numbers of the rig over time, by name; the time is the scan's date, or the plant's age without one."""
+    """Return the numbers of the rig over time, by name; the time is the scan's date, or the plant's age without one.
+
+    Raises
+    ------
+    UserError
+        If a date is invalid.
+    """
     rows = catalogue.rows(
         "SELECT n.name, x.path, coalesce(nullif(x.date, ''), s.date, '') AS date, x.day, n.value FROM rig_numbers n"
         " JOIN results x ON x.id = n.result LEFT JOIN scans s ON s.id = x.scan WHERE x.corrected = 0 ORDER BY x.date, x.day, x.path"
     )
-    dates = {date.fromisoformat(row["date"]) for row in rows if row["date"]}
+    try:
+        dates = {date.fromisoformat(row["date"]) for row in rows if row["date"]}
+    except ValueError as error:
+        raise schema.damaged(catalogue.path, error) from None
     dated = len(dates) > 0 and all(row["date"] for row in rows)
     found: dict[str, list[DriftPoint]] = {}
     for row in rows:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin.catalogue import adding, export, schema, sources
+from rhizotwin.catalogue import adding, export, report, schema, sources
 from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
@@ -145,6 +145,11 @@ def test_tags_are_taken_from_strips_of_one_plant(catalogue: Catalogue, tmp_path:
         ("SELECT * FROM other", "no such table"),
         ("SELECT 1; DROP TABLE plants", "one statement"),
         ("SELECT load_extension('x')", "does more than read"),
+        ("VACUUM INTO 'copy.db'", "does more than read"),
+        ("SELECT prohibited FROM plants", "no such column: prohibited"),
+        ("SELECT zeroblob(900000000)", "too big"),
+        ("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n", "more than 100000 rows"),
+        ("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT zeroblob(30000000) FROM n", "or 100 MB"),
     ],
 )
 def test_query_only_reads(catalogue: Catalogue, sql: str, words: str):
@@ -172,10 +177,12 @@ def test_foreign_files_are_rejected(tmp_path: Path):
     other.execute("CREATE TABLE plants (name)")
     other.commit()
     other.close()
+    before = path.read_bytes()
     with pytest.raises(UserError, match="not a catalogue"):
-        Catalogue.open(path)
+        Catalogue.open_or_create(path)
     with pytest.raises(UserError, match="already exists"):
         Catalogue.create(path)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("change", ["PRAGMA user_version = 9", "CREATE TRIGGER t AFTER INSERT ON plants BEGIN DELETE FROM scans; END"])
@@ -190,6 +197,25 @@ def test_other_versions_and_tables_are_rejected(tmp_path: Path, change: str):
         Catalogue.open(path)
 
 
+@pytest.mark.parametrize("change", ["path = 'a' || char(0)", "date = 'soon'", "path = CAST(x'ff' AS TEXT)"])
+def test_damaged_text_is_named(catalogue: Catalogue, tmp_path: Path, ball_result, change: str):
+    ball_result("results/P1", rig={"focal_scale_found": 1.001})
+    adding.add_all(catalogue, [tmp_path / "results"])
+    catalogue.connection.execute(f"UPDATE results SET {change}")
+    with pytest.raises(UserError, match=r"damaged|cannot be used"):
+        report.page(catalogue, report.charts(report.rig_history(catalogue)), [])
+
+
+def test_linked_catalogue_has_the_paths_of_the_file(catalogue: Catalogue, tmp_path: Path, make_dataset):
+    folder = make_dataset("P1", plant="P1").folder
+    link = tmp_path / "elsewhere" / "link.rhizotwin"
+    link.parent.mkdir()
+    link.symlink_to(catalogue.path)
+    with Catalogue.open(link) as linked:
+        adding.add_scan(linked, folder)
+    assert check(catalogue) == []
+
+
 def test_names_are_values_and_no_statements(catalogue: Catalogue):
     name = "'); DROP TABLE plants; --"
     catalogue.add_plant(Plant(name=name))
@@ -199,6 +225,8 @@ def test_names_are_values_and_no_statements(catalogue: Catalogue):
 
 def test_file_that_a_killed_run_left_empty(tmp_path: Path):
     path = tmp_path / "x.rhizotwin"
-    schema._connect(path).close()
+    with schema._connecting(path) as raw:
+        raw.execute("PRAGMA journal_mode = WAL")
+        raw.close()
     with Catalogue.open_or_create(path) as made:
         assert made.plants() == []
