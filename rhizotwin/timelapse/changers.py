@@ -65,7 +65,7 @@ class CarouselChanger:
         self._carousel = carousel
         self._is_ready = False
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002
+    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
         """Load the canister."""
         if not self._is_ready:
             self._carousel.prepare()
@@ -85,6 +85,6 @@ class EmulatedHand:
     def __init__(self, put: Callable[[int], object]) -> None:
         self._put = put
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002
+    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
         """Put the canister on the table."""
         self._put(member.canister)
