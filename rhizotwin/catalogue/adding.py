@@ -32,7 +32,7 @@ class Added:
 def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
     """Add datasets, results, tables of masses (.csv), and folders that contain any of these, at any depth.
 
-    Datasets are added first, so that results find the scan that they were made from. An entry that exists is updated. A
+    Datasets are added first, so that results have the panel's level in their scan. An entry that exists is updated. A
     damaged one does not prevent the others from being added.
 
     Raises
@@ -216,6 +216,7 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
             values,
         )
         scan = catalogue.scan_id(dataset.folder)
+        connection.execute("UPDATE results SET scan = ? WHERE dataset_sha256 = ?", (scan, dataset.sha256))
         connection.execute("DELETE FROM scan_plants WHERE scan = ?", (scan,))
         for one in whose:
             if one.plant:

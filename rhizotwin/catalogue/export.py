@@ -31,12 +31,15 @@ VIEWS = {
     "visits": "SELECT p.name AS plant, v.due_utc, v.state, v.began_utc, v.ended_utc, coalesce(s.path, '') AS scan, v.note"
     " FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan ORDER BY v.due_utc, v.id",
 }
-"""Statement of each table for people, with names in place of row numbers."""
+"""Statement of each table for people, with names in place of row numbers; the first column is a plant or a result."""
 ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE})
 """Actions that a query may take: no change, no other file, no setting."""
 MOST_ROWS = 100_000
 MOST_BYTES = 100_000_000
-"""A query that returns more text, or a longer value, is interrupted before it fills the memory."""
+"""A query that returns more text is interrupted before it fills the memory."""
+LIMITS = {sqlite3.SQLITE_LIMIT_LENGTH: 1_000_000, sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 1000}
+"""Longest value, bytes, and longest pattern of LIKE in a query: one comparison, whose time is proportional to the
+product of both, cannot be interrupted."""
 MOST_S = 60.0
 """A query that takes longer, such as a recursion without an end, is interrupted."""
 _STEPS = 10_000
@@ -64,11 +67,14 @@ def table(catalogue: Catalogue, name: str, *, plant: str | None = None) -> Table
     name : str
         Key of `VIEWS`.
     plant : str or None
-        Rows of this plant only; ignored for tables without a column ``plant``.
+        Rows of this plant only; of ``results`` and ``rig_numbers``, those of results with traits of this plant.
     """
     head, rows = catalogue.select(VIEWS[name])
     if plant is not None and "plant" in head:
         rows = [row for row in rows if row["plant"] == plant]
+    elif plant is not None:
+        results = {catalogue.stored_path(one.path) for one in catalogue.results(plant=plant)}
+        rows = [row for row in rows if row[0] in results]
     return Table(head=head, rows=tuple(tuple(row) for row in rows))
 
 
@@ -110,7 +116,7 @@ def export(catalogue: Catalogue, folder: Path) -> list[Path]:
 def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> Table:
     """Run a statement under an authorizer and limits of time and size."""
     begin = time.monotonic()
-    longest = connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
+    before = {limit: connection.setlimit(limit, most) for limit, most in LIMITS.items()}
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)
     connection.set_progress_handler(lambda: int(time.monotonic() - begin > MOST_S), _STEPS)
     try:
@@ -134,7 +140,8 @@ def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) ->
     finally:
         connection.set_authorizer(None)
         connection.set_progress_handler(None, 0)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest)
+        for limit, most in before.items():
+            connection.setlimit(limit, most)
 
 
 def _cell(value: Any) -> str:
