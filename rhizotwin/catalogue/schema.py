@@ -8,7 +8,7 @@ views of its own.
 import re
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
@@ -132,22 +132,31 @@ forward slashes, and absolute otherwise. Times are UTC as ISO 8601. ``tables`` h
 _STATEMENTS = [statement for statement in TABLES.split(";") if statement.strip()]
 
 
-def create(path: Path) -> sqlite3.Connection:
+def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
     """Create a catalogue file with empty tables; a file that a killed run left empty is completed.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    exist_ok : bool
+        Whether a catalogue that exists is opened.
 
     Raises
     ------
     UserError
-        If the file holds anything, its name does not end in ``.rhizotwin``, or it cannot be written.
+        If the file holds anything (with ``exist_ok``, anything but a catalogue), its name does not end in
+        ``.rhizotwin``, or it cannot be written.
     """
+    if path.exists() and not is_empty(path):
+        if exist_ok:
+            return open_file(path)
+        raise UserError(f"{path} already exists; choose another name")
     if path.suffix != SUFFIX:
         raise UserError(f"{path}: the name of a catalogue must end in {SUFFIX}")
     if not path.parent.is_dir():
         raise UserError(f"{path.parent}: there is no such folder; create it first")
-    if path.exists() and not is_empty(path):
-        raise UserError(f"{path} already exists; choose another name")
     with _connecting(path) as connection:
-        connection.execute("PRAGMA journal_mode = WAL")  # stored in the file
         connection.execute("BEGIN IMMEDIATE")
         if not _has_tables(connection):
             for statement in _STATEMENTS:
@@ -155,6 +164,7 @@ def create(path: Path) -> sqlite3.Connection:
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             connection.execute(f"PRAGMA user_version = {VERSION}")
         connection.execute("COMMIT")
+        _use_write_ahead_log(connection)
     return connection
 
 
@@ -186,6 +196,7 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
         raise UserError(f"{path}: there is no such file; create a catalogue with `rhizotwin catalogue add`")
     with _connecting(path) as connection:
         _check(connection, path)
+        _use_write_ahead_log(connection)
         if read_only:
             connection.execute("PRAGMA query_only = 1")
     return connection
@@ -231,6 +242,12 @@ def _connect(path: Path) -> sqlite3.Connection:
         connection.execute(f"PRAGMA {pragma}")
     connection.row_factory = sqlite3.Row
     return connection
+
+
+def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
+    """Set the mode, which the file keeps; if another process is using a new file, the next opening sets it."""
+    with suppress(sqlite3.OperationalError):
+        connection.execute("PRAGMA journal_mode = WAL")
 
 
 def _has_tables(connection: sqlite3.Connection) -> bool:

@@ -63,7 +63,7 @@ class Catalogue:
     def open_or_create(cls, path: Path | str) -> "Catalogue":
         """Open a catalogue, and create it if there is none."""
         path = Path(path)
-        return cls.open(path) if path.exists() and not schema.is_empty(path) else cls.create(path)
+        return cls(path, schema.create(path, exist_ok=True))
 
     def close(self) -> None:
         """Close the file."""

@@ -4,6 +4,7 @@ import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.catalogue import adding, export, report, schema, sources
@@ -12,6 +13,7 @@ from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import MarkerStrip
+from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.solution import Solution
 from tests.rhizotwin.catalogue.conftest import SCENE
 
@@ -96,6 +98,29 @@ def test_result_added_before_its_scan(catalogue: Catalogue, make_dataset, ball_r
     assert catalogue.results()[0].scan is None
     adding.add_scan(catalogue, dataset.folder)
     assert catalogue.results()[0].scan == dataset.folder
+
+
+def test_chart_has_one_point_for_each_scan(catalogue: Catalogue, make_dataset, ball_result):
+    for day in (1.0, 2.0):
+        dataset = make_dataset(f"P1_{day:g}", plant="P1", day=day)
+        adding.add_scan(catalogue, dataset.folder)
+        for name, focal in (("a", 1.0), ("b", 1.0 + 0.001 * day)):
+            subject, rig = {"plant": "P1", "day": day}, {"focal_scale_found": focal}
+            adding.add_result(catalogue, ball_result(f"results/{name}_{day:g}", dataset_sha256=dataset.sha256, subject=subject, rig=rig))
+    assert [(one.day, one.value) for one in report.rig_history(catalogue)["focal_scale"]] == [(1.0, 1.001), (2.0, 1.002)]
+
+
+def test_wire_is_charted_where_enough_of_it_was_found(catalogue: Catalogue, ball_result):
+    folder, z = ball_result("results/wires", subject={"plant": "wires", "day": 3.0}), np.linspace(0.0, 1.0, 5)
+    roots = [
+        Root(points_mm=np.stack([x + 0.0 * z, 0.0 * z, -length * z], axis=1), diameters_mm=diameter + 0.0 * z, order=0, parent=-1)
+        for x, length, diameter in ((0.0, 60.0, 0.4), (10.0, 4.0, 0.8))
+    ]
+    write_rsml(folder / "roots.rsml", roots)
+    adding.add_result(catalogue, folder)
+    ((name, (point,)),) = report.wire_history(catalogue, "wires", (0.4, 0.8)).items()
+    assert "0.4 mm wire" in name
+    assert (point.day, point.value) == (3.0, pytest.approx(1.0))
 
 
 def test_paths_move_with_the_catalogue(tmp_path: Path, make_dataset):
