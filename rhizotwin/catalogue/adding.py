@@ -30,9 +30,9 @@ class Added:
 
 
 def add_all(catalogue: Catalogue, sources: Sequence[Path]) -> Added:
-    """Add datasets, results, tables of masses (.csv), and folders that hold some, at any depth.
+    """Add datasets, results, tables of masses (.csv), and folders that contain any of these, at any depth.
 
-    Datasets are added first, so that results find the scan that they were made from. An entry that exists is updated. A
+    Datasets are added first, so that results have the panel's level in their scan. An entry that exists is updated. A
     damaged one does not prevent the others from being added.
 
     Raises
@@ -87,12 +87,11 @@ def add_result(catalogue: Catalogue, folder: Path) -> None:
             *(str(summary["volume_verdict"]), int(bool(summary.get("edits"))), _program(summary), now_utc()),
         )
         connection.execute("DELETE FROM results WHERE path = ?", (path,))
-        connection.execute(
+        number = connection.execute(
             "INSERT INTO results (path, sha256, scan, dataset_sha256, day, date, trusted, verdict, corrected, program, added_utc)"
             " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             values,
-        )
-        number = connection.execute("SELECT id FROM results WHERE path = ?", (path,)).fetchone()[0]
+        ).lastrowid
         for one in found:
             _insert_traits(catalogue, number, one)
         numbers = drift.rig_numbers(summary)
@@ -116,8 +115,7 @@ def add_masses(catalogue: Catalogue, table: Path) -> None:
     with catalogue.writing() as connection:
         path = catalogue.stored_path(table)
         connection.execute("DELETE FROM tables WHERE path = ?", (path,))
-        connection.execute("INSERT INTO tables (path, sha256) VALUES (?, ?)", (path, file_sha256(table)))
-        source = connection.execute("SELECT id FROM tables WHERE path = ?", (path,)).fetchone()[0]
+        source = connection.execute("INSERT INTO tables (path, sha256) VALUES (?, ?)", (path, file_sha256(table))).lastrowid
         for one in weighed:
             if not one.grams:
                 continue
@@ -218,6 +216,7 @@ def _insert_scan(catalogue: Catalogue, dataset: Dataset) -> None:
             values,
         )
         scan = catalogue.scan_id(dataset.folder)
+        connection.execute("UPDATE results SET scan = ? WHERE dataset_sha256 = ?", (scan, dataset.sha256))
         connection.execute("DELETE FROM scan_plants WHERE scan = ?", (scan,))
         for one in whose:
             if one.plant:
@@ -234,7 +233,7 @@ def _plant_id(catalogue: Catalogue, name: str) -> int:
     return int(catalogue.rows("SELECT id FROM plants WHERE name = ?", (name,))[0][0])
 
 
-def _insert_traits(catalogue: Catalogue, result: int, one: measured.Measured) -> None:
+def _insert_traits(catalogue: Catalogue, result: int | None, one: measured.Measured) -> None:
     plant = _plant_id(catalogue, one.subject.plant) if one.subject.plant else None
     rows: Iterable[Sequence[Any]] = (
         (result, plant, name, value, *(one.assessment(name).interval or (None, None)), one.assessment(name).verdict)

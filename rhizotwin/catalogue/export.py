@@ -31,10 +31,15 @@ VIEWS = {
     "visits": "SELECT p.name AS plant, v.due_utc, v.state, v.began_utc, v.ended_utc, coalesce(s.path, '') AS scan, v.note"
     " FROM visits v JOIN plants p ON p.id = v.plant LEFT JOIN scans s ON s.id = v.scan ORDER BY v.due_utc, v.id",
 }
-"""Statement of each table for people, with names in place of row numbers."""
+"""Statement of each table for people, with names in place of row numbers; the first column is a plant or a result."""
 ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE})
 """Actions that a query may take: no change, no other file, no setting."""
 MOST_ROWS = 100_000
+MOST_BYTES = 100_000_000
+"""A query that returns more text is interrupted before it fills the memory."""
+LIMITS = {sqlite3.SQLITE_LIMIT_LENGTH: 1_000_000, sqlite3.SQLITE_LIMIT_LIKE_PATTERN_LENGTH: 1000}
+"""Longest value, bytes, and longest pattern of LIKE in a query: one comparison, whose time is proportional to the
+product of both, cannot be interrupted."""
 MOST_S = 60.0
 """A query that takes longer, such as a recursion without an end, is interrupted."""
 _STEPS = 10_000
@@ -62,15 +67,15 @@ def table(catalogue: Catalogue, name: str, *, plant: str | None = None) -> Table
     name : str
         Key of `VIEWS`.
     plant : str or None
-        Rows of this plant only; ignored for tables without a column ``plant``.
+        Rows of this plant only; of ``results`` and ``rig_numbers``, those of results with traits of this plant.
     """
-    with catalogue.lock:
-        cursor = catalogue.connection.execute(VIEWS[name])
-        head = tuple(column[0] for column in cursor.description)
-        rows = [tuple(row) for row in cursor]
+    head, rows = catalogue.select(VIEWS[name])
     if plant is not None and "plant" in head:
-        rows = [row for row in rows if row[head.index("plant")] == plant]
-    return Table(head=head, rows=tuple(rows))
+        rows = [row for row in rows if row["plant"] == plant]
+    elif plant is not None:
+        results = {catalogue.stored_path(one.path) for one in catalogue.results(plant=plant)}
+        rows = [row for row in rows if row[0] in results]
+    return Table(head=head, rows=tuple(tuple(row) for row in rows))
 
 
 def query(catalogue: Catalogue, sql: str, values: Sequence[Any] = ()) -> Table:
@@ -88,13 +93,10 @@ def query(catalogue: Catalogue, sql: str, values: Sequence[Any] = ()) -> Table:
     Raises
     ------
     UserError
-        If the statement is wrong, does more than read, or takes too long.
+        If the statement is wrong, does more than read, takes too long, or returns too much.
     """
     with catalogue.lock:
-        head, rows = _guarded(catalogue.connection, sql, values)
-    if len(rows) > MOST_ROWS:
-        raise UserError(f"the query returns more than {MOST_ROWS} rows; select less")
-    return Table(head=head, rows=tuple(tuple(row) for row in rows))
+        return _guarded(catalogue.connection, sql, values)
 
 
 def export(catalogue: Catalogue, folder: Path) -> list[Path]:
@@ -111,18 +113,26 @@ def export(catalogue: Catalogue, folder: Path) -> list[Path]:
     return [folder / f"{name}.csv" for name in VIEWS]
 
 
-def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> tuple[tuple[str, ...], list[Any]]:
-    """Run a statement under an authorizer and a time limit; return its columns and rows."""
+def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) -> Table:
+    """Run a statement under an authorizer and limits of time and size."""
     begin = time.monotonic()
+    before = {limit: connection.setlimit(limit, most) for limit, most in LIMITS.items()}
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)
     connection.set_progress_handler(lambda: int(time.monotonic() - begin > MOST_S), _STEPS)
     try:
         cursor = connection.execute(sql, values)
-        return tuple(column[0] for column in cursor.description or ()), cursor.fetchmany(MOST_ROWS + 1)
-    except sqlite3.DatabaseError as error:
-        if "prohibited" in str(error) or "not authorized" in str(error):
+        rows, size = [], 0
+        for row in cursor:
+            rows.append(tuple(row))
+            size += sum(len(value) for value in row if isinstance(value, str | bytes))
+            if len(rows) > MOST_ROWS or size > MOST_BYTES:
+                raise UserError(f"the query returns more than {MOST_ROWS} rows or {MOST_BYTES // 10**6} MB; select less")
+        return Table(head=tuple(column[0] for column in cursor.description or ()), rows=tuple(rows))
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorcode", None)
+        if code == sqlite3.SQLITE_AUTH or str(error) == "not authorized":  # load_extension has the error code of a wrong statement
             raise UserError("the query does more than read the catalogue; use a SELECT statement") from None
-        if "interrupted" in str(error):
+        if code == sqlite3.SQLITE_INTERRUPT:
             raise UserError(f"the query takes more than {MOST_S:g} s; select less") from None
         raise UserError(f"the query cannot be run: {error}") from None
     except (ValueError, OverflowError, sqlite3.Warning) as error:
@@ -130,6 +140,8 @@ def _guarded(connection: sqlite3.Connection, sql: str, values: Sequence[Any]) ->
     finally:
         connection.set_authorizer(None)
         connection.set_progress_handler(None, 0)
+        for limit, most in before.items():
+            connection.setlimit(limit, most)
 
 
 def _cell(value: Any) -> str:

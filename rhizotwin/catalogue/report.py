@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
-from rhizotwin.catalogue import export
+from rhizotwin.catalogue import export, schema
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.experiment.drift import RIG_NUMBERS, SIGMAS, Chart, chart_of
-from rhizotwin.experiment.phantom import measure_wires
+from rhizotwin.experiment.phantom import LEAST_MM, measure_wires
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.folders import new_folder
@@ -35,12 +35,24 @@ class DriftPoint:
 
 
 def rig_history(catalogue: Catalogue) -> dict[str, list[DriftPoint]]:
-    """Return the numbers of the rig over time, by name; the time is the scan's date, or the plant's age without one."""
+    """Return the numbers of the rig over time, by name; the time is the scan's date, or the plant's age without one.
+
+    Each scan has one point, that of the uncorrected result added last: repeated values would narrow the control limits.
+
+    Raises
+    ------
+    UserError
+        If a date is invalid.
+    """
     rows = catalogue.rows(
         "SELECT n.name, x.path, coalesce(nullif(x.date, ''), s.date, '') AS date, x.day, n.value FROM rig_numbers n"
-        " JOIN results x ON x.id = n.result LEFT JOIN scans s ON s.id = x.scan WHERE x.corrected = 0 ORDER BY x.date, x.day, x.path"
+        " JOIN results x ON x.id = n.result LEFT JOIN scans s ON s.id = x.scan WHERE x.corrected = 0 AND NOT EXISTS"
+        " (SELECT 1 FROM results y WHERE y.scan = x.scan AND y.corrected = 0 AND y.id > x.id) ORDER BY x.date, x.day, x.path"
     )
-    dates = {date.fromisoformat(row["date"]) for row in rows if row["date"]}
+    try:
+        dates = {date.fromisoformat(row["date"]) for row in rows if row["date"]}
+    except ValueError as error:
+        raise schema.damaged(catalogue.path, error) from None
     dated = len(dates) > 0 and all(row["date"] for row in rows)
     found: dict[str, list[DriftPoint]] = {}
     for row in rows:
@@ -69,9 +81,9 @@ def wire_history(catalogue: Catalogue, phantom: str, wires_mm: Sequence[float]) 
     """
     catalogue.plant(phantom)
     found: dict[str, list[DriftPoint]] = {}
-    for result in catalogue.results(plant=phantom):
+    for result in (one for one in catalogue.chosen_results() if phantom in one.plants):
         for wire in measure_wires(result.path, wires_mm):
-            if result.day is not None and wire.length_mm > 0.0:
+            if result.day is not None and wire.length_mm >= LEAST_MM:
                 point = DriftPoint(result=catalogue.stored_path(result.path), day=result.day, value=1.0 + wire.error)
                 found.setdefault(f"section of the {wire.diameter_mm:g} mm wire, relative to the known one", []).append(point)
     return found

@@ -7,6 +7,8 @@ views of its own.
 
 import re
 import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
@@ -127,52 +129,52 @@ CREATE TABLE visits (
 """Tables of version 1. Paths are relative to the folder of the catalogue if the file or folder is below it, with
 forward slashes, and absolute otherwise. Times are UTC as ISO 8601. ``tables`` holds the CSV files of masses, and
 ``visits`` the scans that a time-lapse experiment plans."""
+_STATEMENTS = [statement for statement in TABLES.split(";") if statement.strip()]
 
 
-def create(path: Path) -> sqlite3.Connection:
+def create(path: Path, *, exist_ok: bool = False) -> sqlite3.Connection:
     """Create a catalogue file with empty tables; a file that a killed run left empty is completed.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    exist_ok : bool
+        Whether a catalogue that exists is opened.
 
     Raises
     ------
     UserError
-        If the file holds anything, its name does not end in ``.rhizotwin``, or it cannot be written.
+        If the file holds anything (with ``exist_ok``, anything but a catalogue), its name does not end in
+        ``.rhizotwin``, or it cannot be written.
     """
+    if path.exists() and not is_empty(path):
+        if exist_ok:
+            return open_file(path)
+        raise UserError(f"{path} already exists; choose another name")
     if path.suffix != SUFFIX:
         raise UserError(f"{path}: the name of a catalogue must end in {SUFFIX}")
     if not path.parent.is_dir():
         raise UserError(f"{path.parent}: there is no such folder; create it first")
-    if path.exists() and not is_empty(path):
-        raise UserError(f"{path} already exists; choose another name")
-    try:
-        connection = _connect(path)
-        try:
-            connection.execute("BEGIN IMMEDIATE")
-            if not _has_tables(connection):
-                for statement in filter(str.strip, TABLES.split(";")):
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-                connection.execute(f"PRAGMA user_version = {VERSION}")
-            connection.execute("COMMIT")
-        except BaseException:
-            connection.close()
-            raise
-    except sqlite3.Error as error:
-        raise explained(error, path) from error
+    with _connecting(path) as connection:
+        connection.execute("BEGIN IMMEDIATE")
+        if not _has_tables(connection):
+            for statement in _STATEMENTS:
+                connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+        connection.execute("COMMIT")
+        _use_write_ahead_log(connection)
     return connection
 
 
 def is_empty(path: Path) -> bool:
     """Return whether a file is a database without tables, as a run leaves it that was killed while it created one."""
     try:
-        connection = _connect(path)
+        with closing(_connect(path)) as connection:
+            return not _has_tables(connection)
     except sqlite3.Error:
         return False
-    try:
-        return not _has_tables(connection)
-    except sqlite3.Error:
-        return False
-    finally:
-        connection.close()
 
 
 def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
@@ -192,24 +194,18 @@ def open_file(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     """
     if not path.is_file():
         raise UserError(f"{path}: there is no such file; create a catalogue with `rhizotwin catalogue add`")
-    try:
-        connection = _connect(path)
-        try:
-            _check(connection, path)
-            if read_only:
-                connection.execute("PRAGMA query_only = 1")
-        except BaseException:
-            connection.close()
-            raise
-    except sqlite3.Error as error:
-        raise explained(error, path) from error
+    with _connecting(path) as connection:
+        _check(connection, path)
+        _use_write_ahead_log(connection)
+        if read_only:
+            connection.execute("PRAGMA query_only = 1")
     return connection
 
 
 def explained(error: sqlite3.Error, path: Path) -> UserError:
     """Return a message for an error of SQLite."""
-    if isinstance(error, sqlite3.DatabaseError) and ("malformed" in str(error) or "not a database" in str(error)):
-        return UserError(f"{path}: is damaged or no catalogue ({error}); create it again with `rhizotwin catalogue rebuild`")
+    if "malformed" in str(error) or "not a database" in str(error):
+        return damaged(path, error)
     if "locked" in str(error):
         return UserError(f"{path}: another program is writing to it for more than {BUSY_S:g} s; end that program and try again")
     if "no space" in str(error) or "disk is full" in str(error):
@@ -217,16 +213,41 @@ def explained(error: sqlite3.Error, path: Path) -> UserError:
     return UserError(f"{path}: cannot be used as a catalogue ({error})")
 
 
+@contextmanager
+def _connecting(path: Path) -> Iterator[sqlite3.Connection]:
+    """Connect to a file; the connection stays open unless an exception leaves the block."""
+    try:
+        connection = _connect(path)
+        try:
+            yield connection
+        except BaseException:
+            connection.close()
+            raise
+    except sqlite3.Error as error:
+        raise explained(error, path) from error
+
+
+def damaged(path: Path, reason: object) -> UserError:
+    """Return a message for a file that is damaged."""
+    return UserError(f"{path}: is damaged or no catalogue ({reason}); create it again with `rhizotwin catalogue rebuild`")
+
+
 def _connect(path: Path) -> sqlite3.Connection:
-    """Connect in write-ahead mode, each commit flushed to the disk so that it survives a power cut."""
+    """Connect without a change of the file; each commit is flushed to the disk so that it survives a power cut."""
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         oldest = ".".join(str(part) for part in OLDEST_SQLITE)
         raise UserError(f"a catalogue needs SQLite {oldest} or newer, this Python has {sqlite3.sqlite_version}; use another Python")
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-    for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "foreign_keys = ON", "journal_mode = WAL", "synchronous = FULL"):
+    for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "foreign_keys = ON", "synchronous = FULL"):
         connection.execute(f"PRAGMA {pragma}")
     connection.row_factory = sqlite3.Row
     return connection
+
+
+def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
+    """Set the mode, which the file keeps; if another process is using a new file, the next opening sets it."""
+    with suppress(sqlite3.OperationalError):
+        connection.execute("PRAGMA journal_mode = WAL")
 
 
 def _has_tables(connection: sqlite3.Connection) -> bool:
@@ -243,8 +264,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
             f"{path}: has the tables of version {version}, this program reads version {VERSION}; rebuild it or update rhizotwin"
         )
     found = {_normal(row[0]) for row in connection.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL")}
-    known = {_normal(statement) for statement in TABLES.split(";") if statement.strip()}
-    if found != known:
+    if found != {_normal(statement) for statement in _STATEMENTS}:
         raise UserError(f"{path}: has other tables than a catalogue of version {VERSION}; rebuild it with `rhizotwin catalogue rebuild`")
 
 

@@ -28,8 +28,8 @@ class Catalogue:
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        self.path = path
-        """The file."""
+        self.path = path.resolve() if path.is_symlink() else path
+        """Path of the catalogue file; stored paths are relative to the folder that holds the file itself."""
         self.connection = connection
         """Connection to the file; write through the methods only."""
         self.lock = threading.RLock()
@@ -63,7 +63,7 @@ class Catalogue:
     def open_or_create(cls, path: Path | str) -> "Catalogue":
         """Open a catalogue, and create it if there is none."""
         path = Path(path)
-        return cls.open(path) if path.exists() and not schema.is_empty(path) else cls.create(path)
+        return cls(path, schema.create(path, exist_ok=True))
 
     def close(self) -> None:
         """Close the file."""
@@ -107,9 +107,14 @@ class Catalogue:
         UserError
             If the file is damaged.
         """
+        return self.select(sql, values)[1]
+
+    def select(self, sql: str, values: Sequence[Any] = ()) -> tuple[tuple[str, ...], list[sqlite3.Row]]:
+        """Return the column names and, as `rows`, the rows of a statement."""
         with self.lock:
             try:
-                return self.connection.execute(sql, values).fetchall()
+                cursor = self.connection.execute(sql, values)
+                return tuple(column[0] for column in cursor.description), cursor.fetchall()
             except sqlite3.Error as error:
                 raise schema.explained(error, self.path) from error
 
@@ -119,7 +124,15 @@ class Catalogue:
         return whole.relative_to(base).as_posix() if whole.is_relative_to(base) and whole != base else whole.as_posix()
 
     def full_path(self, stored: str) -> Path:
-        """Return a stored path relative to the working folder of this process, as the catalogue's own path is."""
+        """Return a stored path relative to the working folder of this process, as the catalogue's own path is.
+
+        Raises
+        ------
+        UserError
+            If it contains a null character, which no path of a file does.
+        """
+        if "\0" in stored:
+            raise schema.damaged(self.path, f"invalid path {stored!r}")
         return self.path.parent / stored
 
     # plants
@@ -137,14 +150,15 @@ class Catalogue:
         if not plant.name:
             raise UserError(f"{self.path}: a plant needs a name")
         with self.writing():
-            before = next((one for one in self.plants() if one.name == plant.name), None)
+            known = self.plants()
+            before = next((one for one in known if one.name == plant.name), None)
             merged = plant if before is None else plant_rows.merge(before, plant, where=str(self.path))
-            plant_rows.refuse_tag(merged, self.plants(), where=str(self.path))
+            plant_rows.refuse_tag(merged, known, where=str(self.path))
             tag = merged.tag
             values = (
                 merged.species,
                 self._id_of("treatments", "name", merged.treatment),
-                self._id_of("solutions", "content", plant_rows.solution_text(merged.solution)),
+                self.solution_id(merged.solution),
                 merged.replicate,
                 merged.sown,
                 merged.notes,
@@ -239,11 +253,10 @@ class Catalogue:
     def chosen_results(self) -> list[StoredResult]:
         """Return one result for each scan: a corrected one before others, and of these the one added last."""
         order = {self.full_path(row["path"]): row["id"] for row in self.rows("SELECT id, path FROM results")}
-        chosen: dict[Path, StoredResult] = {}
-        for one in sorted(self.results(), key=lambda one: (one.corrected, order[one.path])):
-            chosen[one.scan or one.path] = one
-        paths = {one.path for one in chosen.values()}
-        return [one for one in self.results() if one.path in paths]
+        found = self.results()
+        by_rank = sorted(found, key=lambda one: (one.corrected, order[one.path]))
+        chosen = {one.scan or one.path: one.path for one in by_rank}
+        return [one for one in found if chosen[one.scan or one.path] == one.path]
 
     def masses(self, *, plant: str | None = None) -> list[Mass]:
         """Return the weighed masses by plant, day and kind."""

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from rhizotwin.arguments import Flag, OutputFolder, SceneName, list_of, option, output, read_date, read_integer, with_metavar
 from rhizotwin.commands.phantom import WIRES_MM, read_wire_mm
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import printable
 
 if TYPE_CHECKING:
     from rhizotwin.catalogue.adding import Added
@@ -44,7 +45,7 @@ def add(catalogue: CatalogueFile, folders: Sources, /) -> None:
     catalogue : Path
         The catalogue, a file that ends in .rhizotwin.
     folders : list of Path
-        Datasets, results, tables of masses (.csv), or folders that hold some.
+        Datasets, results, tables of masses (.csv), or folders that contain any of these.
 
     Examples
     --------
@@ -89,7 +90,7 @@ def plant(
     treatment : str
         Treatment, for example 'low N'.
     sown : str
-        Date of sowing, as 2026-11-26.
+        Sowing date, such as 2026-11-26.
     replicate : int, optional
         Which of the plants that were treated alike.
 
@@ -122,7 +123,7 @@ def rebuild(catalogue: CatalogueFile, folders: Sources, /) -> None:
     catalogue : Path
         The catalogue to create; must not exist yet.
     folders : list of Path
-        Datasets, results, tables of masses (.csv), or folders that hold some.
+        Datasets, results, tables of masses (.csv), or folders that contain any of these.
 
     Examples
     --------
@@ -324,5 +325,5 @@ def _show(table: "Table", csv: Path | None) -> None:
 
 
 def _cell(value: object) -> str:
-    text = "-" if value is None or value == "" else f"{value:.6g}" if isinstance(value, float) else str(value)
+    text = "-" if value is None or value == "" else f"{value:.6g}" if isinstance(value, float) else printable(str(value))
     return text if len(text) <= WIDEST else f"{text[: WIDEST - 3]}..."

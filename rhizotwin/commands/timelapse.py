@@ -7,7 +7,6 @@ rhizotwin timelapse run my_experiment.toml
 rhizotwin timelapse status my_experiment.toml
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,8 +69,9 @@ def run(experiment: ExperimentFile, /, *, progress: Progress = Progress()) -> No
     from rhizotwin.timelapse.runner import Listener, Runner
 
     loaded = load_experiment(experiment)
-    say = _silent if progress.quiet else print if progress.verbose else _only_visits(loaded, print)
-    outcome = Runner(loaded, listener=Listener(say=say, ask=rigs.asker())).run()
+    say = _silent if progress.quiet else print
+    listener = Listener(say=say, say_devices=say if progress.verbose else _silent, ask=rigs.asker())
+    outcome = Runner(loaded, listener=listener).run()
     _print(loaded, outcome)
 
 
@@ -107,19 +107,8 @@ def _silent(_: str) -> None:
     """Print nothing."""
 
 
-def _only_visits(experiment: "Experiment", say: Callable[[str], None]) -> Callable[[str], None]:
-    """Return a function that passes on the lines of the schedule, and not those of each device."""
-    names = tuple(f"{one.name}: " for one in experiment.plants)
-
-    def pass_on(text: str) -> None:
-        if text.startswith((*names, "reconstruct", "no curves")) or "not reconstructed" in text:
-            say(text)
-
-    return pass_on
-
-
 def _print(experiment: "Experiment", outcome: "Outcome") -> None:
-    """Print the number of scans, those that were missed with the reason, and the page of the curves."""
+    """Print the number of scans, each missed scan with its reason, and the paths of growth report and catalogue."""
     print(f"{outcome.scanned} scans made, {len(outcome.missed)} missed, {len(outcome.open)} still to be made")
     for visit in outcome.missed:
         print(f"missed: {visit.plant}, due {visit.due_utc}: {visit.note}")

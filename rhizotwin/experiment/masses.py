@@ -88,7 +88,7 @@ def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
     if len(set(units.values())) > 1:
         raise UserError(f"{path}: the columns {', '.join(units)} have different units; give all masses in the same unit")
     if not set(found) & set(KINDS):
-        raise UserError(f"{path}: no column of masses; at least one of {', '.join(f'{kind}_g' for kind in KINDS)} is required")
+        raise UserError(f"{path} contains no mass column; at least one of {', '.join(f'{kind}_g' for kind in KINDS)} is required")
     return found
 
 

@@ -153,7 +153,7 @@ def _moved(day: Day, aligned: Aligned) -> Day:
 
 
 def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[int, int]:
-    """Return the index of the matching known root for each matched root of the current day."""
+    """Map each matched root of the current day to its index among the known roots."""
     if not known:
         return {}
     mine, theirs = _Points.of(known), _Points.of(today)

@@ -46,12 +46,16 @@ class Wire:
         return self.volume_mm3 / self.true_mm3 - 1.0 if self.length_mm > 0.0 else 0.0
 
     @property
+    def is_measured(self) -> bool:
+        """Whether roots of this diameter are measured."""
+        return self.length_mm >= LEAST_MM and abs(self.error) <= TOLERANCE
+
+    @property
     def verdict(self) -> str:
-        """Whether roots of this diameter are measured, in words."""
+        """`is_measured` in words, with the reason."""
         if self.length_mm < LEAST_MM:
             return "not measurable: too little of it was found"
-        within = abs(self.error) <= TOLERANCE
-        return f"measured within {100.0 * TOLERANCE:g} %" if within else f"not measurable within {100.0 * TOLERANCE:g} %"
+        return f"{'measured' if self.is_measured else 'not measurable'} within {100.0 * TOLERANCE:g} %"
 
 
 def diameter_of(mg_per_m: float) -> float:
@@ -75,25 +79,26 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
     Raises
     ------
     UserError
-        If the result has no centre lines, or two diameters are too close to each other.
+        If the result has no centre lines, or two diameters are too similar.
     """
     ordered = sorted(diameters_mm)
     least = NEAREST**2
     for thin, thick in pairwise(ordered):
         if thick / thin < least:
-            raise UserError(f"wires of {thin:g} and {thick:g} mm are too close to each other; choose a factor of {least:.2f} or more")
+            raise UserError(
+                f"wire diameters {thin:g} and {thick:g} mm are too similar; use diameters that differ by a factor of at least {least:.2f}"
+            )
     file = result / "roots.rsml"
     if not file.is_file():
         raise UserError(f"{file} does not exist: no centre lines were found, so that no wire is measured")
     lengths, volumes = dict.fromkeys(ordered, 0.0), dict.fromkeys(ordered, 0.0)
     for root in rsml.read_rsml(file):
-        length = rsml.length_mm([root])
-        if length <= 0.0:
+        length, volume = rsml.length_mm([root]), tube_mm3([root])
+        if length <= 0.0 or volume <= 0.0:
             continue
-        volume = tube_mm3([root])
         own = (4.0 / pi * volume / length) ** 0.5
-        nearest = min(ordered, key=lambda diameter: abs(log(diameter / own)) if own > 0.0 else diameter)
-        if own > 0.0 and abs(log(own / nearest)) <= log(NEAREST):
+        nearest = min(ordered, key=lambda diameter: abs(log(diameter / own)))
+        if abs(log(own / nearest)) <= log(NEAREST):
             lengths[nearest] += length
             volumes[nearest] += volume
     return [Wire(diameter_mm=one, length_mm=lengths[one], volume_mm3=volumes[one]) for one in ordered]

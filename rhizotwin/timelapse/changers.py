@@ -10,7 +10,7 @@ from rhizotwin.timelapse.experiment import Member
 
 
 class Changer(Protocol):
-    """Puts canisters on the table."""
+    """Interface for placing canisters on the turntable."""
 
     def change(self, member: Member, *, reason: str = "") -> None:
         """Put the canister of a plant on the table; return when it is there.
@@ -65,7 +65,7 @@ class CarouselChanger:
         self._carousel = carousel
         self._is_ready = False
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002
+    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
         """Load the canister."""
         if not self._is_ready:
             self._carousel.prepare()
@@ -85,6 +85,6 @@ class EmulatedHand:
     def __init__(self, put: Callable[[int], object]) -> None:
         self._put = put
 
-    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002
+    def change(self, member: Member, *, reason: str = "") -> None:  # noqa: ARG002 - for a person
         """Put the canister on the table."""
         self._put(member.canister)

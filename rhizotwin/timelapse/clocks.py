@@ -54,7 +54,7 @@ class VirtualCalendar:
         """Return the time, UTC."""
         return self._now
 
-    def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:  # noqa: ARG002
+    def wait_until(self, then: datetime, *, stop: Callable[[], bool]) -> None:  # noqa: ARG002 - the wait is over at once
         """Go to the time at once."""
         self._now = max(self._now, then)
 

@@ -1,6 +1,6 @@
 """The example of an experiment file."""
 
-EXAMPLE = """\
+_EXPERIMENT = """\
 # A time-lapse experiment: six radishes in two treatments, one scan a day for ten days.
 # It runs as it is on the emulated rig: rhizotwin timelapse run THIS_FILE
 name = "low nitrogen"
@@ -31,61 +31,27 @@ fidelity = "sketch"         # render: pictures that can be reconstructed, which 
 [reconstruction]
 run = true
 
-# The strip on the pot of canister N is strip N of "rhizotwin markers SCENE --labels 6 -o strips.pdf".
+# The strip on the pot of canister N is strip N of "rhizotwin markers SCENE --labels 6 -o strips.pdf"."""
+_PLANT = """
 [[plants]]
-name = "P1"
-canister = 1
+name = "P{number}"
+canister = {number}
 species = "Raphanus sativus"
-treatment = "control"
+treatment = "{treatment}"
 sown = "2026-11-26"
-
-[[plants]]
-name = "P2"
-canister = 2
-species = "Raphanus sativus"
-treatment = "control"
-sown = "2026-11-26"
-
-[[plants]]
-name = "P3"
-canister = 3
-species = "Raphanus sativus"
-treatment = "control"
-sown = "2026-11-26"
-
-[[plants]]
-name = "P4"
-canister = 4
-species = "Raphanus sativus"
-treatment = "low N"
-sown = "2026-11-26"
+"""
+_LOW_N = """\
 growth = 0.85               # on the emulated rig
 
 [plants.solution]
 recipe = "kliman_2022"
-factors = { N = 0.5 }
-
-[[plants]]
-name = "P5"
-canister = 5
-species = "Raphanus sativus"
-treatment = "low N"
-sown = "2026-11-26"
-growth = 0.85
-
-[plants.solution]
-recipe = "kliman_2022"
-factors = { N = 0.5 }
-
-[[plants]]
-name = "P6"
-canister = 6
-species = "Raphanus sativus"
-treatment = "low N"
-sown = "2026-11-26"
-growth = 0.85
-
-[plants.solution]
-recipe = "kliman_2022"
-factors = { N = 0.5 }
+factors = {{ N = 0.5 }}
 """
+EXAMPLE = "".join(
+    [
+        _EXPERIMENT,
+        *(_PLANT.format(number=number, treatment="control") for number in (1, 2, 3)),
+        *((_PLANT + _LOW_N).format(number=number, treatment="low N") for number in (4, 5, 6)),
+    ]
+)
+"""Text of the example."""

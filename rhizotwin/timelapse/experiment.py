@@ -19,7 +19,15 @@ from rhizotwin.scenes.solution import Solution, check_solution
 from rhizotwin.scenes.subject import Subject, check_subject
 
 Changing = Literal["person", "carousel"]
+EVERY_H = (0.25, 10000.0)
+"""Limits of an interval: datasets are named after the day with two decimals, and 0.01 day is 0.24 h."""
 _UNSAFE = re.compile(r"[^\w.-]+")
+
+
+def _limits(name: str) -> tuple[float, float]:
+    """Return the limits of a number of the subject of a dataset."""
+    low, high = Subject.__dataclass_fields__[name].metadata["limits"]
+    return low, high
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +42,7 @@ class Member:
     """Latin name, such as Raphanus sativus."""
     treatment: str = ""
     """Treatment, for example 'low N'."""
-    replicate: int | None = None
+    replicate: int | None = field(default=None, metadata={"limits": _limits("replicate")})
     """Which of the plants that were treated alike."""
     sown: str = ""
     """Date of sowing, as 2026-11-26; empty: that of [schedule] start, which is then day 0."""
@@ -44,7 +52,7 @@ class Member:
     """Specimen on the emulated rig: a scene whose specimen is in this canister; empty: that of the experiment."""
     growth: float = bounded(1.0, 0.1, 10.0)
     """On the emulated rig, factor by which the roots grow faster and longer than those of the scene."""
-    every_h: float | None = field(default=None, metadata={"limits": (0.1, 10000.0)})
+    every_h: float | None = field(default=None, metadata={"limits": EVERY_H})
     """Hours between its scans, for example 168 for a phantom; empty: as in [schedule]."""
     phantom: bool = False
     """Whether it is a phantom of known shape, which is left out of the curves of growth."""
@@ -58,7 +66,7 @@ class Schedule:
 
     start: str
     """Date and time of the first round, as 2026-12-01T09:00; local time unless it has an offset such as +01:00."""
-    every_h: float = bounded(24.0, 0.1, 10000.0)
+    every_h: float = bounded(24.0, *EVERY_H)
     """Hours from round to round."""
     rounds: int = bounded(10, 1, 10000)
     """Number of rounds."""
@@ -239,10 +247,16 @@ def load_experiment(path: Path | str) -> Experiment:
 
 def _check(experiment: Experiment, place: Place) -> None:
     """Reject dates, plants, canisters and folders that cannot be."""
+    for name in ("name", "rig", "scene", "catalogue", "scans", "results"):
+        if not getattr(experiment, name).isprintable():
+            raise place.at(name).error("must be one line of printable characters", ascii(getattr(experiment, name)))
+    start = place.at("schedule", "start")
     try:
-        datetime.fromisoformat(experiment.schedule.start)
+        end_utc = (experiment.start_utc + timedelta(hours=experiment.schedule.every_h * experiment.schedule.rounds)).isoformat()
     except ValueError:
-        raise place.at("schedule", "start").error("must be a date and time as 2026-12-01T09:00", experiment.schedule.start) from None
+        raise start.error("must be a date and time as 2026-12-01T09:00", experiment.schedule.start) from None
+    except OverflowError:
+        raise start.error("must place all scans between the years 1 and 9999", experiment.schedule.start) from None
     if not experiment.plants:
         raise place.at("plants").error("has no plants; add [[plants]]")
     if experiment.catalogue and not experiment.catalogue.endswith(SUFFIX):
@@ -269,3 +283,5 @@ def _check(experiment: Experiment, place: Place) -> None:
             raise here.at("canister").error(str(error), one.canister) from None
         if experiment.day(one, experiment.start_utc.isoformat()) < 0.0:
             raise here.at("sown").error("must not be later than the first scan", one.sown)
+        if experiment.day(one, end_utc) > (most := _limits("day")[1]):
+            raise here.at("sown").error(f"must not be more than {most:g} days before the last scan", one.sown)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rhizotwin import rigs
 from rhizotwin.catalogue import adding, identity
-from rhizotwin.catalogue.records import Visit
+from rhizotwin.catalogue.records import State, Visit
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.scanning.homing import Ask
@@ -36,6 +36,8 @@ class Listener:
 
     say: Callable[[str], None] = lambda _: None
     """Receives lines for people."""
+    say_devices: Callable[[str], None] | None = None
+    """Receives the lines of the devices; None: as ``say``."""
     on_visit: Callable[[Visit], object] = lambda _: None
     """Called after each change of a planned scan."""
     stop: Callable[[], bool] = lambda: False
@@ -174,7 +176,7 @@ class Runner:
         plants = catalogue.plants()
         observers = Observers(
             ask=self.listener.ask,
-            say=self.listener.say,
+            say=self.listener.say_devices or self.listener.say,
             observer=self.listener.observer,
             monitor=self.listener.monitor,
             identify=identity.check_plant(catalogue.plant(member.name), plants, scene.strip),
@@ -202,10 +204,8 @@ class Runner:
             return set()
         return reconstruction.reconstruct_scans(self.experiment, catalogue, leave_out=leave_out, say=self.listener.say)
 
-    def _change(self, catalogue: Catalogue, visit: Visit, *, state: str, note: str) -> Visit:
-        changed = catalogue.update_visit(
-            visit, state="missed" if state == "missed" else "scanning", at_utc=self._now().isoformat(timespec="seconds"), note=note
-        )
+    def _change(self, catalogue: Catalogue, visit: Visit, *, state: State, note: str) -> Visit:
+        changed = catalogue.update_visit(visit, state=state, at_utc=self._now().isoformat(timespec="seconds"), note=note)
         if state == "missed":
             self.listener.say(f"{visit.plant}: scan of {visit.due_utc} missed: {note}")
         self.listener.on_visit(changed)

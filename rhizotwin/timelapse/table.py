@@ -25,7 +25,7 @@ class RealTable:
         path = experiment.folder / experiment.rig
         self._bench = rigs.open_bench(str(path), None, errors=rigs.TwinErrors())
 
-    def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002
+    def bench(self, scene: Scene, due_utc: str, number: int) -> tuple[rigs.Bench, None]:  # noqa: ARG002 - for the emulated rig
         """Return the rig for a scan.
 
         Parameters

@@ -41,6 +41,9 @@ def test_add_list_query_check_export_report_rebuild(tmp_path: Path, command: Com
     assert command.works("catalogue", "list", file).out.split()[:4] == ["plants", "2", "scans", "4"]
     assert "low N" in command.works("catalogue", "list", file, "plants").out
     assert "2 rows" in command.works("catalogue", "list", file, "scans", "--plant", "P2").out
+    assert "2 rows" in command.works("catalogue", "list", file, "results", "--plant", "P2").out
+    assert "P1" not in command.works("catalogue", "list", file, "rig_numbers", "--plant", "P2").out
+    assert command.works("catalogue", "list", file, "--plant", "P2").out.split()[:6] == ["plants", "1", "scans", "2", "results", "2"]
     command.fails("catalogue", "list", file, "scans", "--plant", "P9", named=["has no plant 'P9'; its plants are P1, P2"])
     assert "P1" in command.works("catalogue", "query", file, "SELECT name FROM plants ORDER BY name LIMIT 1").out
     command.fails("catalogue", "query", file, "DELETE FROM plants", named=["does more than read"])

@@ -4,14 +4,16 @@ import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from rhizotwin.catalogue import adding, export, schema, sources
+from rhizotwin.catalogue import adding, export, report, schema, sources
 from rhizotwin.catalogue.records import Plant, Tag
 from rhizotwin.catalogue.store import Catalogue
 from rhizotwin.catalogue.verify import check
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import MarkerStrip
+from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.solution import Solution
 from tests.rhizotwin.catalogue.conftest import SCENE
 
@@ -90,6 +92,37 @@ def test_scans_results_and_masses(catalogue: Catalogue, tmp_path: Path, make_dat
     assert "P1,control" in export.table(catalogue, "traits").csv()
 
 
+def test_result_added_before_its_scan(catalogue: Catalogue, make_dataset, ball_result):
+    dataset = make_dataset("P1", plant="P1")
+    adding.add_result(catalogue, ball_result("results/P1", dataset_sha256=dataset.sha256))
+    assert catalogue.results()[0].scan is None
+    adding.add_scan(catalogue, dataset.folder)
+    assert catalogue.results()[0].scan == dataset.folder
+
+
+def test_chart_has_one_point_for_each_scan(catalogue: Catalogue, make_dataset, ball_result):
+    for day in (1.0, 2.0):
+        dataset = make_dataset(f"P1_{day:g}", plant="P1", day=day)
+        adding.add_scan(catalogue, dataset.folder)
+        for name, focal in (("a", 1.0), ("b", 1.0 + 0.001 * day)):
+            subject, rig = {"plant": "P1", "day": day}, {"focal_scale_found": focal}
+            adding.add_result(catalogue, ball_result(f"results/{name}_{day:g}", dataset_sha256=dataset.sha256, subject=subject, rig=rig))
+    assert [(one.day, one.value) for one in report.rig_history(catalogue)["focal_scale"]] == [(1.0, 1.001), (2.0, 1.002)]
+
+
+def test_wire_is_charted_where_enough_of_it_was_found(catalogue: Catalogue, ball_result):
+    folder, z = ball_result("results/wires", subject={"plant": "wires", "day": 3.0}), np.linspace(0.0, 1.0, 5)
+    roots = [
+        Root(points_mm=np.stack([x + 0.0 * z, 0.0 * z, -length * z], axis=1), diameters_mm=diameter + 0.0 * z, order=0, parent=-1)
+        for x, length, diameter in ((0.0, 60.0, 0.4), (10.0, 4.0, 0.8))
+    ]
+    write_rsml(folder / "roots.rsml", roots)
+    adding.add_result(catalogue, folder)
+    ((name, (point,)),) = report.wire_history(catalogue, "wires", (0.4, 0.8)).items()
+    assert "0.4 mm wire" in name
+    assert (point.day, point.value) == (3.0, pytest.approx(1.0))
+
+
 def test_paths_move_with_the_catalogue(tmp_path: Path, make_dataset):
     study = tmp_path / "study"
     make_dataset("../study/scans/P1", plant="P1")
@@ -145,6 +178,12 @@ def test_tags_are_taken_from_strips_of_one_plant(catalogue: Catalogue, tmp_path:
         ("SELECT * FROM other", "no such table"),
         ("SELECT 1; DROP TABLE plants", "one statement"),
         ("SELECT load_extension('x')", "does more than read"),
+        ("VACUUM INTO 'copy.db'", "does more than read"),
+        ("SELECT prohibited FROM plants", "no such column: prohibited"),
+        ("SELECT zeroblob(900000000)", "too big"),
+        (f"SELECT name FROM plants WHERE 'x' LIKE '%{'a' * 1000}'", "too complex"),
+        ("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n", "more than 100000 rows"),
+        ("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT zeroblob(900000) FROM n", "or 100 MB"),
     ],
 )
 def test_query_only_reads(catalogue: Catalogue, sql: str, words: str):
@@ -172,10 +211,12 @@ def test_foreign_files_are_rejected(tmp_path: Path):
     other.execute("CREATE TABLE plants (name)")
     other.commit()
     other.close()
+    before = path.read_bytes()
     with pytest.raises(UserError, match="not a catalogue"):
-        Catalogue.open(path)
+        Catalogue.open_or_create(path)
     with pytest.raises(UserError, match="already exists"):
         Catalogue.create(path)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("change", ["PRAGMA user_version = 9", "CREATE TRIGGER t AFTER INSERT ON plants BEGIN DELETE FROM scans; END"])
@@ -190,6 +231,25 @@ def test_other_versions_and_tables_are_rejected(tmp_path: Path, change: str):
         Catalogue.open(path)
 
 
+@pytest.mark.parametrize("change", ["path = 'a' || char(0)", "date = 'soon'", "path = CAST(x'ff' AS TEXT)"])
+def test_damaged_text_is_named(catalogue: Catalogue, tmp_path: Path, ball_result, change: str):
+    ball_result("results/P1", rig={"focal_scale_found": 1.001})
+    adding.add_all(catalogue, [tmp_path / "results"])
+    catalogue.connection.execute(f"UPDATE results SET {change}")
+    with pytest.raises(UserError, match=r"damaged|cannot be used"):
+        report.page(catalogue, report.charts(report.rig_history(catalogue)), [])
+
+
+def test_linked_catalogue_has_the_paths_of_the_file(catalogue: Catalogue, tmp_path: Path, make_dataset):
+    folder = make_dataset("P1", plant="P1").folder
+    link = tmp_path / "elsewhere" / "link.rhizotwin"
+    link.parent.mkdir()
+    link.symlink_to(catalogue.path)
+    with Catalogue.open(link) as linked:
+        adding.add_scan(linked, folder)
+    assert check(catalogue) == []
+
+
 def test_names_are_values_and_no_statements(catalogue: Catalogue):
     name = "'); DROP TABLE plants; --"
     catalogue.add_plant(Plant(name=name))
@@ -199,6 +259,8 @@ def test_names_are_values_and_no_statements(catalogue: Catalogue):
 
 def test_file_that_a_killed_run_left_empty(tmp_path: Path):
     path = tmp_path / "x.rhizotwin"
-    schema._connect(path).close()
+    with schema._connecting(path) as raw:
+        raw.execute("PRAGMA journal_mode = WAL")
+        raw.close()
     with Catalogue.open_or_create(path) as made:
         assert made.plants() == []

@@ -119,7 +119,7 @@ MISTAKES = {
     "two units": ("plant,root_fresh_g,shoot_fresh_mg\nA,1,2\n", "root_fresh_g, shoot_fresh_mg have different units"),
     "unit in the cell": ("plant,root_fresh_g\nA,34 mg\n", "'34 mg', which is not a number; units belong in the column name"),
     "unknown unit": ("plant,root_fresh_oz\nA,1\n", "use g, mg or kg"),
-    "nothing weighed": ("plant,height_mm\nA,1\n", "no column of masses"),
+    "nothing weighed": ("plant,height_mm\nA,1\n", "contains no mass column"),
     "below zero": ("plant,root_fresh_g\nA,-1\n", "must be positive"),
     "exceeds its fresh mass": ("plant,root_fresh_g,root_dry_g\nA,1,34\n", "exceeds its fresh mass"),
     "torn foil": ("plant,root_dry_g,root_foil_g,root_foil_scraped_g\nA,1,5,4\n", "was torn"),

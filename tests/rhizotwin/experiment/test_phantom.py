@@ -48,7 +48,7 @@ def test_diameter_from_mass():
 
 
 def test_mistakes_are_named(tmp_path: Path):
-    with pytest.raises(UserError, match="too close to each other"):
+    with pytest.raises(UserError, match="too similar"):
         measure_wires(tmp_path, (0.4, 0.5))
     with pytest.raises(UserError, match="no centre lines were found"):
         measure_wires(tmp_path, WIRES)

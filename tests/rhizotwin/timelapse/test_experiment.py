@@ -6,7 +6,7 @@ import pytest
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.timelapse.example import EXAMPLE
-from rhizotwin.timelapse.experiment import load_experiment
+from rhizotwin.timelapse.experiment import EVERY_H, load_experiment
 
 
 def test_example_plans_six_plants_for_ten_days(tmp_path: Path):
@@ -31,6 +31,13 @@ def test_phantom_has_an_interval_of_its_own(make_experiment):
     assert due == ["2026-12-01T09:00:00+00:00", "2026-12-08T09:00:00+00:00"]
 
 
+def test_each_scan_has_a_folder_at_the_shortest_interval(make_experiment):
+    path = make_experiment(plants=1, rounds=500, schedule=f"every_h = {EVERY_H[0]}")
+    experiment = load_experiment(path)
+    visits = experiment.visits()
+    assert len({experiment.scan_folder(experiment.member(name), due) for name, due in visits}) == len(visits) == 500
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -43,6 +50,11 @@ def test_phantom_has_an_interval_of_its_own(make_experiment):
         ("[twin]", "[twins]", "unknown key"),
         ("canister = 2", 'canister = 2\nsown = "2027-01-01"', "must not be later than the first scan"),
         ("canister = 2", 'canister = 2\nsown = "soon"', "must be a date"),
+        ("canister = 2", f"canister = 2\nreplicate = {10**30}", "replicate"),
+        ("canister = 2", 'canister = 2\nsown = "0001-01-01"', "must not be more than 36500 days before the last scan"),
+        ("canister = 2", "canister = 2\nevery_h = 0.1", "every_h = 0.1"),
+        ("2026-12-01T09:00:00", "9999-12-31T23:00:00", "between the years 1 and 9999"),
+        ('scene = "small.toml"', 'scene = "small.toml"\nscans = "a\\u0000b"', "printable"),
         ('scene = "small.toml"', 'scene = "small.toml"\ncatalogue = "x.db"', "must end in .rhizotwin"),
     ],
 )
