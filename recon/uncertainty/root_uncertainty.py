@@ -154,7 +154,7 @@ def _mean(root: Root) -> float:
 
 
 def _measure(picture: NDArray[np.float32], usable: NDArray[np.bool_]) -> _Measures:
-    """Measure a picture of coverage (H, W) at usable pixels."""
+    """Measure skeleton length, number of tips and area in a coverage image (H, W), within usable pixels."""
     smooth = cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX)
     mask = (smooth > _LINE) & usable
     line = skeletonize(mask)

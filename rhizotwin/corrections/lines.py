@@ -49,7 +49,7 @@ class Line:
     parent: int
     """Number of the parent, -1 for none."""
     pieces: tuple[Piece, ...]
-    """Parts of the measured sources that it consists of, from base to tip."""
+    """Segments of the measured roots that make up this line, from base to tip."""
     tip_seen: bool = True
     label: str = ""
     sigma_mm: Array | None = None

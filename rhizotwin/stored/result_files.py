@@ -136,7 +136,10 @@ def read_mesh(path: Path) -> Mesh:
     if not len(faces) or not np.isfinite(vertices).all():
         raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise UserError(f"{path} is damaged: a triangle names vertex {faces.max()} (or {faces.min()}) of {len(vertices)}.")
+        raise UserError(
+            f"{path} is damaged: triangles refer to vertices {faces.min()} to {faces.max()}, but there are only {len(vertices)} "
+            f"(0 to {len(vertices) - 1})."
+        )
     return mesh
 
 
