@@ -1,7 +1,7 @@
 """Figures of a result: pictures with silhouettes, camera positions, and the shape from two sides."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Rectangle
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours, shading, surface_mesh
-from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin import root_colours, shading
+from rhizotwin.corrections.lines import Lines, as_lines
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
-from rhizotwin.report.shape_data import as_lines
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -247,16 +246,13 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
 
 
 def _colours_of_pixels(
-    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: Callable[[int, Line], NDArray[np.uint8]]
+    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: root_colours.Colouring
 ) -> Floats:
     """Return the colours (H, W, 3), 0 to 1, of a rendered surface from the nearest points of centre lines."""
     row, column = np.nonzero(found.hit)
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
-    points = np.concatenate([line.points_mm for line in lines.values()])
-    radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
-    shades = np.concatenate([colour(number, line) for number, line in lines.items()])
     picture = np.zeros((*found.hit.shape, 3))
-    picture[row, column] = shades[surface_mesh.nearest_root(flat @ side.axes, points, radii)] / 255.0
+    picture[row, column] = root_colours.colour_surface(flat @ side.axes, lines, colour) / 255.0
     return picture
 
 

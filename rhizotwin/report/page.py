@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin import surface_mesh
-from rhizotwin.corrections.session import read_roots
+from rhizotwin.corrections.lines import as_lines
 from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import rig_figure, shape_data, tables, words
@@ -63,7 +63,7 @@ class _Report:
     @classmethod
     def read(cls, folder: Path, dataset: Dataset | Path | None) -> _Report:
         summary = result_files.read_summary(folder)
-        roots, surface = read_roots(folder), result_files.read_mesh(folder / "shape.ply")
+        roots, surface = result_files.read_roots(folder), result_files.read_mesh(folder / "shape.ply")
         traits = stored_traits.of_summary(summary, surface, roots)
         return cls(folder, summary, roots, surface, traits, _dataset(summary, folder, dataset))
 
@@ -226,7 +226,7 @@ def _pictures(report: _Report, surface: Mesh) -> str:
     pictures = Pictures.of(report.dataset, report.summary)
     if not pictures.files:
         return ""
-    lines = shape_data.as_lines(report.roots)
+    lines = as_lines(report.roots)
     around = np.concatenate([surface.vertices_mm, *(root.points_mm for root in report.roots)])
     shown, used = [], set[int]()
     for angle in AZIMUTHS_DEG:

@@ -18,6 +18,7 @@ from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.stored import plain_ply, summary_checks
 
@@ -173,12 +174,22 @@ def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
         raise UserError(f"{path} is not readable as {kind} ({printable(str(error))[:200]}).") from None
 
 
+def read_roots(folder: Path) -> tuple[Root, ...]:
+    """Read the roots of a result; empty for solid bodies."""
+    file = folder / "roots.rsml"
+    return rsml.read_rsml(file) if file.is_file() else ()
+
+
+def finest_mm(summary: Json) -> float:
+    """Return the edge length of the voxels from which the surface of a result was extracted."""
+    return float(summary.get("settings", {}).get("finest_mm", summary["voxel_mm"]))
+
+
 def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":
     """Return the distances between the plants of a result; empty for one plant or without roots."""
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
-    file = folder / "roots.rsml"
-    return find_neighbours(rsml.read_rsml(file)) if file.is_file() else ()
+    return find_neighbours(read_roots(folder))
 
 
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:

@@ -260,16 +260,9 @@ class Drawing:
 
     def _surface_colours(self, mesh: Mesh) -> Bytes | None:
         """Return the colours of vertices (V, 3) from the nearest point of a centre line; None without roots."""
-        from rhizotwin import surface_mesh
-
         lines = self.shown.session.state.lines
-        if not lines:
-            return None
         shade, _ = root_colours.colour_roots(self.look.colour, lines)
-        points = np.concatenate([line.points_mm for line in lines.values()])
-        radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
-        shades = np.concatenate([shade(number, line) for number, line in lines.items()])
-        return shades[surface_mesh.nearest_root(mesh.vertices_mm, points, radii)]
+        return root_colours.colour_surface(mesh.vertices_mm, lines, shade) if lines else None
 
     def _clipped(self, mesh: Mesh) -> Mesh | None:
         """Return the part of a surface inside the clipping box; None if there is none."""
@@ -344,7 +337,5 @@ def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
     """Return the stretches of a root whose nodes are inside the clipping box."""
     if inside.all():
         return (line,)
-    shown = np.flatnonzero(inside)
-    runs = [run for run in np.split(shown, np.flatnonzero(np.diff(shown) > 1) + 1) if len(run) > 1]
     way = line.way_mm
-    return tuple(line.between(float(way[run[0]]), float(way[run[-1]])) for run in runs)
+    return tuple(line.between(float(way[first]), float(way[last])) for first, last in line.stretches(inside))
