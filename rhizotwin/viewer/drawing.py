@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import viser
@@ -339,3 +340,8 @@ def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
         return (line,)
     way = line.way_mm
     return tuple(line.between(float(way[first]), float(way[last])) for first, last in line.stretches(inside))
+
+
+def set_value(handle: Any, value: object) -> None:
+    """Set the value of an element of the panel; viser's annotations call it read-only."""
+    handle.value = value
