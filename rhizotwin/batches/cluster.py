@@ -100,6 +100,6 @@ def _outcome(future: Any, job: Job) -> Outcome:
     """Return what became of a job; an exception is Dask's, since `work` raises none."""
     try:
         return Outcome(**future.result())
-    except Exception as error:  # noqa: BLE001 - KilledWorker, CancelledError, CommClosedError, ...: the cluster's own
+    except Exception as error:  # noqa: BLE001 - Dask raises KilledWorker, CancelledError, CommClosedError and others
         sentence = f"the cluster lost it ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
         return Outcome(name=job.name, state="again", sentence=sentence)
