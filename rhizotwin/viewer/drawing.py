@@ -19,6 +19,7 @@ from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import error_sentence
 from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Nodes
@@ -171,8 +172,8 @@ class Drawing:
             self._draw_surface()
             for follow in self.on_measured:
                 follow()
-        except UserError as error:
-            self.notify(str(error))
+        except (UserError, OSError, ValueError) as error:
+            self.notify(error_sentence(error))
 
     def wait(self) -> None:
         """Wait until surfaces are drawn and traits measured."""

@@ -8,6 +8,7 @@ from pathlib import PurePosixPath
 import viser
 
 from rhizotwin import root_colours
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import edit_tab, view_tab, words
 from rhizotwin.viewer.app import Viewer, ray_of, screen_of
 from rhizotwin.viewer.drawing import set_value
@@ -63,7 +64,10 @@ def _add_results(viewer: Viewer) -> None:
 
     @number.on_update
     def _(_: object) -> None:
-        viewer.load(int(number.value) - 1)
+        try:
+            viewer.load(int(number.value) - 1)
+        except UserError as error:
+            viewer.notify(str(error))
         name.content = words.note(viewer.names[int(number.value) - 1])
 
 
