@@ -23,7 +23,7 @@ from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import surface_distance
-from rhizotwin.stored.result_files import read_grey
+from rhizotwin.stored.load import read_silhouette
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -57,11 +57,9 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
     axes = drawn.subplots(2, len(chosen), squeeze=False)
     for column, view in enumerate(chosen):
         picture = for_screen(dataset, view["file"])
-        coverage = read_grey(picture_path(result_folder / "silhouettes", view["file"])).astype(np.float64)
-        seen_path = picture_path(result_folder / "seen", view["file"])
-        seen = read_grey(seen_path) > 0.5 if seen_path.is_file() else np.ones(coverage.shape, np.bool_)
-        silhouette = np.repeat(coverage[..., None], 3, axis=2)
-        silhouette[~seen] = 0.55 * silhouette[~seen] + 0.45 * UNSEEN_RGB
+        found = read_silhouette(result_folder, view["file"])
+        silhouette = np.repeat(found.coverage[..., None].astype(np.float64), 3, axis=2)
+        silhouette[~found.usable] = 0.55 * silhouette[~found.usable] + 0.45 * UNSEEN_RGB
         if picture is not None:
             axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
         axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")

@@ -24,7 +24,7 @@ from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import rig_figure, shape_data, tables, words
 from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
-from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.rsml import Root
@@ -65,7 +65,7 @@ class _Report:
         summary = result_files.read_summary(folder)
         roots, surface = result_files.read_roots(folder), result_files.read_mesh(folder / "shape.ply")
         traits = stored_traits.of_summary(summary, surface, roots)
-        return cls(folder, summary, roots, surface, traits, _dataset(summary, folder, dataset))
+        return cls(folder, summary, roots, surface, traits, result_files.find_dataset(folder, summary, dataset))
 
     @property
     def name(self) -> str:
@@ -350,15 +350,3 @@ def _provenance(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _list(sentences: Sequence[str]) -> str:
     return "" if not sentences else f"<ul>{''.join(f'<li>{html.escape(sentence)}</li>' for sentence in sentences)}</ul>"
-
-
-def _dataset(summary: dict[str, Any], folder: Path, given: Dataset | Path | None) -> Dataset | None:
-    """Return the given dataset, or the one that the result names; None if that no longer exists."""
-    try:
-        found = given if isinstance(given, Dataset) else load_dataset(given or Path(str(summary.get("dataset", ""))))
-        result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], folder, found)
-    except UserError:
-        if given is not None:
-            raise
-        return None
-    return found

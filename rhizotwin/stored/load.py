@@ -139,6 +139,20 @@ def _term(term: Json) -> Term:
     return Term(name=term.get("name", ""), less_mm3=term["less_mm3"], more_mm3=term["more_mm3"], why=term["why"])
 
 
+def read_silhouette(folder: Path, file: str) -> Silhouette:
+    """Read the silhouette of a picture of the dataset from a result folder; all pixels are usable if none are stored.
+
+    Raises
+    ------
+    UserError
+        If it is missing or damaged.
+    """
+    coverage = result_files.read_grey(picture_path(folder / "silhouettes", file))
+    seen = picture_path(folder / "seen", file)
+    known = result_files.read_grey(seen, image_wh=coverage.shape[::-1]) > 0.5 if seen.is_file() else np.ones(coverage.shape, bool)
+    return Silhouette(coverage, known)
+
+
 @dataclass(frozen=True)
 class _Stored(Mapping[str, Silhouette]):
     """Silhouettes in a result folder, by the file of the frame."""
@@ -149,10 +163,7 @@ class _Stored(Mapping[str, Silhouette]):
     def __getitem__(self, file: str) -> Silhouette:
         if file not in self.files:
             raise KeyError(file)
-        coverage = result_files.read_grey(picture_path(self.folder / "silhouettes", file))
-        seen = picture_path(self.folder / "seen", file)
-        known = result_files.read_grey(seen, image_wh=coverage.shape[::-1]) > 0.5 if seen.is_file() else np.ones(coverage.shape, bool)
-        return Silhouette(coverage, known)
+        return read_silhouette(self.folder, file)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.files)

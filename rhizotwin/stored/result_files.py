@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh
 from rhizotwin.scenes import rsml
-from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.formatting import printable
@@ -201,6 +201,31 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
         height, width = picture.shape
         raise UserError(f"{path} is {width}x{height} pixels, but the camera's pictures are {image_wh[0]}x{image_wh[1]}.")
     return np.asarray(picture / np.float32(np.iinfo(picture.dtype).max), np.float32)
+
+
+def find_dataset(folder: Path, summary: Json, given: Dataset | Path | None) -> Dataset | None:
+    """Return the given dataset of a result, or the one that the result names; None if that no longer exists.
+
+    Parameters
+    ----------
+    folder, summary : Path, Json
+        Folder of the result, and its ``result.json``.
+    given : Dataset, path or None
+        Dataset of the result, or its folder.
+
+    Raises
+    ------
+    UserError
+        If the given dataset cannot be read, or is not that of the result.
+    """
+    try:
+        found = given if isinstance(given, Dataset) else load_dataset(given or Path(str(summary.get("dataset", ""))))
+        check_same_scan(summary["dataset_sha256"], summary["scene"], folder, found)
+    except UserError:
+        if given is not None:
+            raise
+        return None
+    return found
 
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
