@@ -62,7 +62,8 @@ def reasons_for_volume(summary: Json) -> tuple[str, ...]:
     under, over = volume - low > most, high - volume > most
     if under or over:
         worst = max(terms, key=lambda term: max(under * term["less_mm3"], over * term["more_mm3"]))
-        codes += [WIDE, f"high_{re.sub(r'[^a-z0-9]+', '_', str(worst['name']).lower()).strip('_')}"]
+        name = re.sub(r"[^a-z0-9]+", "_", str(worst.get("name", "")).lower()).strip("_")  # terms of earlier versions have none
+        codes += [WIDE, f"high_{name}"] if name else [WIDE]
     return tuple(dict.fromkeys(codes)) or (OTHER,)
 
 
