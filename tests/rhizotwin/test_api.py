@@ -135,6 +135,7 @@ def test_a_class_of_tqdm_shows_one_bar_for_the_whole_work(tmp_path: Path) -> Non
         (lambda: rt.simulate(None, "x"), "scene must be a Scene or a path, not None"),
         (lambda: rt.reconstruct(5.0), r"dataset must be a Dataset or a path, not '5.0' \(float\)"),
         (lambda: rt.reconstruct("x", voxel_mm="small"), "voxel_mm must be a number or None, not 'small'"),
+        (lambda: rt.reconstruct("x", mass_g=0.0), "mass_g must be .* g, not 0"),
         (lambda: rt.reconstruct("x", settings={}), "settings must be a Settings or None"),
         (lambda: rt.score([], "x"), "result must be a Result or a path"),
         (lambda: rt.simulate("sphere_20mm", "x", monitor=3), "monitor must be"),
