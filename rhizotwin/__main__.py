@@ -1,6 +1,7 @@
-"""The program: `rhizotwin` and `python -m rhizotwin` begin here.
+"""Entry point of the program: `rhizotwin` and `python -m rhizotwin`.
 
-Until `rhizotwin.cli.main` can say so in a sentence, Ctrl-C ends the program without a word instead of with a traceback.
+Spawned worker processes import this module too, so it prepares the process when it is imported. Until
+`rhizotwin.cli.main` handles Ctrl-C, it ends the program silently instead of with a traceback.
 """
 
 import logging
@@ -9,17 +10,17 @@ import signal
 import sys
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
-# before NumPy is loaded: its matrices here are small, and threads that wait for the next one spin
+# before NumPy is loaded: the matrices here are small, and waiting threads would use up processors
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-if sys.platform == "win32":  # whose pipes and files have a few letters only
+if sys.platform == "win32":  # its pipes and files can encode few characters only
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="replace")
 
-from rhizotwin.cli import main  # noqa: E402 - first the signal
-from rhizotwin.scenes.formatting import DEBUG_VARIABLE  # noqa: E402
+from rhizotwin.cli import main  # noqa: E402 - after the signal and the environment are set
+from rhizotwin.scenes.formatting import DEBUG_VARIABLE  # noqa: E402 - as above
 
-# what libraries have to say to programmers; what a person must know is said in a sentence
+# warnings of libraries are for programmers; users get messages
 if not os.environ.get(DEBUG_VARIABLE):
     logging.captureWarnings(True)  # not a filter, which libraries change when they are loaded
     logging.getLogger("py.warnings").setLevel(logging.CRITICAL)

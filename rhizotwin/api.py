@@ -11,7 +11,7 @@ import logging
 import tempfile
 import webbrowser
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -55,7 +55,7 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
     require("result", result, "Result", "path")
     if by not in root_colours.CHOICES:
         raise UserError(f"by must be one of {', '.join(root_colours.CHOICES)}, not {by!r}")
-    found: Any = load_result(result) if isinstance(result, str | Path) else result
+    found = load_result(result) if isinstance(result, str | Path) else result
     if not len(found.solid.surface.faces):
         raise UserError(f"the result of {found.scene} has no surface to plot")
     drawn: Any = figures.shape_close_up(found.solid.surface, found.roots, by=by)
@@ -67,15 +67,14 @@ def plot(result: Result | str | Path, *, by: str = "order") -> Figure:
 class View:
     """A running viewer: its address, and `close` to stop it."""
 
-    def __init__(self, viewer: Viewer, folder: tempfile.TemporaryDirectory[str] | None) -> None:
-        self._viewer, self._folder = viewer, folder
+    def __init__(self, viewer: Viewer, temporary: ExitStack) -> None:
+        self._viewer, self._temporary = viewer, temporary
         self.address: str = viewer.served.address
 
     def close(self) -> None:
         """Stop the viewer; corrections that were not saved are lost."""
         self._viewer.served.stop()
-        if self._folder is not None:
-            self._folder.cleanup()
+        self._temporary.close()
 
     def __repr__(self) -> str:
         """Return the address."""
@@ -86,13 +85,19 @@ class View:
         return f'<a href="{self.address}" target="_blank">{self.address}</a>'
 
 
-def view(result: Result | Paths, dataset: Dataset | str | Path | None = None, *, port: int = 8080, open_browser: bool = True) -> View:
+def view(
+    result: Result | str | Path | Sequence[Result | str | Path],
+    dataset: Dataset | str | Path | None = None,
+    *,
+    port: int = 8080,
+    open_browser: bool = True,
+) -> View:
     """Show results in a browser, with their pictures and tools for corrections.
 
     Parameters
     ----------
-    result : Result, path or sequence of path
-        A result, or folders of results that are shown one after the other.
+    result : Result, path, or sequence of these
+        One result or several, which are shown one after the other.
     dataset : Dataset or path, optional
         Dataset with the pictures; default: the one that the result names.
     port : int
@@ -109,16 +114,9 @@ def view(result: Result | Paths, dataset: Dataset | str | Path | None = None, *,
 
     require("port", port, "whole number")
     require("dataset", dataset, "Dataset", "path", "None")
-    folder: tempfile.TemporaryDirectory[str] | None = None
-    if type(result).__name__ == "Result":
-        folder = tempfile.TemporaryDirectory(prefix="rhizotwin-view-")
-        in_memory: Any = result
-        in_memory.save(folder.name)
-        folders = [Path(folder.name)]
-    else:
-        folders = _paths("result", result)
-    pictures = _folder_of(dataset)
-    shown = View(app.start(folders, pictures, port=port), folder)
+    with ExitStack() as stack:
+        folders = [stack.enter_context(_saved(one)) for one in _several("result", result, "Result", "path")]
+        shown = View(app.start(folders, _folder_of(dataset), port=port), stack.pop_all())
     if open_browser:
         webbrowser.open(shown.address)
     return shown
@@ -372,18 +370,24 @@ def scan(
     return load_dataset(output)
 
 
-def _paths(name: str, given: Any) -> list[Path]:
-    """Return one or several paths as a list."""
-    several = [given] if isinstance(given, str | Path) else list(given) if isinstance(given, Sequence) else [given]
-    for path in several:
-        require(name, path, "path")
+def _several(name: str, given: Any, *kinds: str) -> list[Any]:
+    """Return one value or a sequence of values as a list, each of one of the kinds that `calls.require` knows."""
+    several = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    for one in several:
+        require(name, one, *kinds)
     if not several:
-        raise UserError(f"{name} is empty; give one path or more")
-    return [Path(path) for path in several]
+        raise UserError(f"{name} is empty; give at least one")
+    return several
+
+
+def _paths(name: str, given: Any) -> list[Path]:
+    return [Path(path) for path in _several(name, given, "path")]
 
 
 def _folder_of(dataset: Dataset | str | Path | None) -> Path | None:
-    return dataset if dataset is None else Path(dataset) if isinstance(dataset, str | Path) else dataset.folder
+    if dataset is None or isinstance(dataset, str | Path):
+        return None if dataset is None else Path(dataset)
+    return dataset.folder
 
 
 @contextmanager
@@ -392,7 +396,7 @@ def _saved(result: Result | str | Path) -> Iterator[Path]:
     if isinstance(result, str | Path):
         yield Path(result)
         return
-    with tempfile.TemporaryDirectory(prefix="rhizotwin-export-") as folder:
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-result-") as folder:
         result.save(folder)
         yield Path(folder)
 

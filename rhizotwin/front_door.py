@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from rhizotwin import engine, scene_changes
+from rhizotwin.arguments import MASS_LIMITS_G
 from rhizotwin.calls import SHARES, Progress, require, watch
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
@@ -192,8 +193,7 @@ def reconstruct(
         After `Monitor.cancel`.
     """
     require("dataset", dataset, "Dataset", "path")
-    for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
-        require(name, value, kind, "None")
+    _check_options(voxel_mm, mass_g, settings)
     _choose(device)
     from rhizotwin.recon.reconstruct import reconstruct as find
     from rhizotwin.recon.settings import Settings
@@ -344,6 +344,15 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     vertices, faces = solids.to_surface(solid)
     shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
     return score_solid(result, shape, volume_mm3=float(solid.volume()))
+
+
+def _check_options(voxel_mm: float | None, mass_g: float | None, settings: Settings | None) -> None:
+    """Reject options of a wrong type, and a mass out of limits, before the long computation."""
+    for name, value, kind in (("voxel_mm", voxel_mm, "number"), ("mass_g", mass_g, "number"), ("settings", settings, "Settings")):
+        require(name, value, kind, "None")
+    low, high = MASS_LIMITS_G
+    if mass_g is not None and not low <= mass_g <= high:
+        raise UserError(f"mass_g must be {low:g} to {high:g} g, not {mass_g:g}")
 
 
 def _for_notebooks(result: Result) -> Result:

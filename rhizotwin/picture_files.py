@@ -1,4 +1,4 @@
-"""Find the pictures in a folder that comes from anywhere, in the order in which they were taken."""
+"""Find the pictures in a folder from any source, in the order in which they were taken."""
 
 import re
 from pathlib import Path
@@ -20,24 +20,24 @@ def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list
     Raises
     ------
     UserError
-        If the folder is missing, holds no picture, or holds two that differ in their suffix only.
+        If the folder is missing, contains no picture, or contains two that differ only in extension.
     """
     if not folder.is_dir():
-        raise UserError(f"{folder} is no folder; give the folder that holds the pictures")
+        raise UserError(f"{folder} is not a folder; give the folder that contains the pictures")
     paths = sorted(
         (path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file()),
         key=natural_key,
     )
     if not paths:
-        raise UserError(f"{folder} holds no picture ({', '.join(suffixes)}); give the folder that holds them")
+        raise UserError(f"{folder} contains no picture ({', '.join(suffixes)}); give the folder that contains them")
     for path in paths:
         if path.is_symlink():
-            raise UserError(f"{folder} holds {path.name}, which is a link; put the picture itself in its place")
-        if not path.name.isprintable():  # bytes that are no UTF-8 are not, either
-            raise UserError(f"{folder} holds {path.name!a}, whose name is no UTF-8 text that can be shown; rename it")
+            raise UserError(f"{folder} contains {path.name}, which is a link; replace it by the picture")
+        if not path.name.isprintable():  # bytes that are not UTF-8 are not printable either
+            raise UserError(f"{folder} contains {path.name!a}, whose name is not printable UTF-8 text; rename it")
     by_stem: dict[str, Path] = {}
     for path in paths:
         other = by_stem.setdefault(path.stem, path)
         if other != path:
-            raise UserError(f"{folder} holds both {other.name} and {path.name}, which would become one picture; remove or rename one")
+            raise UserError(f"{folder} contains {other.name} and {path.name}, which differ only in extension; rename or remove one")
     return paths

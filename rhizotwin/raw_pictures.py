@@ -70,13 +70,13 @@ def read_raw(path: Path, *, image_wh: tuple[int, int], gains: tuple[float, float
 
 
 def _block(path: Path, raw_wh: tuple[int, int], image_wh: tuple[int, int]) -> int:
-    """Return how many raw pixels a side become one."""
+    """Return the number of raw pixels along each side of one output pixel."""
     block = raw_wh[0] // image_wh[0]
     if block < 2 or block % 2 or raw_wh != (image_wh[0] * block, image_wh[1] * block):
         halves = " or ".join(f"{raw_wh[0] // k}x{raw_wh[1] // k}" for k in (2, 4))
         raise UserError(
-            f"{path}: has {raw_wh[0]}x{raw_wh[1]} raw pixels, which make no whole blocks of the scene's image_wh "
-            f"{image_wh[0]}x{image_wh[1]}; give the scene's camera image_wh {halves}"
+            f"{path}: has {raw_wh[0]}x{raw_wh[1]} raw pixels; they must be an even multiple (2, 4, ...) of the scene's image_wh "
+            f"{image_wh[0]}x{image_wh[1]}; set the camera's image_wh to {halves}"
         )
     return block
 

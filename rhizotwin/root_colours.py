@@ -8,12 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin import surface_mesh
 from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.recon.uncertainty.budget import NINETY
+from rhizotwin.root_mesh import THICKEST_PERCENT
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
+Colouring = Callable[[int, Line], Bytes]
+"""Function that returns the colours (N, 3) of the points of a numbered root."""
 
 ORDERS: tuple[Rgb, ...] = ((222, 160, 92), (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189), (230, 90, 200))
 """Main roots first; the last colour is used for all higher orders."""
@@ -22,8 +26,6 @@ SURFACE: Rgb = ORDERS[0]
 VISIBLE, HIDDEN = (44, 120, 160), (230, 120, 30)
 """Roots whose tip the pictures show, and those whose tip other roots hide."""
 UNKNOWN: Rgb = (150, 150, 150)
-THICKEST_PERCENT = 98.0
-"""The diameter scale ends at this percentile, so that a thick main root does not use it up."""
 CHOICES = ("order", "diameter", "depth", "uncertainty", "tip visibility")
 PER_ROOT = ("uncertainty", "tip visibility")
 """Colours that do not change when other roots are edited."""
@@ -40,7 +42,7 @@ class Key:
     """Labels of the first and last colour of the scale (viridis)."""
 
 
-def colour_roots(by: str, lines: Lines) -> tuple[Callable[[int, Line], Bytes], Key]:
+def colour_roots(by: str, lines: Lines) -> tuple[Colouring, Key]:
     """Return a function that colours the points (N, 3) of a root, and the colour key.
 
     Parameters
@@ -76,6 +78,24 @@ def colour_depths(heights_mm: Array) -> tuple[Callable[[Array], Bytes], Key]:
     top, bottom = (float(heights_mm.max()), float(heights_mm.min())) if len(heights_mm) else (0.0, -1.0)
     span = max(top - bottom, 1e-6)
     return lambda z: scale_colours((top - z) / span), Key(ends=(f"{-top:.0f} mm below the rim", f"{-bottom:.0f} mm"))
+
+
+def colour_surface(points_mm: Array, lines: Lines, colour: Colouring) -> Bytes:
+    """Return the colours (N, 3) of points (N, 3) on the surface: those of the nearest points of centre lines.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) float64 array
+        Points on or near the surface, canister frame.
+    lines : Lines
+        One or more roots, by number.
+    colour : callable
+        Colours the points of a root, from `colour_roots`.
+    """
+    points = np.concatenate([line.points_mm for line in lines.values()])
+    radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
+    shades = np.concatenate([colour(number, line) for number, line in lines.items()])
+    return shades[surface_mesh.nearest_root(points_mm, points, radii)]
 
 
 def order_name(order: int) -> str:

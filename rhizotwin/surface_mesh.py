@@ -149,6 +149,15 @@ def _half_edges(faces: Index) -> tuple[Index, Index]:
     return faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
 
 
+def _components(start: Index, end: Index, count: int) -> tuple[int, Index]:
+    """Return the number of connected components of ``count`` nodes with edges (E,), and the component of each node."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components  # SciPy is loaded on first use
+
+    number, label = connected_components(coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count)), directed=False)
+    return int(number), label
+
+
 def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
     """Close each connected boundary by a fan about its centre."""
     start, end = _half_edges(faces)
@@ -156,19 +165,16 @@ def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
     low, high = np.minimum(start, end), np.maximum(start, end)
     _, first, group = np.unique(low * count + high, return_index=True, return_inverse=True)
     surplus = np.bincount(group, weights=np.where(start < end, 1, -1)).astype(int)
-    open_ = np.flatnonzero(surplus)
-    if not len(open_):
+    unpaired = np.flatnonzero(surplus)
+    if not len(unpaired):
         return vertices, faces
-    times = np.abs(surplus[open_])
-    a, b = np.repeat(low[first[open_]], times), np.repeat(high[first[open_]], times)
-    forward = np.repeat(surplus[open_] > 0, times)
+    times = np.abs(surplus[unpaired])
+    a, b = np.repeat(low[first[unpaired]], times), np.repeat(high[first[unpaired]], times)
+    forward = np.repeat(surplus[unpaired] > 0, times)
     a, b = np.where(forward, a, b), np.where(forward, b, a)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     rim, index = np.unique(np.concatenate([a, b]), return_inverse=True)
     index = index.reshape(2, -1)
-    number, label = connected_components(coo_array((np.ones(len(a)), (index[0], index[1])), shape=(len(rim), len(rim))), directed=False)
+    number, label = _components(index[0], index[1], len(rim))
     size = np.bincount(label, minlength=number)
     centres = np.stack([np.bincount(label, weights=vertices[rim, axis], minlength=number) for axis in range(3)], axis=1) / size[:, None]
     fans = np.stack([b, a, count + label[index[0]]], axis=1)
@@ -177,9 +183,6 @@ def _fill_holes(vertices: Array, faces: Index) -> tuple[Array, Index]:
 
 def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
     """Duplicate edges and vertices at which sheets touch: each half-edge is paired with exactly one opposite."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     start, end = _half_edges(faces)
     count, corners = len(vertices), len(start)
     key = np.minimum(start, end) * count + np.maximum(start, end)
@@ -192,7 +195,7 @@ def _separate(vertices: Array, faces: Index) -> tuple[Array, Index]:
     after = np.arange(corners) - np.arange(corners) % 3 + (np.arange(corners) + 1) % 3
     one = np.concatenate([ahead, after[ahead]])
     other = np.concatenate([after[back], back])
-    _, label = connected_components(coo_array((np.ones(len(one), np.int8), (one, other)), shape=(corners, corners)), directed=False)
+    _, label = _components(one, other, corners)
     _, first = np.unique(label, return_index=True)
     return vertices[start[first]], label.reshape(-1, 3).astype(np.int64)
 
@@ -233,12 +236,9 @@ def _runs(values: Index) -> tuple[Index, Index]:
 
 def _is_kept(vertices: Array, faces: Index) -> NDArray[np.bool_]:
     """Return which triangles belong to components that are no specks; the largest component is always kept."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count = len(vertices)
     start, end = _half_edges(faces)
-    number, label = connected_components(coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count)), directed=False)
+    number, label = _components(start, end, count)
     part = label[faces[:, 0]]
     a, b, c = vertices[faces.T]
     volume = np.abs(np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0, minlength=number))

@@ -92,8 +92,10 @@ def _check_size(width: int, height: int, image_wh: tuple[int, int] | None) -> No
             f"the picture is {width}x{height} pixels, but the scene's camera has image_wh {image_wh[0]}x{image_wh[1]}; correct the scene "
             "or remove the picture"
         )
-    if width < 1 or height < 1 or width * height > MOST_PIXELS:
-        raise UnfitError(f"the picture is {width}x{height} pixels, but must have 1 to {MOST_PIXELS / 1e6:.0f} million; reduce its size")
+    if width < 1 or height < 1:
+        raise UnfitError(f"the picture is empty ({width}x{height} pixels); remove it")
+    if width * height > MOST_PIXELS:
+        raise UnfitError(f"the picture is {width}x{height} pixels, more than {MOST_PIXELS / 1e6:.0f} million; reduce its size")
 
 
 def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
@@ -279,4 +281,4 @@ def _tiff_pieces(data: bytes, page: tifffile.TiffPage, codecs: Any) -> None:
         else:
             return
         if found != rows * row:
-            raise DamagedError(f"damaged (piece {k + 1} of the TIFF file has {found} bytes of pixels instead of {rows * row})")
+            raise DamagedError(f"damaged (strip or tile {k + 1} of the TIFF file contains {found} bytes of pixels instead of {rows * row})")

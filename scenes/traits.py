@@ -240,19 +240,27 @@ def _branch_points(roots: Sequence[Root]) -> int:
 
 
 def _emergence_deg(roots: Sequence[Root]) -> Array:
-    """Return each lateral's angle to its parent at the point of emergence, in degrees."""
-    found = []
-    for root in roots:
-        if root.parent < 0:
-            continue
-        parent = roots[root.parent].points_mm
-        nearest = int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
-        along = parent[min(nearest + 1, len(parent) - 1)] - parent[max(nearest - 1, 0)]
-        way = polyline.arc_length_mm(root.points_mm)
-        reach = min(EMERGENCE_MM, float(way[-1]))
-        end = np.array([np.interp(reach, way, root.points_mm[:, axis]) for axis in range(3)])
-        lateral = end - root.points_mm[0]
-        size = float(np.linalg.norm(along) * np.linalg.norm(lateral))
-        if size > 0.0:
-            found.append(float(np.rad2deg(np.arccos(np.clip(along @ lateral / size, -1.0, 1.0)))))
-    return np.array(found)
+    """Return each lateral's angle to its parent (L,), in degrees; laterals without length are left out."""
+    angles = [emergence_deg(root.points_mm, roots[root.parent].points_mm) for root in roots if root.parent >= 0]
+    return np.array([angle for angle in angles if angle is not None])
+
+
+def emergence_deg(lateral_mm: Array, parent_mm: Array) -> float | None:
+    """Return the angle in degrees between a lateral's first 5 mm and its parent at the point of emergence.
+
+    Parameters
+    ----------
+    lateral_mm, parent_mm : (N, 3), (M, 3) float64 array
+        Points from base to tip.
+
+    Returns
+    -------
+    float or None
+        None if either has no length there.
+    """
+    nearest = int(np.argmin(np.sum((parent_mm - lateral_mm[0]) ** 2, axis=1)))
+    along = parent_mm[min(nearest + 1, len(parent_mm) - 1)] - parent_mm[max(nearest - 1, 0)]
+    way = polyline.arc_length_mm(lateral_mm)
+    lateral = polyline.interpolate(lateral_mm, way, np.array([min(EMERGENCE_MM, float(way[-1]))]))[0] - lateral_mm[0]
+    size = float(np.linalg.norm(along) * np.linalg.norm(lateral))
+    return float(np.rad2deg(np.arccos(np.clip(along @ lateral / size, -1.0, 1.0)))) if size > 0.0 else None

@@ -168,8 +168,9 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
         raise UserError("specimen.orders is empty: at least the taproot's parameters are required.")
     if z + radius_mm > limits.high_z_mm or z - radius_mm < limits.low_z_mm or np.hypot(x, y) + radius_mm > limits.radius_mm:
         raise UserError(
-            f"specimen.origin_mm {specimen.origin_mm} leaves no space for a root of {2.0 * radius_mm:.2f} mm: it must be "
-            f"{radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to {limits.high_z_mm:.1f} mm and radius {limits.radius_mm:.1f} mm."
+            f"specimen.origin_mm {specimen.origin_mm} is too close to the edge of the water for a root of diameter "
+            f"{2.0 * radius_mm:.2f} mm: it must be at least {radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to "
+            f"{limits.high_z_mm:.1f} mm and radius {limits.radius_mm:.1f} mm."
         )
 
 

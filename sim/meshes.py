@@ -106,7 +106,7 @@ def _join(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[
         raise UserError(f"{path}: every face of the mesh is degenerate; export it again.")
     missing = _single_edges(joined)
     if missing:
-        raise UserError(f"{path}: the surface is not closed, {missing} edges are open; close its holes in a mesh editor.")
+        raise UserError(f"{path}: the surface is not closed: {missing} edges have only one face; close the holes in a mesh editor.")
     if open_edges(joined):
         mesh = trimesh.Trimesh(unique, joined, process=False)
         trimesh.repair.fix_winding(mesh)

@@ -96,7 +96,7 @@ class Evidence:
         """
         pictures = [s.opacity for s in self.silhouettes if s.opacity is not None]
         if len(pictures) < len(self.silhouettes):
-            raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have an opacity")
+            raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have opacity; the others are masks")
         return replace(self, coverage=halves(pictures))
 
     def exclude(self, covered: NDArray[np.bool_]) -> Evidence:

@@ -67,7 +67,7 @@ class TrimmedHull:
     spheres: Spheres
     """Spheres along the centre lines."""
     doubtful: Spheres
-    """Spheres that few views bound, and those removed because too few do, with the radius that the outlines allow."""
+    """Spheres constrained by too few views, and those removed for that reason, with the radius the outlines allow."""
     kept: NDArray[np.float32]
     """(N,) part of the leaves' occupancies that remains hull, since the spheres do not explain a silhouette."""
 

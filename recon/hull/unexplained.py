@@ -25,9 +25,9 @@ _DEEP_PX = 0.75
 """Depth inside an outline at which unexplained pixels require the hull to be kept; the weight is 0 at two thirds of
 this depth and 1 at four thirds."""
 _NEAREST = 1.5, 2.5
-"""Distance beyond the node nearest to the spheres, in edges of a node, up to which nodes on the same line of sight have
-full weight, and beyond which they have none: a line is as wide as a node, so that two nodes in its cross-section are up
-to 1.4 edges apart."""
+"""Range behind the nearest node on the same line of sight, in node widths, over which the weight falls from 1 to 0.
+
+Nodes in one line's cross-section are up to 1.4 widths apart."""
 _LEAST_EDGE_PX = 0.5
 """Minimum width of a line of sight: one sample of the maps."""
 

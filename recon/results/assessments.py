@@ -37,7 +37,8 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     if is_assessed:
         low, high = summary["volume_interval_mm3"] if volume_interval_mm3 is None else volume_interval_mm3
         found["volume_mm3"] = _judge(summary["volume_trusted"], (low, high), reason, codes)
-    for one in () if volume_interval_mm3 is not None else summary.get("estimates") or ():
+    estimates = summary.get("estimates") or () if volume_interval_mm3 is None else ()
+    for one in estimates:
         low, high = one["interval"]
         found[one["name"]] = _judge(one["trusted"], (low, high), one["verdict"], reasons.reasons_for_estimate(summary, one))
     found["specific_root_length_m_per_g"] = _derive(

@@ -39,7 +39,7 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
     ----------
     shape : Shape
         Shape with voxels, surface and volume.
-    planted : Planted
+    planted : PlantedRoots
         Roots assigned to plants.
     plants : sequence of Plant
         Plants of the scene.

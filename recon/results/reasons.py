@@ -31,11 +31,9 @@ NO_UNCERTAINTY = "no_uncertainty"
 FEW_VIEWS = "few_views"
 """Fewer views than the setting ``trust.least_views``."""
 WIDE = "wide_interval"
-"""The 90 % interval extends farther to one side than the setting ``trust.widest``."""
+"""The 90 % interval extends farther to one side than ``trust.widest``: the setting for the volume, else the default."""
 OTHER = "other"
 """None of the other codes applies; see the sentence."""
-WIDEST_ESTIMATE = 0.25
-"""Maximum half-width of an interval relative to the value, as in `recon.uncertainty.root_uncertainty`."""
 MAX_SENTENCE = 280
 """Maximum length of the sentences in a cell, in characters."""
 
@@ -64,7 +62,8 @@ def reasons_for_volume(summary: Json) -> tuple[str, ...]:
     under, over = volume - low > most, high - volume > most
     if under or over:
         worst = max(terms, key=lambda term: max(under * term["less_mm3"], over * term["more_mm3"]))
-        codes += [WIDE, f"high_{re.sub(r'[^a-z0-9]+', '_', str(worst['name']).lower()).strip('_')}"]
+        name = re.sub(r"[^a-z0-9]+", "_", str(worst.get("name", "")).lower()).strip("_")  # terms of earlier versions have none
+        codes += [WIDE, f"high_{name}"] if name else [WIDE]
     return tuple(dict.fromkeys(codes)) or (OTHER,)
 
 
@@ -79,7 +78,7 @@ def reasons_for_estimate(summary: Json, estimate: Json) -> tuple[str, ...]:
     if estimate["trusted"]:
         return ()
     value, (low, high) = float(estimate["value"]), estimate["interval"]
-    widest = WIDEST_ESTIMATE * value
+    widest = TrustSettings.widest * value
     codes = [*reasons_for_volume(summary), *([WIDE] if max(value - low, high - value) > widest else [])]
     return tuple(dict.fromkeys(codes)) or ("thin_roots",)
 

@@ -1,12 +1,14 @@
 """Result of a reconstruction, and its storage as a folder.
 
-    RESULT/  result.json   numbers, traits, views, rig, warnings, timings, settings and versions
-             shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); likewise for the
-                           untrimmed hull: hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
-             shape.ply     surface, canister frame, mm shoot.ply     surface of the shoot's visual hull, if there are
-             pictures of a shoot roots.rsml    centre lines and diameters of the roots, if any were found traits.csv,
-             traits.json   traits with units and definitions silhouettes/NAME.png   16 bit: measured coverage of each
-             pixel by roots seen/NAME.png          8 bit: 255 where the picture is valid for the water
+    RESULT/  result.json           numbers, traits, views, rig, warnings, timings, settings and versions
+             shape.npz             leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); likewise for the
+                                   untrimmed hull: hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
+             shape.ply             surface, canister frame, mm
+             shoot.ply             surface of the shoot's visual hull, if there are pictures of a shoot
+             roots.rsml            centre lines and diameters of the roots, if any were found
+             traits.csv, .json     traits with units and definitions
+             silhouettes/NAME.png  16 bit: measured coverage of each pixel by roots
+             seen/NAME.png         8 bit: 255 where the picture is valid for the water
 
 NAME is the picture's name in the dataset.
 """
@@ -53,7 +55,7 @@ def triple(values: NDArray[np.float64]) -> Triple:
 POSES = ("cam_from_canister", "cam_from_tank")
 """Keys of a camera's poses in ``result.json``."""
 _OF_VIEW = ("file", "ring", "used", "reason", *POSES, "sway", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
-"""... and its other fields, before those of the turntable and the silhouette."""
+"""Keys of a camera in ``result.json``, besides those of markers, turntable and silhouette."""
 
 
 @dataclass(frozen=True, kw_only=True)

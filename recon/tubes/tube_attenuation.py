@@ -52,10 +52,10 @@ class TubeAttenuation:
     covariance: Array
     """(L, L) covariance of the light parameters; 0 for those not fitted."""
     against_opaque: float
-    """Ratio of the residuals of opaque and translucent roots on lone roots; below 1 if opaque roots fit better, 0 if no
-    comparison was made."""
+    """Residual of the opaque model divided by that of the translucent model, on isolated roots; <1 favours opaque, 0 if
+    not compared."""
     profiles: int
-    """Number of profiles of lone roots in the comparison."""
+    """Number of profiles of isolated roots in the comparison."""
     rival_per_mm: float | None = None
     """Attenuation that explains the pictures better than opaque roots, but not clearly."""
     hairs: Literal["none", "maybe", "there"] = "none"

@@ -125,7 +125,7 @@ class Sections:
         return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
-        """Interpolate pictures of all views, flattened, at an offset across the tube."""
+        """Sample flattened images of all views at a perpendicular offset from the tube's centre line (bilinear)."""
         u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
         v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]

@@ -38,10 +38,10 @@ _WHERE = {
 
 
 def occlusion_term(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
-    """Return the volume that a shape may have where it is occluded, at the top, the bottom and all sides.
+    """Estimate the volume that may be hidden where too few views see (above, below, sides).
 
-    Columns of the shape along each axis that end where too few views look are extended, at most to where enough views
-    look again or to the end of the water. The axis with the largest hidden volume is used.
+    Columns ending there are extended until enough views see again, or to the edge of the water. The axis with the
+    largest hidden volume is used.
 
     Parameters
     ----------

@@ -23,6 +23,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.device import numbers
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.recon.uncertainty.checks import Estimate
@@ -59,8 +60,8 @@ further roots may be missing. Scans with at most 3 % had length errors within 2 
 _LEVEL = np.pi / 2.0
 """Factor for level roots: over a turn, their line in the picture has on average 2 / pi of their length, so that missing
 or surplus length may be this much larger."""
-WIDEST = 0.25
-"""Maximum relative half-width of an interval for a trusted number; the same as for the volume."""
+WIDEST = TrustSettings.widest
+"""Maximum relative half-width of an interval for a trusted number: the default of the volume, whatever its setting."""
 LEAST_VIEWS = 4
 """Minimum number of pictures that show the roots, to estimate the scatter."""
 
@@ -154,7 +155,7 @@ def _mean(root: Root) -> float:
 
 
 def _measure(picture: NDArray[np.float32], usable: NDArray[np.bool_]) -> _Measures:
-    """Measure a picture of coverage (H, W) at usable pixels."""
+    """Measure skeleton length, number of tips and area in a coverage image (H, W), within usable pixels."""
     smooth = cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX)
     mask = (smooth > _LINE) & usable
     line = skeletonize(mask)

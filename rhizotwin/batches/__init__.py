@@ -1,1 +1,1 @@
-"""Many scans: which are to be done, where they run, what became of each, and one page over all of them."""
+"""Batches of scans: finding the datasets, running the jobs, recording their outcomes, and an overview page."""

@@ -1,9 +1,7 @@
-"""The same jobs on Dask: an existing scheduler, or one on a SLURM cluster.
+"""Jobs on Dask: an existing scheduler, or one on a SLURM cluster.
 
-Workers need this program and see the same folders or addresses.
-
-Dask hands a job of a worker that vanished to another one by itself; a job that outlives several workers is given up
-with a sentence.
+The workers need this program and access to the same folders or addresses. Dask itself repeats the job of a lost worker;
+a job that loses several workers fails with a message.
 """
 
 from __future__ import annotations
@@ -23,20 +21,20 @@ if TYPE_CHECKING:
 
 SLURM = "slurm"
 WAIT_S = 30.0
-"""For a scheduler to answer."""
+"""Time limit for the answer of a scheduler."""
 
 
 @contextmanager
 def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
-    """Connect to a scheduler (``tcp://host:8786``), or start one that asks SLURM for workers (``slurm``).
+    """Connect to a scheduler (``tcp://host:8786``), or start one that requests workers from SLURM (``slurm``).
 
-    SLURM's queue, account and times are read from Dask's own configuration (``~/.config/dask/jobqueue.yaml``); memory
-    is what the largest job is predicted to need.
+    SLURM's queue, account and time limits are read from Dask's configuration (``~/.config/dask/jobqueue.yaml``); the
+    requested memory is the predicted maximum of all jobs.
 
     Raises
     ------
     UserError
-        When Dask is not installed, or nobody answers.
+        If Dask is not installed, or the scheduler does not answer.
     """
     try:
         from distributed import Client
@@ -45,7 +43,7 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
     if where == SLURM:
         if shutil.which("sbatch") is None:
             raise UserError(
-                "--cluster slurm: there is no sbatch on this computer; run it where SLURM is, or give a Dask scheduler's address"
+                "--cluster slurm: there is no sbatch on this computer; run it where SLURM is installed, or give the address of a scheduler"
             )
         with slurm(jobs) as cluster, Client(cluster) as client:
             cluster.scale(jobs=min(len(jobs), workers or len(jobs)))
@@ -62,7 +60,7 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
 
 
 def slurm(jobs: Sequence[Job]) -> Any:
-    """Return a cluster that SLURM's queue gives workers to."""
+    """Return a cluster whose workers are jobs of SLURM."""
     from dask_jobqueue.slurm import SLURMCluster
 
     memory_mib = max((job.memory_mib for job in jobs), default=1000.0)
@@ -73,7 +71,7 @@ def slurm(jobs: Sequence[Job]) -> Any:
 
 
 def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
-    """Do jobs on a scheduler's workers, one at a time on each, and yield each with what became of it in the end."""
+    """Run jobs on the workers of a scheduler, one at a time on each, and yield each job with its final outcome."""
     from distributed import as_completed
 
     memory = {job.name: job for job in jobs}
@@ -97,9 +95,9 @@ def _submit(client: Client, job: Job, attempt: int) -> Any:
 
 
 def _outcome(future: Any, job: Job) -> Outcome:
-    """Return what became of a job; an exception is Dask's, since `work` raises none."""
+    """Return the outcome of a job; an exception comes from Dask, since `work` raises none."""
     try:
         return Outcome(**future.result())
-    except Exception as error:  # noqa: BLE001 - KilledWorker, CancelledError, CommClosedError, ...: the cluster's own
+    except Exception as error:  # noqa: BLE001 - Dask raises KilledWorker, CancelledError, CommClosedError and others
         sentence = f"the cluster lost it ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
         return Outcome(name=job.name, state="again", sentence=sentence)

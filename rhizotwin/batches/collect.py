@@ -1,4 +1,4 @@
-"""From what a person names to jobs: datasets found and known by their hashes, scenes varied into series."""
+"""Jobs from the arguments of a command: datasets, identified by their hashes, and scenes."""
 
 import hashlib
 import json
@@ -15,23 +15,23 @@ from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 
 _PIXELS = 20e6
-"""Of a dataset whose manifest cannot be read; it will fail by itself."""
+"""Assumed for a dataset whose manifest cannot be read; its job will fail."""
 
 
 def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | None, settings: Path | None, device: str) -> list[Job]:
-    """Return a job for every dataset that is named, each once.
+    """Return one job for each dataset.
 
     Parameters
     ----------
     scans : sequence of str
-        Datasets, folders that hold some, patterns, addresses.
+        Datasets, folders that contain datasets, patterns, or addresses.
     results : str
-        Folder or address that holds the results.
+        Folder or address of the results.
 
     Raises
     ------
     UserError
-        Where nothing is found, two cannot be told apart, or the settings cannot be read.
+        If no dataset is found, two would have the same name, or the settings cannot be read.
     """
     found = list(dict.fromkeys(_resolved(dataset) for scan in scans for dataset in places.find_datasets(scan)))
     options: dict[str, Any] = {"voxel_mm": voxel_mm, "settings": None if settings is None else _checked(settings), "device": device}
@@ -39,30 +39,30 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
     jobs = []
     for name, dataset in zip(named(found), found, strict=True):
         data = _head(dataset)
-        told = {key: value for key, value in options.items() if key != "device"} | {"dataset": hashlib.sha256(data).hexdigest()}
-        key, output = key_of(told, code=code), places.join(results, name)
+        decides = {key: value for key, value in options.items() if key != "device"} | {"dataset": hashlib.sha256(data).hexdigest()}
+        key, output = key_of(decides, code=code), places.join(results, name)
         jobs.append(Job(name=name, kind="reconstruct", source=dataset, output=output, key=key, pixels=_pixels(data), options=options))
     return jobs
 
 
 def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed: int, device: str) -> list[Job]:
-    """Return a job for every scene, whose names are those of the datasets.
+    """Return one job for each scene; the datasets are named like the scenes.
 
     Parameters
     ----------
     scenes : dict of Scene
-        By name.
+        Scenes by name.
     datasets : str
         Folder or address of the datasets.
     profile, seed : str, int
         As `rhizotwin.front_door.simulate`.
     device : str
-        What computes.
+        Device for the computation.
 
     Returns
     -------
     list of Job
-        One a scene.
+        One for each scene.
     """
     code = sources.digest(("rhizotwin.sim.simulate",))
     options: dict[str, Any] = {"profile": profile, "seed": seed, "device": device}
@@ -82,7 +82,7 @@ def _resolved(dataset: str) -> str:
 
 
 def _head(dataset: str) -> bytes:
-    """Return a dataset's manifest; nothing where it is a link or cannot be read, so that this scan fails by itself."""
+    """Return the manifest of a dataset; empty if it is a link or cannot be read, so that only this job fails."""
     head = places.join(dataset, places.HEAD)
     try:
         return b"" if Path(head).is_symlink() else places.read(head) or b""
@@ -91,7 +91,7 @@ def _head(dataset: str) -> bytes:
 
 
 def _checked(settings: Path) -> str:
-    """Return the text of a file of settings that the reconstruction will accept."""
+    """Return the text of a settings file, after validation."""
     from rhizotwin.recon.settings import load_settings
 
     load_settings(settings)
@@ -99,7 +99,7 @@ def _checked(settings: Path) -> str:
 
 
 def _pixels(data: bytes) -> float:
-    """Return the pixels of all pictures that a manifest names."""
+    """Return the number of pixels of all pictures in a manifest."""
     try:
         manifest = json.loads(data)
         width, height = manifest["scene"]["camera"]["image_wh"]

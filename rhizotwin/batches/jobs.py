@@ -1,6 +1,6 @@
-"""What is to be done, and the record of what became of it.
+"""Jobs (reconstruct a scan, render a scene) and the records of their outcomes.
 
-A job is a scan or a rendering, known by everything that decides its outcome.
+A job is identified by everything that decides its outcome.
 """
 
 import hashlib
@@ -17,19 +17,19 @@ Kind = Literal["reconstruct", "simulate"]
 State = Literal["done", "failed", "again"]
 
 RECORDS = ".rhizotwin-jobs"
-"""Folder of the records beside the outputs; hidden, so that it is not taken for one."""
+"""Folder of the records beside the outputs; hidden, so that it is not mistaken for an output."""
 HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json"}
-"""The file that tells that an output is whole."""
+"""The file that marks an output as complete, by kind of job."""
 
 BASE_MIB, MIB_PER_MPX = 700.0, 120.0
-"""Peak memory of a reconstruction: of the process with its libraries, and for each million pixels of all pictures.
+"""Peak memory of a reconstruction: that of the process with its libraries, plus an amount per million pixels.
 
 An upper bound over the accuracy ladder: 18 plants of 38.4 million pixels (two rings of 40 views, 800x600) took up to
-4953 MiB, printed phantoms of 19.2 million pixels 1336 MiB. Voxels below the default 0.27 mm are not told by it: 0.07 mm
+4953 MiB, printed phantoms of 19.2 million pixels 1336 MiB. Voxels below the default of 0.27 mm need more: 0.07 mm
 took twice as much.
 """
 RENDER_MIB = 1000.0
-"""Of a rendering: 414 MiB at 800x600, and the solid of the largest library plant."""
+"""Peak memory of a rendering: 414 MiB at 800x600, plus the solid of the largest plant of the library."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,55 +37,55 @@ class Job:
     """One scan to reconstruct, or one scene to render."""
 
     name: str
-    """Of the output's folder."""
+    """Name of the output folder."""
     kind: Kind
     source: str
     """Dataset, or scene as JSON text."""
     output: str
     key: str
-    """SHA-256 of all that decides the outcome: dataset or scene, settings, code."""
+    """SHA-256 of everything that decides the outcome: dataset or scene, settings, code."""
     pixels: float
-    """Of all pictures: what memory and time grow with."""
+    """Number of pixels of all pictures, which determines memory and time."""
     options: dict[str, Any]
-    """What the step is called with, as JSON values."""
+    """Arguments of the step, as JSON values."""
 
     @property
     def memory_mib(self) -> float:
-        """Return the peak memory that it will need at most."""
+        """Return the maximum of its peak memory."""
         return RENDER_MIB if self.kind == "simulate" else BASE_MIB + MIB_PER_MPX * self.pixels / 1e6
 
     @property
     def record(self) -> str:
-        """Return where its record lies."""
+        """Return the path or address of its record."""
         beside = self.output.rstrip("/").rpartition("/")[0]
         return places.join(beside or ".", RECORDS, f"{self.name}.json")
 
     def plain(self) -> dict[str, Any]:
-        """Return it as JSON values, for another process."""
+        """Convert to JSON values, for another process."""
         return asdict(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a job."""
+    """Outcome of a job."""
 
     name: str
     state: State
-    """again: not the job's fault (a worker that died, a full disk); it is tried again."""
+    """again: failed for an external reason (a worker that died, a full disk); it is repeated."""
     sentence: str = ""
-    """Why it failed."""
+    """Reason of the failure."""
     seconds: float = 0.0
     peak_mib: float = 0.0
 
 
 def key_of(settings: Mapping[str, Any], *, code: str) -> str:
-    """Return the key of what a job is made from: JSON values and the digest of the code."""
+    """Return the key of a job from its settings (JSON values) and the digest of the code."""
     text = json.dumps({"settings": settings, "code": code}, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def is_done(job: Job) -> bool:
-    """Tell whether the job was done by an earlier run, with the same key, and its output is there."""
+    """Return whether an earlier run finished the job with the same key, and its output exists."""
     data = places.read(job.record)
     try:
         record = {} if data is None else json.loads(data)
@@ -103,12 +103,12 @@ def note(job: Job, outcome: Outcome) -> None:
 
 
 def named(sources: Sequence[str]) -> list[str]:
-    """Return a name for each source: its last one, with those above it where two have the same.
+    """Return a name for each source: the name of its folder, preceded by those of its parents where two are the same.
 
     Raises
     ------
     UserError
-        Where two sources cannot be told apart.
+        If two sources would have the same name.
     """
     parts = [
         [part for part in source.replace("://", "/").split("/") if part not in ("", ".", "..")] or [places.name_of(source)]

@@ -1,6 +1,6 @@
-"""Jobs in processes of this computer.
+"""Jobs in processes of this computer, as many at once as memory allows.
 
-As many at once as memory allows; one that dies loses its job, which is done again.
+If a process dies, its job is repeated.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from rhizotwin.scenes.memory import available_mib
 from rhizotwin.scenes.monitor import threads
 
 MOST_TRIES = 3
-"""Of a job whose process dies or whose disk is full."""
+"""Maximum number of attempts for a job whose process dies or whose disk is full."""
 LEFT_FREE = 0.1
-"""Share of the free memory that is left to everybody else."""
+"""Share of the free memory that is left to other programs."""
 LOOK_S = 1.0
-"""How often a worker looks whether whom it works for is still there."""
+"""Interval in which a worker checks that the main process still exists."""
 
 
 @dataclass
@@ -38,14 +38,14 @@ class _Worker:
 
 
 def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None) -> Iterator[tuple[Job, Outcome]]:
-    """Do jobs, the largest first, and yield each with what became of it in the end.
+    """Run jobs, the largest first, and yield each with its final outcome.
 
     Parameters
     ----------
     workers : int or None
-        Most at once; None: one a processor.
+        Maximum number of processes; None: one per processor.
     memory_mib : float or None
-        What all together may take; None: what is free. A job that needs more than that runs alone.
+        Maximum memory of all processes; None: the free memory. A job that needs more runs alone.
     """
     most = workers or threads()
     allowed = memory_mib or available_mib() * (1.0 - LEFT_FREE)
@@ -68,13 +68,13 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
                     yield job, outcome
     finally:
         for worker in crew:
-            worker.process.kill()  # what it was building is removed by the next run
+            worker.process.kill()  # the next run removes its unfinished output
             worker.process.join()
             worker.line.close()
 
 
 def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: float) -> None:
-    """Give waiting jobs to idle or new workers as long as memory allows; one job always runs."""
+    """Assign waiting jobs to idle or new workers while memory allows; at least one job runs."""
     for job in list(waiting):
         busy = [worker.job for worker in crew if worker.job]
         if len(busy) >= most:
@@ -87,7 +87,7 @@ def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: f
             crew.append(worker)
         waiting.remove(job)
         worker.job = job
-        with suppress(OSError):  # it died while it was idle: `_hear` finds that out
+        with suppress(OSError):  # it died while idle: `_hear` will report it
             worker.line.send(job.plain())
 
 
@@ -101,7 +101,7 @@ def _hire(threads_each: int) -> _Worker:
 
 
 def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
-    """Return what a worker says of its job; one that is dead is dismissed."""
+    """Receive the outcome of a worker's job; a dead worker is removed."""
     job = worker.job
     worker.job = None
     name = "" if job is None else job.name
@@ -113,12 +113,12 @@ def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
         crew.remove(worker)
         worker.line.close()
         how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
-        return Outcome(name=name, state="again", sentence=f"its process died ({how}), perhaps for want of memory")
+        return Outcome(name=name, state="again", sentence=f"its process died ({how}), perhaps because it ran out of memory")
 
 
 def _serve(line: Connection, master: int, threads_each: int) -> None:
-    """Do jobs until nobody gives any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the master's, who ends us
+    """Run jobs until the main process closes the connection."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process handles Ctrl-C and ends its workers
     threading.Thread(target=_leave_with, args=(master,), daemon=True).start()
     from rhizotwin.batches.work import work
 
@@ -131,7 +131,7 @@ def _serve(line: Connection, master: int, threads_each: int) -> None:
 
 
 def _leave_with(master: int) -> None:
-    """End this process soon after the one that it works for is gone, whatever it is doing."""
+    """End this process soon after the main process has ended."""
     while os.getppid() == master:
         time.sleep(LOOK_S)
     os._exit(1)

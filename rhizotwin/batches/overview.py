@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 
 from rhizotwin.batches.jobs import Job
-from rhizotwin.recon.results import assessments, result_traits
+from rhizotwin.recon.results import assessments, reasons, result_traits
 from rhizotwin.recon.results.parts import Json
-from rhizotwin.report import tables, words
+from rhizotwin.report import tables
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
@@ -56,7 +56,7 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
     list of Path
         The table and the page.
     str
-        A summary such as "3 of 12 volumes usable; not usable: 7 x views disagree, 2 x focus".
+        A summary such as "3 of 12 volumes usable; not usable: 7 x inconsistent views, 2 x blurred pictures".
     """
     rows = []
     broken = list(failed)
@@ -76,9 +76,9 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
 def summarise(summaries: Sequence[Json]) -> str:
     """Return the number of usable volumes, and how often each reason made one unusable, the most frequent first."""
-    reasons = Counter(reason for summary in summaries for reason in words.failure_reasons(summary))
+    codes = Counter(code for summary in summaries for code in reasons.reasons_for_volume(summary))
     usable = sum(bool(summary["volume_trusted"]) for summary in summaries)
-    counted = ", ".join(f"{count} x {reason}" for reason, count in reasons.most_common())
+    counted = ", ".join(f"{count} x {code.replace('_', ' ')}" for code, count in codes.most_common())
     return f"{usable} of {len(summaries)} volumes usable" + (f"; not usable: {counted}" if counted else "")
 
 

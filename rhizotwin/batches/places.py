@@ -1,4 +1,4 @@
-"""Folders here and elsewhere: what is an address (``s3://...``) goes through fsspec, everything else is a path."""
+"""Local folders and other file systems: addresses (``s3://...``) are accessed with fsspec, others are paths."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 HEAD = "dataset.json"
-"""What makes a folder a dataset."""
+"""File that every dataset contains."""
 
 
 def is_address(place: str) -> bool:
-    """Tell whether a place is on another file system, such as ``s3://bucket/scans``."""
+    """Return whether a place is on another file system, such as ``s3://bucket/scans``."""
     return "://" in place
 
 
 def join(place: str, *names: str) -> str:
-    """Return a place some folders deeper."""
+    """Append names to a path or address."""
     return "/".join([place.rstrip("/"), *names]) if is_address(place) else str(Path(place, *names))
 
 
 def name_of(place: str) -> str:
-    """Return a place's last name, also of ``.``."""
+    """Return the last name of a path or address, also for ``.``."""
     return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(os.path.realpath(place)).name
 
 
 def find_datasets(source: str) -> list[str]:
-    """Return the datasets that a folder, a pattern (``*``, ``?``, ``**``) or an address means, sorted.
+    """Return the datasets in a folder, at an address, or that match a pattern (``*``, ``?``, ``**``), sorted.
 
     Raises
     ------
     UserError
-        Where there are none.
+        If there are none.
     """
     if is_address(source):
         system, path = _system(source)
@@ -49,22 +49,22 @@ def find_datasets(source: str) -> list[str]:
         heads = {head for folder in folders for head in ([folder / HEAD] if (folder / HEAD).exists() else folder.rglob(HEAD))}
         found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") and part != ".." for part in head.parts))
     if not found:
-        raise UserError(f"{source}: there is no dataset; give datasets, folders that hold some, or a pattern in quotes")
+        raise UserError(f"{source}: there is no dataset; give datasets, folders that contain datasets, or a pattern in quotes")
     return found
 
 
 def _matches(pattern: Path) -> list[Path]:
-    """Return the path itself, or what it matches as a pattern."""
+    """Return the path itself if it exists, else the paths that match it as a pattern."""
     if pattern.exists():
         return [pattern]
     try:
         return list(Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor))))
-    except ValueError:  # what is no pattern, such as "a**"
+    except ValueError:  # not a valid pattern, such as "a**"
         return []
 
 
 def read(place: str) -> bytes | None:
-    """Return a file's bytes; None where there is no such file."""
+    """Return the content of a file; None if it does not exist."""
     if not is_address(place):
         return read_file(place) if os.path.lexists(place) else None
     system, path = _system(place)
@@ -75,7 +75,7 @@ def read(place: str) -> bytes | None:
 
 
 def write(place: str, data: bytes) -> None:
-    """Write a file whole; its folder is made where it is missing."""
+    """Write a file; its folder is created if it is missing."""
     if is_address(place):
         system, path = _system(place)
         system.makedirs(path.rpartition("/")[0], exist_ok=True)
@@ -85,7 +85,7 @@ def write(place: str, data: bytes) -> None:
 
 
 def exists(place: str) -> bool:
-    """Tell whether there is such a file."""
+    """Return whether a file exists."""
     if is_address(place):
         system, path = _system(place)
         return bool(system.exists(path))
@@ -93,14 +93,14 @@ def exists(place: str) -> bool:
 
 
 def fetch(address: str, folder: Path) -> None:
-    """Copy a folder from elsewhere."""
+    """Copy a folder from an address."""
     system, path = _system(address)
     folder.mkdir(parents=True, exist_ok=True)
     system.get(f"{path.rstrip('/')}/", f"{folder}/", recursive=True)
 
 
 def put(folder: Path, address: str, *, last: str) -> None:
-    """Copy a folder to elsewhere; the file ``last``, which tells that it is whole, goes at the end."""
+    """Copy a folder to an address; the file ``last``, which marks it as complete, is written last."""
     system, path = _system(address)
     system.makedirs(path, exist_ok=True)
     if system.exists(f"{path}/{last}"):

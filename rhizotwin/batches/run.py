@@ -1,4 +1,4 @@
-"""A whole batch: what is finished is left alone, the rest is done, and what failed is told at the end."""
+"""Run a batch: finished jobs are kept, the others are run, and failures are collected."""
 
 import sys
 from collections.abc import Sequence
@@ -22,31 +22,31 @@ _FORM = "{percentage:3.0f} %|{bar}| {desc}, {remaining} left"
 
 @dataclass(frozen=True, kw_only=True)
 class Batch:
-    """What became of many jobs."""
+    """Outcomes of the jobs of a batch."""
 
     kept: tuple[Job, ...]
     """Finished by an earlier run."""
     done: tuple[Job, ...]
     failed: tuple[tuple[Job, str], ...]
-    """Each with its sentence."""
+    """Each with its message."""
 
 
 def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers: int | None = None) -> Batch:
-    """Do all jobs that are not finished, with one bar.
+    """Run all jobs that are not finished, with one progress bar.
 
     Parameters
     ----------
     folder : str
-        Holds the outputs; two batches cannot work in it at once.
+        Folder of the outputs; only one batch can use it at a time.
     cluster : str or None
-        A Dask scheduler's address, or slurm; None: processes of this computer.
+        Address of a Dask scheduler, or slurm; None: processes of this computer.
     workers : int or None
-        Most jobs at once.
+        Maximum number of jobs at once.
 
     Raises
     ------
     UserError
-        When another batch works in the folder, or the cluster does not answer.
+        If another batch uses the folder, or the cluster does not answer.
     """
     done: list[Job] = []
     failed: list[tuple[Job, str]] = []
@@ -75,14 +75,14 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
 
 
 def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
-    """Refuse to write through links, which a folder from somebody else may hold."""
+    """Reject links in the folder, through which files elsewhere would be overwritten."""
     linked = next((folder / name for name in (listed.RECORDS, *(job.name for job in jobs)) if (folder / name).is_symlink()), None)
     if linked is not None:
-        raise UserError(f"{linked}: is a link, through which a batch does not write; remove it, or give the folder that it leads to")
+        raise UserError(f"{linked}: is a link, and a batch does not write through links; remove it, or give the folder that it points to")
 
 
 class _Bar:
-    """One bar with the time left, told from the pixels that are done; a line a job where nobody watches."""
+    """One progress bar with the remaining time, estimated from pixels; without a terminal one line per job."""
 
     def __init__(self, jobs: Sequence[Job]) -> None:
         self._total, self._count = len(jobs), 0
@@ -100,7 +100,7 @@ class _Bar:
             self._bar.close()
 
     def step(self, job: Job, said: str) -> None:
-        """Tell that a job is over."""
+        """Report that a job has ended."""
         self._count += 1
         if self._bar is None:
             sys.stderr.write(f"{self._count} of {self._total}: {printable(f'{job.name}: {said}')}\n")

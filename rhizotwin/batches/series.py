@@ -1,4 +1,4 @@
-"""Scenes varied into plants, days and treatments, each with a name and a subject of its own."""
+"""Variation of a scene by plant, day and treatment; each variant has its own name and subject."""
 
 import re
 from collections.abc import Sequence
@@ -11,28 +11,28 @@ from rhizotwin.scenes.solution import Factors
 def vary(
     scene: Scene, *, plants: int = 1, days: Sequence[float] | None = None, treatments: Sequence[tuple[str, float, Factors]] | None = None
 ) -> dict[str, Scene]:
-    """Return every combination by name; nothing varied is the scene itself.
+    """Return every combination by name; without variation, the scene itself.
 
     Parameters
     ----------
     scene : Scene
-        Of a grown plant.
+        Scene of a grown plant.
     plants : int
-        How many.
+        Number of plants.
     days : sequence of float or None
-        Ages; None: the scene's.
+        Ages in days; None: that of the scene.
     treatments : sequence of (str, float, Factors) or None
-        Names, each with its factor of growth and factors of the solution; None: the scene's.
+        Name, growth factor, and factors of the solution of each; None: that of the scene.
 
     Returns
     -------
     dict of Scene
-        By plant, treatment and day.
+        Scenes by name, which contains treatment, plant and day.
 
     Raises
     ------
     UserError
-        When the scene has no grown plant and something is varied.
+        If the scene has no grown plant and something is varied.
     """
     found = {scene.name: scene}
     if treatments is not None:
@@ -42,7 +42,7 @@ def vary(
             for what, growth, factors in treatments
         }
     if plants > 1:
-        found = {  # plants of two treatments are others, too
+        found = {  # each treatment has its own plants
             f"{name}_plant{k + 1}": series.replicate(one, k, seed=plants * place + k)
             for place, (name, one) in enumerate(found.items())
             for k in range(plants)

@@ -1,4 +1,4 @@
-"""Doing one job, in whatever process: an error becomes a sentence, and never leaves it."""
+"""Execution of one job in any process; errors become messages in its outcome."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from rhizotwin.scenes import formatting, memory
 from rhizotwin.scenes.errors import UserError
 
 OF_DISK = (*formatting.FULL, errno.EIO, errno.ESTALE)
-"""Errors of a disk or a network, not of a scan."""
+"""Error numbers of disk or network, after which a job is repeated."""
 
 
 def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
-    """Do a job and write its record; return its outcome as JSON values.
+    """Run a job and write its record; return its outcome as JSON values.
 
     Parameters
     ----------
     plain : dict of object
-        As `Job.plain` gives it.
+        From `Job.plain`.
     threads : int or None
-        Processors that it may use; None: all.
+        Number of threads; None: all processors.
     """
     job = Job(**plain)
     begin = time.perf_counter()
@@ -47,7 +47,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
         state, sentence = "again", formatting.error_sentence(error)
     except OSError as error:
         state, sentence = "again" if error.errno in OF_DISK else "failed", formatting.error_sentence(error)
-    except Exception as error:  # one scan's fault must not end the others
+    except Exception as error:  # a fault of one scan must not end the batch
         logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
         state, sentence = "failed", formatting.error_sentence(error)
     outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=memory.peak_mib())

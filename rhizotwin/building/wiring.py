@@ -162,7 +162,7 @@ def page_of(diagram: Diagram) -> Page:
 
 
 def _pins(diagram: Diagram, name: str) -> list[str]:
-    """Return the pins of a box in the order of the table."""
+    """Return the pins of a device in the order of the wiring list."""
     ends = [end for wire in diagram.wires for end in (wire.start, wire.end) if end[0] == name]
     return list(dict.fromkeys(pin for _, pin in ends))
 

@@ -172,7 +172,7 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
     shape = divide_by_plant.Shape(
         leaves=voxels,
         surface=mesh,
-        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
+        finest_mm=result_files.finest_mm(summary),
         volume_mm3=float(summary["volume_mm3"]),
         interval_mm3=(float(low), float(high)),
     )

@@ -49,7 +49,7 @@ class Line:
     parent: int
     """Number of the parent, -1 for none."""
     pieces: tuple[Piece, ...]
-    """Parts of the measured sources that it consists of, from base to tip."""
+    """Segments of the measured roots that make up this line, from base to tip."""
     tip_seen: bool = True
     label: str = ""
     sigma_mm: Array | None = None
@@ -90,6 +90,12 @@ class Line:
             before += piece.length_mm
         sigma = None if self.sigma_mm is None else np.interp(at, way, self.sigma_mm)
         return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces), sigma_mm=sigma)
+
+    def stretches(self, chosen: Mask) -> list[tuple[int, int]]:
+        """Return the first and last point of each run of two or more chosen points (N,)."""
+        rows = np.flatnonzero(chosen)
+        runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        return [(int(run[0]), int(run[-1])) for run in runs if len(run) > 1]
 
     def backward(self) -> Line:
         """Return the line in the opposite direction."""
@@ -180,14 +186,13 @@ def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tu
     for (number, line), within in zip(lines.items(), np.split(of_all, ends), strict=True):
         if not within.any():
             continue
-        way, out = line.way_mm, np.flatnonzero(~within)
-        stretches = [run for run in np.split(out, np.flatnonzero(np.diff(out) > 1) + 1) if len(run) > 1]
+        way, stretches = line.way_mm, line.stretches(~within)
         if not stretches:
             gone.append(number)
             continue
-        for place, run in enumerate(stretches):
-            part = line.between(float(way[run[0]]), float(way[run[-1]]))
-            part = replace(part, tip_seen=bool(line.tip_seen and run[-1] == len(way) - 1))
+        for place, (first, last) in enumerate(stretches):
+            part = line.between(float(way[first]), float(way[last]))
+            part = replace(part, tip_seen=line.tip_seen and last == len(way) - 1)
             if place == 0:
                 changed[number] = part
             else:
@@ -216,6 +221,23 @@ def reroot(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Li
 
 def _nearness(point_mm: Array, line_mm: Array) -> float:
     return float(np.linalg.norm(line_mm - point_mm, axis=1).min())
+
+
+def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
+    """Convert roots to numbered lines; each is the source of the same number."""
+    return {
+        k: Line(
+            root.points_mm,
+            root.diameters_mm,
+            root.parent,
+            (Piece(k, 0.0, polyline.length_mm(root.points_mm)),),
+            root.tip_seen,
+            root.label,
+            root.diameter_sigma_mm,
+            root.plant,
+        )
+        for k, root in enumerate(roots)
+    }
 
 
 def as_roots(lines: Lines) -> tuple[Root, ...]:

@@ -102,7 +102,9 @@ def read(path: Path, result_folder: Path) -> Log:
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise UserError(f"{path} is not a readable log of corrections ({error})") from None
     if log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
-        raise UserError(f"{path} belongs to another result than {result_folder}; a new reconstruction has other voxels and roots")
+        raise UserError(
+            f"{path} contains corrections of a different result than {result_folder}; they cannot be applied to a new reconstruction"
+        )
     return log
 
 

@@ -56,7 +56,7 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         if missing or not cameras.files:
             raise UserError(f"{result_folder} has no silhouette of {missing[0] if missing else 'any picture'}; reconstruct again")
         seen = Evidence.from_silhouettes(ViewBank.pack(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
-        thick_mm = result_traits.THICK_CELLS * float(summary["settings"].get("finest_mm", summary["voxel_mm"]))
+        thick_mm = result_traits.THICK_CELLS * result_files.finest_mm(summary)
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
         fitted = tube_fit.fit(seen, tubes, fixed, steps=_STEPS, light=Prior.from_evidence(seen)).tubes
         centre = np.where(fixed[:, None], tubes.centre_mm, fitted.centre_mm)

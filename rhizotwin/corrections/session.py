@@ -16,7 +16,6 @@ from rhizotwin.corrections import state as states
 from rhizotwin.corrections.log import Edit, Log
 from rhizotwin.corrections.solid import Solid
 from rhizotwin.corrections.state import Refit, State
-from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.stored import result_files
 
@@ -46,7 +45,7 @@ class Session:
     def __init__(self, result_folder: Path, *, refit: Refit | None = None) -> None:
         self.folder = Path(result_folder)
         self.summary: dict[str, Any] = result_files.read_summary(self.folder)
-        self.roots: tuple[Root, ...] = read_roots(self.folder)
+        self.roots: tuple[Root, ...] = result_files.read_roots(self.folder)
         self.leaves = result_files.read_leaves(self.folder)
         self._sources = [(root.points_mm, root.diameters_mm) for root in self.roots]
         self._finest_mm: float | None = self.summary["settings"].get("finest_mm")
@@ -167,9 +166,3 @@ class Session:
     def _apply(self, edit: Edit) -> None:
         self._states.append(states.apply(self.state, edit, self.solid, refit=self.refit))
         self.log = replace(self.log, edits=(*self.log.edits, edit))
-
-
-def read_roots(result_folder: Path) -> tuple[Root, ...]:
-    """Read the roots of a result; empty for solid bodies."""
-    file = result_folder / "roots.rsml"
-    return rsml.read_rsml(file) if file.is_file() else ()

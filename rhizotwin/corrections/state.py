@@ -73,19 +73,7 @@ class State:
 
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
     """Return the state of a result without corrections; its roots are the sources of the solid, in the same order."""
-    lines = {
-        k: Line(
-            root.points_mm,
-            root.diameters_mm,
-            root.parent,
-            (Piece(k, 0.0, solid.length_mm(k)),),
-            root.tip_seen,
-            root.label,
-            root.diameter_sigma_mm,
-            root.plant,
-        )
-        for k, root in enumerate(roots)
-    }
+    lines = roots_of.as_lines(roots)
     return State(lines, np.zeros(len(solid.size), bool), {}, len(lines))
 
 

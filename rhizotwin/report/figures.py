@@ -1,7 +1,7 @@
 """Figures of a result: pictures with silhouettes, camera positions, and the shape from two sides."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Rectangle
 from numpy.typing import NDArray
 
-from rhizotwin import root_colours, shading, surface_mesh
-from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin import root_colours, shading
+from rhizotwin.corrections.lines import Lines, as_lines
 from rhizotwin.recon.results.parts import Json, Mesh, picture_path
-from rhizotwin.report.shape_data import as_lines
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -24,7 +23,7 @@ from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring import surface_distance
-from rhizotwin.stored.result_files import read_grey
+from rhizotwin.stored.load import read_silhouette
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -58,11 +57,9 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
     axes = drawn.subplots(2, len(chosen), squeeze=False)
     for column, view in enumerate(chosen):
         picture = for_screen(dataset, view["file"])
-        coverage = read_grey(picture_path(result_folder / "silhouettes", view["file"])).astype(np.float64)
-        seen_path = picture_path(result_folder / "seen", view["file"])
-        seen = read_grey(seen_path) > 0.5 if seen_path.is_file() else np.ones(coverage.shape, np.bool_)
-        silhouette = np.repeat(coverage[..., None], 3, axis=2)
-        silhouette[~seen] = 0.55 * silhouette[~seen] + 0.45 * UNSEEN_RGB
+        found = read_silhouette(result_folder, view["file"])
+        silhouette = np.repeat(found.coverage[..., None].astype(np.float64), 3, axis=2)
+        silhouette[~found.usable] = 0.55 * silhouette[~found.usable] + 0.45 * UNSEEN_RGB
         if picture is not None:
             axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
         axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
@@ -247,16 +244,13 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
 
 
 def _colours_of_pixels(
-    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: Callable[[int, Line], NDArray[np.uint8]]
+    found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: root_colours.Colouring
 ) -> Floats:
     """Return the colours (H, W, 3), 0 to 1, of a rendered surface from the nearest points of centre lines."""
     row, column = np.nonzero(found.hit)
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
-    points = np.concatenate([line.points_mm for line in lines.values()])
-    radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
-    shades = np.concatenate([colour(number, line) for number, line in lines.items()])
     picture = np.zeros((*found.hit.shape, 3))
-    picture[row, column] = shades[surface_mesh.nearest_root(flat @ side.axes, points, radii)] / 255.0
+    picture[row, column] = root_colours.colour_surface(flat @ side.axes, lines, colour) / 255.0
     return picture
 
 

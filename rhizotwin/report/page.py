@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin import surface_mesh
-from rhizotwin.corrections.session import read_roots
+from rhizotwin.corrections.lines import as_lines
 from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import rig_figure, shape_data, tables, words
 from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
-from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.formatting import interval_ml, ml, round_digits
 from rhizotwin.scenes.rsml import Root
@@ -63,9 +63,9 @@ class _Report:
     @classmethod
     def read(cls, folder: Path, dataset: Dataset | Path | None) -> _Report:
         summary = result_files.read_summary(folder)
-        roots, surface = read_roots(folder), result_files.read_mesh(folder / "shape.ply")
+        roots, surface = result_files.read_roots(folder), result_files.read_mesh(folder / "shape.ply")
         traits = stored_traits.of_summary(summary, surface, roots)
-        return cls(folder, summary, roots, surface, traits, _dataset(summary, folder, dataset))
+        return cls(folder, summary, roots, surface, traits, result_files.find_dataset(folder, summary, dataset))
 
     @property
     def name(self) -> str:
@@ -226,7 +226,7 @@ def _pictures(report: _Report, surface: Mesh) -> str:
     pictures = Pictures.of(report.dataset, report.summary)
     if not pictures.files:
         return ""
-    lines = shape_data.as_lines(report.roots)
+    lines = as_lines(report.roots)
     around = np.concatenate([surface.vertices_mm, *(root.points_mm for root in report.roots)])
     shown, used = [], set[int]()
     for angle in AZIMUTHS_DEG:
@@ -350,15 +350,3 @@ def _provenance(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _list(sentences: Sequence[str]) -> str:
     return "" if not sentences else f"<ul>{''.join(f'<li>{html.escape(sentence)}</li>' for sentence in sentences)}</ul>"
-
-
-def _dataset(summary: dict[str, Any], folder: Path, given: Dataset | Path | None) -> Dataset | None:
-    """Return the given dataset, or the one that the result names; None if that no longer exists."""
-    try:
-        found = given if isinstance(given, Dataset) else load_dataset(given or Path(str(summary.get("dataset", ""))))
-        result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], folder, found)
-    except UserError:
-        if given is not None:
-            raise
-        return None
-    return found

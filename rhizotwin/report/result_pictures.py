@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from rhizotwin.report import figures, root_figures
-from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.figures import png
 from rhizotwin.stored import result_files, stored_traits
@@ -52,8 +52,8 @@ def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: 
         truth = result_files.read_mesh(Path(truth_mesh))
         both = figures.shape_and_truth(shape, truth, dataset.scene, title=str(summary["scene"]))
         written.append(_save(both, result_folder, "shape_and_truth.png"))
-    if (result_folder / "roots.rsml").is_file():
-        roots = rsml.read_rsml(result_folder / "roots.rsml")
+    roots = result_files.read_roots(result_folder)
+    if roots:
         traits = stored_traits.of_summary(summary, shape, roots)
         written.append(_save(root_figures.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
         written.append(_save(root_figures.length_plots(traits), result_folder, "lengths.png"))

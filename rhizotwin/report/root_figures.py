@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rhizotwin import root_colours, shading
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import figures
+from rhizotwin.root_mesh import THICKEST_PERCENT
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.figures import figure
@@ -33,7 +34,7 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
     """Draw the nearest picture and the roots by diameter and by order, from the front (top row) and from the side."""
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
-    scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, root_colours.THICKEST_PERCENT))), cmap="viridis")
+    scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(points, side) for side in sides]
     tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]

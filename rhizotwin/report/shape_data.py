@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin import root_colours, surface_mesh
-from rhizotwin.corrections.lines import Line
+from rhizotwin.corrections.lines import as_lines
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.root_colours import Key
 from rhizotwin.scenes.rsml import Root
@@ -39,14 +39,6 @@ def pack_shape(surface: Mesh, roots: Sequence[Root]) -> dict[str, Any]:
     diameters = np.concatenate([root.diameters_mm for root in roots])
     nearest = surface_mesh.nearest_root(surface.vertices_mm, points, diameters / 2.0)
     return packed | {"nearest": _text(nearest.astype("<u4")), "roots": _pack_lines(roots, points, diameters), **_pack_colours(roots)}
-
-
-def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
-    """Return roots as numbered lines."""
-    return {
-        k: Line(root.points_mm, root.diameters_mm, root.parent, (), tip_seen=root.tip_seen, sigma_mm=root.diameter_sigma_mm)
-        for k, root in enumerate(roots)
-    }
 
 
 def _pack_lines(roots: Sequence[Root], points: NDArray[np.float64], diameters: NDArray[np.float64]) -> dict[str, Any]:

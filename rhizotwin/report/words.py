@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from typing import Any, Literal
 
-from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import NO_VOLUME
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.formatting import decimals, interval_ml, ml, round_digits
@@ -41,21 +39,6 @@ LABELS = {
 }
 """Label of each trait, by its field in `scenes.traits.Traits`."""
 COUNTS = ("max_root_count", "median_root_count", "roots", "tips", "branch_points")
-CHECK_LABELS = {
-    "scan": "incomplete scan",
-    "exposure": "exposure",
-    "curve": "tone curve",
-    "sharpness": "focus",
-    "markers": "markers",
-    "canister": "position of the canister",
-    "motion": "motion during the scan",
-    "dirt": "light missing beside the roots",
-    "views": "too few views",
-    "sight": "views disagree",
-    "resolution": "resolution",
-    "corrections": "corrections contradict the pictures",
-}
-"""Short label of each check, by its name (`recon.uncertainty.checks`)."""
 IN_ML = ("volume_mm3", "convex_hull_mm3")
 UNITS = {"mm2": "mm²", "mm3": "ml", "deg": "degrees"}
 """Units as they are shown, where they differ from those in files."""
@@ -98,20 +81,6 @@ def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
         advice += [_sentence(str(warning)) for warning in summary["warnings"]]
         return "fair", f"The volume can be used, within {100.0 * wide:.0f} %. Possible improvements:", advice
     return "good", f"The volume can be used: with 90 % confidence it is within {100.0 * wide:.0f} %.", advice
-
-
-def failure_reasons(summary: dict[str, Any]) -> list[str]:
-    """Return short reasons why a volume is not usable, for counting; empty if it is usable."""
-    if summary["volume_trusted"]:
-        return []
-    checks = [check for check in summary.get("checks") or [] if isinstance(check, dict) and check.get("state") == "bad"]
-    found = [CHECK_LABELS.get(str(check.get("name")), str(check.get("name"))) for check in checks]
-    (low, high), volume = summary["volume_interval_mm3"], summary["volume_mm3"]
-    widest = summary.get("settings", {}).get("trust", {}).get("widest", TrustSettings().widest)
-    if max(high - volume, volume - low) > widest * volume:
-        found.append("90 % interval too wide")
-    reason = str(summary.get("volume_verdict") or "other reasons").removeprefix(NO_VOLUME)
-    return found or [reason.partition(";")[0].partition(" (")[0]]
 
 
 def uncertainty_causes(summary: dict[str, Any]) -> list[str]:

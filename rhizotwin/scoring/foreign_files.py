@@ -83,9 +83,7 @@ def read_voxels(path: Path) -> Leaves:
     except _UNREADABLE as error:
         raise UserError(f"{path} is not a valid file of voxels ({printable(str(error))[:200]})") from None
     if block.ndim != 3 or not block.size or block.dtype.kind not in "buif":
-        raise UserError(
-            f"{path}: the block has the shape {block.shape} and type {block.dtype}; a numeric array with three axes is required"
-        )
+        raise UserError(f"{path}: the array has the shape {block.shape} and type {block.dtype}, but must be numeric with three axes")
     if not (np.isfinite(origin_mm).all() and math.isfinite(voxel_mm) and voxel_mm > 0.0):
         raise UserError(f"{path}: origin and voxel size must be finite, and the voxel size positive")
     share = _as_share(block)
@@ -149,7 +147,9 @@ def read_traits(path: Path) -> dict[str, Stated]:
             if value is not None:
                 found[names[row["trait"]]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
     if not found:
-        raise UserError(f"{path}: no row is a trait of 'rhizotwin traits', such as {', '.join(one.column for one in DEFINITIONS[:4])}")
+        raise UserError(
+            f"{path}: no row names a trait; 'rhizotwin traits' lists them, such as {', '.join(one.column for one in DEFINITIONS[:4])}"
+        )
     return found
 
 

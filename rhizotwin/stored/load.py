@@ -20,7 +20,7 @@ from rhizotwin.recon.results.result import POSES, Result, Solid, triple
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
-from rhizotwin.scenes import rsml, solution, subject, trait_table
+from rhizotwin.scenes import solution, subject, trait_table
 from rhizotwin.stored import result_files
 
 
@@ -66,13 +66,12 @@ def load_result(folder: Path | str) -> Result:
 def _solid(folder: Path, summary: Json) -> Solid:
     """Read the shape."""
     mesh = result_files.read_mesh(folder / "shape.ply")
-    roots = folder / "roots.rsml"
     low, high = summary["volume_interval_mm3"]
     least, most = summary["volume_bounds_mm3"]
     return Solid(
         voxels=result_files.read_leaves(folder),
         hull=result_files.read_leaves(folder, hull=True),
-        finest_mm=float(summary.get("settings", {}).get("finest_mm", summary["voxel_mm"])),
+        finest_mm=result_files.finest_mm(summary),
         mesh=trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False),
         volume=Volume(
             mm3=float(summary["volume_mm3"]),
@@ -89,7 +88,7 @@ def _solid(folder: Path, summary: Json) -> Solid:
         extents_max_mm=tuple(summary["extents_max_mm"]),
         mu_per_mm=summary.get("root_mu_per_mm"),
         mu_sigma_per_mm=summary.get("root_mu_sigma_per_mm"),
-        roots=rsml.read_rsml(roots) if roots.is_file() else (),
+        roots=result_files.read_roots(folder),
     )
 
 
@@ -140,6 +139,20 @@ def _term(term: Json) -> Term:
     return Term(name=term.get("name", ""), less_mm3=term["less_mm3"], more_mm3=term["more_mm3"], why=term["why"])
 
 
+def read_silhouette(folder: Path, file: str) -> Silhouette:
+    """Read the silhouette of a picture of the dataset from a result folder; all pixels are usable if none are stored.
+
+    Raises
+    ------
+    UserError
+        If it is missing or damaged.
+    """
+    coverage = result_files.read_grey(picture_path(folder / "silhouettes", file))
+    seen = picture_path(folder / "seen", file)
+    known = result_files.read_grey(seen, image_wh=coverage.shape[::-1]) > 0.5 if seen.is_file() else np.ones(coverage.shape, bool)
+    return Silhouette(coverage, known)
+
+
 @dataclass(frozen=True)
 class _Stored(Mapping[str, Silhouette]):
     """Silhouettes in a result folder, by the file of the frame."""
@@ -150,10 +163,7 @@ class _Stored(Mapping[str, Silhouette]):
     def __getitem__(self, file: str) -> Silhouette:
         if file not in self.files:
             raise KeyError(file)
-        coverage = result_files.read_grey(picture_path(self.folder / "silhouettes", file))
-        seen = picture_path(self.folder / "seen", file)
-        known = result_files.read_grey(seen, image_wh=coverage.shape[::-1]) > 0.5 if seen.is_file() else np.ones(coverage.shape, bool)
-        return Silhouette(coverage, known)
+        return read_silhouette(self.folder, file)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.files)

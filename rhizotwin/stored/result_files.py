@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh
 from rhizotwin.scenes import rsml
-from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.formatting import printable
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.picture_codec import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.stored import plain_ply, summary_checks
 
@@ -136,7 +137,10 @@ def read_mesh(path: Path) -> Mesh:
     if not len(faces) or not np.isfinite(vertices).all():
         raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise UserError(f"{path} is damaged: a triangle names vertex {faces.max()} (or {faces.min()}) of {len(vertices)}.")
+        raise UserError(
+            f"{path} is damaged: triangles refer to vertices {faces.min()} to {faces.max()}, but there are only {len(vertices)} "
+            f"(0 to {len(vertices) - 1})."
+        )
     return mesh
 
 
@@ -170,12 +174,22 @@ def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
         raise UserError(f"{path} is not readable as {kind} ({printable(str(error))[:200]}).") from None
 
 
+def read_roots(folder: Path) -> tuple[Root, ...]:
+    """Read the roots of a result; empty for solid bodies."""
+    file = folder / "roots.rsml"
+    return rsml.read_rsml(file) if file.is_file() else ()
+
+
+def finest_mm(summary: Json) -> float:
+    """Return the edge length of the voxels from which the surface of a result was extracted."""
+    return float(summary.get("settings", {}).get("finest_mm", summary["voxel_mm"]))
+
+
 def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":
     """Return the distances between the plants of a result; empty for one plant or without roots."""
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
-    file = folder / "roots.rsml"
-    return find_neighbours(rsml.read_rsml(file)) if file.is_file() else ()
+    return find_neighbours(read_roots(folder))
 
 
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:
@@ -187,6 +201,31 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
         height, width = picture.shape
         raise UserError(f"{path} is {width}x{height} pixels, but the camera's pictures are {image_wh[0]}x{image_wh[1]}.")
     return np.asarray(picture / np.float32(np.iinfo(picture.dtype).max), np.float32)
+
+
+def find_dataset(folder: Path, summary: Json, given: Dataset | Path | None) -> Dataset | None:
+    """Return the given dataset of a result, or the one that the result names; None if that no longer exists.
+
+    Parameters
+    ----------
+    folder, summary : Path, Json
+        Folder of the result, and its ``result.json``.
+    given : Dataset, path or None
+        Dataset of the result, or its folder.
+
+    Raises
+    ------
+    UserError
+        If the given dataset cannot be read, or is not that of the result.
+    """
+    try:
+        found = given if isinstance(given, Dataset) else load_dataset(given or Path(str(summary.get("dataset", ""))))
+        check_same_scan(summary["dataset_sha256"], summary["scene"], folder, found)
+    except UserError:
+        if given is not None:
+            raise
+        return None
+    return found
 
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:

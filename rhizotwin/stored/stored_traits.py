@@ -7,7 +7,7 @@ from typing import Any
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.reasons import shorten
 from rhizotwin.recon.results.result_traits import describe_edits, measure_shape, traits_by_plant
-from rhizotwin.scenes import rsml, solution, subject, trait_table
+from rhizotwin.scenes import solution, subject, trait_table
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files
@@ -23,8 +23,7 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
     """
     summary = result_files.read_summary(result_folder)
     mesh = result_files.read_mesh(result_folder / "shape.ply")
-    file = result_folder / "roots.rsml"
-    return of_summary(summary, mesh, rsml.read_rsml(file) if file.is_file() else (), mass_g=mass_g)
+    return of_summary(summary, mesh, result_files.read_roots(result_folder), mass_g=mass_g)
 
 
 def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
@@ -48,7 +47,7 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
         surface,
         roots,
         volume_mm3=float(summary["volume_mm3"]),
-        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
+        finest_mm=result_files.finest_mm(summary),
         mass_g=summary.get("mass_g") if mass_g is None else mass_g,
         extents_mm=(summary["extents_min_mm"], summary["extents_max_mm"]),
     )

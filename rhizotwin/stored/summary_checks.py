@@ -167,6 +167,7 @@ _MAYBE: dict[str, Fits] = {
         )
     ),
     **dict.fromkeys(get_args(Pass), _number),
-    **dict.fromkeys(("mass_g", "root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
+    "mass_g": _or_none(_positive),
+    **dict.fromkeys(("root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
 }
 """Keys that some results have."""

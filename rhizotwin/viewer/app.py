@@ -224,7 +224,11 @@ class Viewer(Drawing):
 
     def save(self) -> None:
         """Save the corrections as ``edits.json`` in the result's folder."""
-        path = self.shown.session.save()
+        try:
+            path = self.shown.session.save()
+        except UserError as error:
+            self.notify(f"the corrections were not saved: {error}")
+            return
         self.notify(f"wrote {path}; next: rhizotwin edit {path.parent} --apply {path} -o NEW_RESULT")
 
 

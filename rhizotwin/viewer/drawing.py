@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import viser
@@ -18,6 +19,7 @@ from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import error_sentence
 from rhizotwin.through_water import THIN_MM
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Nodes
@@ -170,8 +172,8 @@ class Drawing:
             self._draw_surface()
             for follow in self.on_measured:
                 follow()
-        except UserError as error:
-            self.notify(str(error))
+        except (UserError, OSError, ValueError) as error:
+            self.notify(error_sentence(error))
 
     def wait(self) -> None:
         """Wait until surfaces are drawn and traits measured."""
@@ -260,16 +262,9 @@ class Drawing:
 
     def _surface_colours(self, mesh: Mesh) -> Bytes | None:
         """Return the colours of vertices (V, 3) from the nearest point of a centre line; None without roots."""
-        from rhizotwin import surface_mesh
-
         lines = self.shown.session.state.lines
-        if not lines:
-            return None
         shade, _ = root_colours.colour_roots(self.look.colour, lines)
-        points = np.concatenate([line.points_mm for line in lines.values()])
-        radii = np.concatenate([line.diameters_mm for line in lines.values()]) / 2.0
-        shades = np.concatenate([shade(number, line) for number, line in lines.items()])
-        return shades[surface_mesh.nearest_root(mesh.vertices_mm, points, radii)]
+        return root_colours.colour_surface(mesh.vertices_mm, lines, shade) if lines else None
 
     def _clipped(self, mesh: Mesh) -> Mesh | None:
         """Return the part of a surface inside the clipping box; None if there is none."""
@@ -344,7 +339,10 @@ def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
     """Return the stretches of a root whose nodes are inside the clipping box."""
     if inside.all():
         return (line,)
-    shown = np.flatnonzero(inside)
-    runs = [run for run in np.split(shown, np.flatnonzero(np.diff(shown) > 1) + 1) if len(run) > 1]
     way = line.way_mm
-    return tuple(line.between(float(way[run[0]]), float(way[run[-1]])) for run in runs)
+    return tuple(line.between(float(way[first]), float(way[last])) for first, last in line.stretches(inside))
+
+
+def set_value(handle: Any, value: object) -> None:
+    """Set the value of an element of the panel; viser's annotations call it read-only."""
+    handle.value = value

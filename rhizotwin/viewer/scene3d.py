@@ -13,6 +13,7 @@ from rhizotwin import root_colours, shading
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.root_colours import Colouring
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.through_water import Pictures
@@ -21,7 +22,6 @@ from rhizotwin.viewer.glb import Triangles, concatenate, glb
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-Colouring = Callable[[int, Line], Bytes]
 
 CHUNK = 64
 """Roots per mesh: after a correction only the meshes that changed are sent."""

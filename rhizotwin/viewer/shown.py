@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin import surface_mesh
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results.parts import Mesh
-from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files
@@ -43,15 +43,7 @@ class Shown:
     @cached_property
     def dataset(self) -> Dataset | None:
         """Return the given dataset, or the one that the result names; None if that no longer exists."""
-        folder = self._given or Path(str(self.session.summary["dataset"]))
-        try:
-            found = load_dataset(folder)
-            result_files.check_same_scan(self.session.summary["dataset_sha256"], self.session.summary["scene"], self.session.folder, found)
-        except UserError:
-            if self._given is not None:
-                raise
-            return None
-        return found
+        return result_files.find_dataset(self.session.folder, self.session.summary, self._given)
 
     @cached_property
     def pictures(self) -> Pictures | None:

@@ -15,9 +15,10 @@ from rhizotwin.corrections.session import Measured
 from rhizotwin.recon.results import assessments
 from rhizotwin.report import words
 from rhizotwin.root_colours import Key, half_widths, order_name
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.formatting import ml, round_digits
 from rhizotwin.scenes.trait_table import DEFINITIONS
-from rhizotwin.scenes.traits import Traits
+from rhizotwin.scenes.traits import Traits, emergence_deg
 
 Array = NDArray[np.float64]
 
@@ -51,11 +52,12 @@ def root(number: int, lines: Lines, order: int) -> str:
     line = lines[number]
     parent = lines.get(line.parent)
     angles = f"{_to_vertical_deg(line):.0f}° to the vertical (mean)"
+    to_parent = None if parent is None else emergence_deg(line.points_mm, parent.points_mm)
     laterals = sum(other.parent == number for other in lines.values())
     rows = [
         ("length", f"{line.length_mm:.1f} mm, tip {'visible' if line.tip_seen else 'hidden by other roots'}"),
         ("order", f"{order_name(order)}; {laterals} lateral{'' if laterals == 1 else 's'}"),
-        ("angle", angles if parent is None else f"{angles}, {_to_parent_deg(line, parent):.0f}° to its parent"),
+        ("angle", angles if to_parent is None else f"{angles}, {to_parent:.0f}° to its parent"),
         ("diameter", _mean_diameter(line)),
     ]
     cell = "padding-right:0.8em;white-space:nowrap;vertical-align:top"
@@ -143,14 +145,10 @@ def profile(line: Line, *, width: int = 300, height: int = 76) -> str:
     )
 
 
-def _steps(line: Line) -> tuple[Array, Array]:
-    step = np.diff(line.points_mm, axis=0)
-    return step, np.linalg.norm(step, axis=1)
-
-
 def _to_vertical_deg(line: Line) -> float:
-    step, size = _steps(line)
-    return float(np.rad2deg(np.arccos(np.clip(-step[:, 2] / np.maximum(size, 1e-12), -1.0, 1.0)) @ size / max(size.sum(), 1e-12)))
+    size = polyline.steps_mm(line.points_mm)
+    cosine = np.clip(-np.diff(line.points_mm[:, 2]) / np.maximum(size, 1e-12), -1.0, 1.0)
+    return float(np.rad2deg(np.arccos(cosine)) @ size / max(size.sum(), 1e-12))
 
 
 def _mean_diameter(line: Line) -> str:
@@ -162,15 +160,5 @@ def _mean_diameter(line: Line) -> str:
 
 def _mean(line: Line, values: Array) -> float:
     """Return the mean along a root of values (N,) at its points."""
-    _, size = _steps(line)
+    size = polyline.steps_mm(line.points_mm)
     return float((values[1:] + values[:-1]) / 2.0 @ size / max(size.sum(), 1e-12))
-
-
-def _to_parent_deg(line: Line, parent: Line) -> float:
-    """Return the angle between a root's first 5 mm and its parent there."""
-    at = parent.nearest_mm(line.points_mm[0])
-    before, after = max(at - 2.5, 0.0), min(at + 2.5, parent.length_mm)
-    there = parent.between(before, max(after, before + 1e-3)).points_mm
-    begin = line.between(0.0, min(5.0, line.length_mm)).points_mm
-    a, b = there[-1] - there[0], begin[-1] - begin[0]
-    return float(np.rad2deg(np.arccos(np.clip(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12), -1.0, 1.0))))

@@ -182,9 +182,11 @@ class HttpCamera:
         gain = self._number(answer, protocol.GAIN)
         wanted = self._settings
         if exposure_s is not None and abs(exposure_s - wanted.exposure_s) > max(TOLERANCE * wanted.exposure_s, TOLERANCE_S):
-            raise RigError(f"{self._name}: exposed {1000 * exposure_s:g} ms instead of {1000 * wanted.exposure_s:g} ms; correct exposure_s")
+            raise RigError(
+                f"{self._name}: the exposure was {1000 * exposure_s:g} ms instead of {1000 * wanted.exposure_s:g} ms; correct exposure_s"
+            )
         if gain is not None and abs(gain - wanted.gain) > max(TOLERANCE * wanted.gain, 0.5):
-            raise RigError(f"{self._name}: took a picture with gain {gain:g} instead of {wanted.gain:g}; correct gain")
+            raise RigError(f"{self._name}: the gain was {gain:g} instead of {wanted.gain:g}; correct gain")
         return Shot(image=image, exposure_s=exposure_s, gain=gain)
 
     def _number(self, answer: _Answer, header: str) -> float | None:
@@ -197,7 +199,7 @@ class HttpCamera:
             number = math.nan
         if not math.isfinite(number):
             raise RigError(
-                f"{self._name}: sent {header} {text[:40]!r}, which is not a number; start the same version of rhizotwin camera there"
+                f"{self._name}: the header {header} is {text[:40]!r}, not a number; start the same version of rhizotwin camera there"
             )
         return number
 

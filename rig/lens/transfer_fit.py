@@ -73,7 +73,9 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     use = (number > USABLE[0]) & (number < USABLE[1])
     use &= use.sum(axis=0) >= 2
     if use.sum() < 10 * KNOTS:
-        raise RigError("too few pixels are neither dark nor clipped in two pictures: use a scene with all levels from dark to bright")
+        raise RigError(
+            "too few pixels are well exposed (neither dark nor clipped) in two pictures; use a scene with all levels from dark to bright"
+        )
     g, left = _solve(number, use, times)
     share = np.linspace(0.0, 1.0, KNOTS)
     light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))

@@ -49,7 +49,7 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise UserError(f"{path}: write the pages as .pdf or .svg")
+        raise UserError(f"{path}: unknown format; the name must end in .pdf or .svg")
     svg_names = [path.with_stem(f"{path.stem}-{number + 1}") for number in range(len(pages))]
     paths = svg_names if suffix == ".svg" and len(pages) > 1 else [path]
     for one in paths:

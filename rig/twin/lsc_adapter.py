@@ -1,7 +1,7 @@
-"""Protocol of the LSC controller board: frames without checksums and acknowledgements, and unsolicited frames.
+"""LSC controller board protocol: no checksums or acknowledgements; the board may send unsolicited frames.
 
-It is independent of physics. After Hiwonder's "Communication Protocol" of its servo controllers. Frame: 55 55 | length
-| command | parameters, without an id.
+Contains no physical simulation. After Hiwonder's "Communication Protocol" of its servo controllers.
+Frame: 55 55 | length | command | parameters, without an id.
 """
 
 import math

@@ -199,7 +199,7 @@ def test_bad_cameras_are_refused_by_name(changed: dict[str, Any], named: str, tm
 
 
 def test_pictures_that_would_collide_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"both a\.jpg and a\.png"):
+    with pytest.raises(UserError, match=r"a\.jpg and a\.png, which differ only in extension"):
         list_pictures(write_pictures(tmp_path / "in", "a.png", "a.jpg"))
 
 

@@ -122,7 +122,7 @@ def test_roots_stay_in_the_water_and_turn_smoothly(lean_deg: float) -> None:
 
 def test_impossible_plants_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth, "MOST_ROOTS", 100)
-    with pytest.raises(UserError, match=r"origin_mm .* leaves no space"):
+    with pytest.raises(UserError, match=r"origin_mm .* is too close to the edge"):
         growth.grow(GrownSpecimen(origin_mm=(0.0, 0.0, -8.1)))
     crowded = replace(LIVELY, interlateral_mm=0.1, max_length_mm=500.0, elongation_mm_per_day=100.0)
     with pytest.raises(UserError, match="more than 100 roots"):

@@ -76,7 +76,7 @@ def test_picture_to_import(suffix: str, made: Path, rig: Path, tmp_path: Path, c
 def test_folders_and_cameras_to_import(made: Path, rig: Path, tmp_path: Path, command: Command) -> None:
     words, cameras = ("--scene", rig, "-o", tmp_path / "out"), tmp_path / "transforms.json"
     (tmp_path / "pictures").mkdir()
-    command.fails("import", tmp_path / "pictures", *words, named=["pictures", "holds no picture"])
+    command.fails("import", tmp_path / "pictures", *words, named=["pictures", "contains no picture"])
     cameras.write_text('{"fl_x": 1300.0, "frames": [')
     command.fails("import", made / "images", "--cameras", cameras, *words, named=[cameras, "not JSON"])
     nothing_left(tmp_path, "pictures", "transforms.json")
@@ -163,7 +163,7 @@ def test_specimen_and_scene_file(tmp_path: Path, command: Command) -> None:
     ball.update_faces(np.arange(len(ball.faces)) > 2)
     ball.export(tmp_path / "open.stl")
     words = ("simulate", "sphere_20mm", "--specimen", tmp_path / "open.stl", "-o", tmp_path / "out", "--device", "cpu")
-    command.fails(*words, named=["open.stl", "not closed", "edges are open", "close its holes"])
+    command.fails(*words, named=["open.stl", "not closed", "edges have only one face", "close the holes"])
     command.works("scenes", "sphere_20mm", "-o", tmp_path / "mine.toml")
     replace_text(tmp_path / "mine.toml", "level_mm", "levle_mm")
     for words in (("simulate", tmp_path / "mine.toml"), ("import", tmp_path, "--scene", tmp_path / "mine.toml")):

@@ -33,9 +33,10 @@ def summary(**changes: Any) -> Json:
         ({"views": [{"used": True}] * 7 + [{"used": False}]}, ("few_views",)),
         ({"volume_interval_mm3": [700.0, 1010.0], "volume_budget": [TERM]}, ("wide_interval", "high_views_disagree")),
         ({"volume_interval_mm3": [700.0, 1010.0], "volume_budget": [TERM], "settings": {"trust": {"widest": 0.4}}}, ("other",)),
+        ({"volume_interval_mm3": [700.0, 1010.0], "volume_budget": [{"less_mm3": 300.0, "more_mm3": 10.0}]}, ("wide_interval",)),
         ({}, ("other",)),
     ],
-    ids=["trusted", "baseline", "check", "views", "interval", "wider limit", "unknown"],
+    ids=["trusted", "baseline", "check", "views", "interval", "wider limit", "term without a name", "unknown"],
 )
 def test_codes_of_a_volume(changes: dict[str, Any], codes: tuple[str, ...]) -> None:
     assert reasons.reasons_for_volume(summary(**changes)) == codes

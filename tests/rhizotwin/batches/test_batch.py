@@ -202,14 +202,15 @@ def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result:
 
 
 def test_volumes_that_are_not_usable_are_counted_by_reason() -> None:
-    narrow = {"volume_mm3": 100.0, "volume_interval_mm3": [95.0, 105.0]}
-    wide = {"volume_mm3": 100.0, "volume_interval_mm3": [50.0, 120.0], "volume_trusted": False}
+    term = {"name": "radii", "less_mm3": 50.0, "more_mm3": 20.0}
+    narrow = {"volume_mm3": 100.0, "volume_interval_mm3": [95.0, 105.0], "volume_budget": [term], "views": [{"used": True}] * 12}
+    wide = narrow | {"volume_interval_mm3": [50.0, 120.0], "volume_trusted": False}
     dirty = narrow | {"volume_trusted": False, "checks": [{"name": "dirt", "state": "bad"}]}
     good = narrow | {"volume_trusted": True, "checks": [{"name": "dirt", "state": "fair"}]}
-    reasons = "2 x light missing beside the roots, 1 x 90 % interval too wide"
+    reasons = "2 x dirty canister, 1 x wide interval, 1 x high radii"
     assert overview.summarise([wide, dirty, dirty]) == f"0 of 3 volumes usable; not usable: {reasons}"
     assert overview.summarise([good, good]) == "2 of 2 volumes usable"
-    assert overview.summarise([dirty | {"checks": []}]) == "0 of 1 volumes usable; not usable: 1 x other reasons"
+    assert overview.summarise([dirty | {"checks": []}]) == "0 of 1 volumes usable; not usable: 1 x other"
 
 
 @pytest.mark.slow

@@ -37,5 +37,5 @@ def test_other_files_are_left_to_another_reader(tmp_path: Path, content: bytes) 
 
 def test_what_is_wrong_in_one_is_still_said(tmp_path: Path) -> None:
     read(tmp_path, PLAIN[:-4] + (10**6).to_bytes(4, "little"))
-    with pytest.raises(UserError, match="names vertex 1000000"):
+    with pytest.raises(UserError, match="refer to vertices 0 to 1000000, but"):
         read_mesh(tmp_path / "shape.ply")

@@ -307,3 +307,14 @@ def test_a_surface_that_cannot_be_drawn_is_told(viewer: Viewer, monkeypatch: pyt
     viewer.refresh()
     viewer._background.shutdown(wait=True)
     assert viewer.message == "shape.ply is not a readable mesh"
+
+
+def test_corrections_that_cannot_be_saved_are_reported(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object, **__: object) -> None:
+        raise UserError("the disk is full")
+
+    viewer.correct("delete roots", roots=[2])
+    monkeypatch.setattr(log, "write", full)
+    viewer.save()
+    assert viewer.message == "the corrections were not saved: the disk is full"
+    assert viewer.unsaved() == 1

@@ -167,9 +167,9 @@ OTHER_SETTINGS = [
     ({"shape": (12, 32)}, "gives pictures of 32x12 pixels, not 32x24"),
     ({"shape": (600, 800)}, r"announces an answer of [0-9]+ bytes, more than the maximum of [0-9]+"),
     ({"dtype": np.uint8}, "gives pictures of 8 bits instead of 12"),
-    ({"exposure_s": 0.02}, "exposed 20 ms instead of 10 ms"),
-    ({"gain": 4.0}, "gain 4 instead of 2"),
-    ({"exposure_s": float("nan")}, "Rhizotwin-Exposure-S 'nan', which is not a number"),
+    ({"exposure_s": 0.02}, "the exposure was 20 ms instead of 10 ms"),
+    ({"gain": 4.0}, "the gain was 4 instead of 2"),
+    ({"exposure_s": float("nan")}, "the header Rhizotwin-Exposure-S is 'nan', not a number"),
 ]
 
 

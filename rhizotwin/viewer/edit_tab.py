@@ -1,0 +1,144 @@
+"""The tab "Edit" of the panel: the effect of a click, corrections, and their history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from rhizotwin.viewer import words
+from rhizotwin.viewer.app import Viewer
+from rhizotwin.viewer.drawing import CLICKS, set_value
+
+_NOW = "now"
+
+
+def add(viewer: Viewer) -> None:
+    """Add the mode of clicks, the corrections, and their history."""
+    gui = viewer.served.server.gui
+    mode = gui.add_dropdown("A click will", CLICKS)
+
+    @mode.on_update
+    def _(_: object) -> None:
+        viewer.look.click = str(mode.value)
+
+    _add_buttons(viewer)
+    _add_box(viewer)
+    _add_history(viewer)
+
+
+@dataclass(frozen=True)
+class _Button:
+    """A button of a correction, with its keyboard shortcut."""
+
+    label: str
+    act: Callable[[], object]
+    enabled: Callable[[], bool]
+    hint: str = ""
+    red: bool = False
+    key: Literal["delete", "escape", "Z", "Y", "S"] | None = None
+    modifier: Literal["cmd/ctrl"] | None = None
+
+
+def _add_buttons(viewer: Viewer) -> None:
+    """Add a button for each correction of the selection; it is disabled where it does not apply."""
+
+    def some() -> bool:
+        return bool(viewer.roots or viewer.voxels)
+
+    def roots() -> bool:
+        return bool(viewer.roots)
+
+    def two() -> bool:
+        return len(viewer.roots) == 2
+
+    def deleted() -> bool:
+        here, rows = viewer.shown.session.last_deleted()
+        return bool(here) or len(rows) > 0
+
+    lateral, join = "make the first selected root a lateral of the second", "make the second selected root the continuation of the first"
+    clear = "clear the selection and the measurement"
+    listed = [
+        _Button("Delete (Del)", viewer.delete, some, "delete the selection", red=True, key="delete"),
+        _Button(
+            "Delete with laterals", lambda: viewer.delete(laterals=True), roots, "delete the selected roots and their laterals", red=True
+        ),
+        _Button("Restore the last deletion", viewer.restore, deleted, "restore the roots or voxels that were deleted last"),
+        _Button("Join two", lambda: viewer.pair("join"), two, join),
+        _Button("Make lateral of the second", lambda: viewer.pair("parent"), two, lateral),
+        _Button("Refit", viewer.refit, lambda: viewer.shown.dataset is not None, "refit centre lines and diameters to the pictures"),
+        _Button("Deselect (Esc)", viewer.deselect, lambda: some() or bool(viewer.measured), clear, key="escape"),
+    ]
+    _add_all(viewer, listed)
+
+
+def _add_all(viewer: Viewer, listed: list[_Button]) -> None:
+    gui = viewer.served.server.gui
+    buttons = []
+    for one in listed:
+        button = gui.add_button(one.label, hint=one.hint or None, color="red" if one.red else None)
+
+        def press(_: object, one: _Button = one) -> None:
+            if one.enabled():
+                one.act()
+
+        button.on_click(press)
+        buttons.append(button)
+        if one.key is not None:
+            gui.add_command(one.label.partition(" (")[0], hotkey=one.key, modifier=one.modifier).on_trigger(press)
+
+    def follow() -> None:
+        for button, one in zip(buttons, listed, strict=True):
+            button.disabled = not one.enabled()
+
+    viewer.on_change.append(follow)
+
+
+def _add_box(viewer: Viewer) -> None:
+    """Add selection and deletion of everything in a box."""
+    gui = viewer.served.server.gui
+    with gui.add_folder("Box", expand_by_default=False):
+        low = gui.add_vector3("From (mm)", initial_value=(-10.0, -10.0, -60.0), step=0.1)
+        high = gui.add_vector3("To (mm)", initial_value=(10.0, 10.0, -50.0), step=0.1)
+        select = gui.add_button("Select voxels in the box")
+        clear = gui.add_button("Delete everything in the box", color="red")
+
+    @select.on_click
+    def _(_: object) -> None:
+        viewer.select_box(low.value, high.value)
+
+    @clear.on_click
+    def _(_: object) -> None:
+        viewer.correct("delete box", box_mm=(tuple(low.value), tuple(high.value)))
+
+
+def _add_history(viewer: Viewer) -> None:
+    """Add undo, redo, save, and the list of corrections."""
+    gui = viewer.served.server.gui
+
+    _add_all(
+        viewer,
+        [
+            _Button("Undo (Ctrl+Z)", viewer.undo, lambda: viewer.shown.session.can_undo, key="Z", modifier="cmd/ctrl"),
+            _Button("Redo (Ctrl+Y)", viewer.redo, lambda: viewer.shown.session.can_redo, key="Y", modifier="cmd/ctrl"),
+            _Button("Save corrections (Ctrl+S)", viewer.save, lambda: viewer.shown.session.unsaved > 0, key="S", modifier="cmd/ctrl"),
+        ],
+    )
+    back = gui.add_dropdown("Undo to", (_NOW,), hint="undo all corrections after this one")
+    history = gui.add_html("")
+
+    @back.on_update
+    def _(_: object) -> None:
+        if str(back.value) != _NOW:
+            viewer.undo_to(list(back.options)[::-1].index(str(back.value)))
+
+    def follow() -> None:
+        edits = viewer.shown.session.log.edits
+        options = (_NOW, *(f"{k + 1}: before {words.edit(edits[k])}" for k in range(len(edits) - 1, -1, -1)))
+        if back.options != options:
+            back.options = options
+        if back.value != _NOW:
+            set_value(back, _NOW)
+        history.content = words.history(edits)
+
+    viewer.on_change.append(follow)
