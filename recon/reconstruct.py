@@ -135,7 +135,7 @@ def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult
         surface=solid.surface,
         finest_mm=solid.finest_mm,
         volume_mm3=solid.volume.mm3,
-        interval_mm3=solid.volume.interval_mm3,
+        terms=solid.volume.terms,
     )
     found = divide_by_plant.measure(shape, planted, scene.plants, scene.subject)
     return replace(solid, roots=planted.roots), found, divide_by_plant.warnings(planted, found)

@@ -14,6 +14,9 @@ from rhizotwin.scenes.traits import Traits
 Pair = tuple[float, float]
 
 
+_PART_IS_WIDE = "the 90 % interval is too wide for a plant of this size: the uncertainty of all plants may concern this one"
+
+
 def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = None) -> dict[str, Assessment]:
     """Return the assessment of each trait, by its field in `Traits`.
 
@@ -37,6 +40,8 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     if is_assessed:
         low, high = summary["volume_interval_mm3"] if volume_interval_mm3 is None else volume_interval_mm3
         found["volume_mm3"] = _judge(summary["volume_trusted"], (low, high), reason, codes)
+        if summary["volume_trusted"] and volume_interval_mm3 and reasons.is_wide(summary, traits.volume_mm3, volume_interval_mm3):
+            found["volume_mm3"] = _judge(False, volume_interval_mm3, _PART_IS_WIDE, (reasons.WIDE,))
     estimates = summary.get("estimates") or () if volume_interval_mm3 is None else ()
     for one in estimates:
         low, high = one["interval"]

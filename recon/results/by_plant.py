@@ -24,7 +24,8 @@ class PlantResult:
     volume_mm3: float
     """Volume assigned to the plant."""
     volume_interval_mm3: Pair
-    """90 % interval: that of the whole volume, widened by the volume that could belong to another plant."""
+    """90 % interval, see `recon.uncertainty.budget.part_interval`; it includes the volume that could belong to another
+    plant."""
     open_mm: float
     """Length of its roots that could belong to another plant."""
     traits: Traits

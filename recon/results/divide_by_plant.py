@@ -12,6 +12,7 @@ from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.by_plant import Pair, PlantResult
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
+from rhizotwin.recon.uncertainty.budget import Term, part_interval
 from rhizotwin.scenes import rsml, tube_surface
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
@@ -29,7 +30,8 @@ class Shape:
     finest_mm: float
     """Edge length of the voxels from which the surface was extracted."""
     volume_mm3: float
-    interval_mm3: Pair
+    terms: tuple[Term, ...]
+    """Error budget of the volume."""
 
 
 def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[PlantResult, ...]:
@@ -65,7 +67,6 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
     vertices_mm, triangles = shape.surface.vertices_mm, shape.surface.faces
     corners = vertices_mm[triangles].mean(axis=1)
     face_of = np.stack([_height_mm(corners, side) for side in sides]).argmin(axis=0)
-    low, high = (end / shape.volume_mm3 for end in shape.interval_mm3)
     found = []
     for k, name in enumerate(names):
         plant = next(one for one in plants if one.plant == name)
@@ -77,7 +78,7 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
                 subject=plant.subject(whole),
                 at_mm=plant.at_mm,
                 volume_mm3=float(own[k]),
-                volume_interval_mm3=(float(low * (own[k] - loose[k])), float(high * (own[k] + loose.sum() - loose[k]))),
+                volume_interval_mm3=_interval(shape, float(own[k] - loose[k]), float(own[k] + loose.sum() - loose[k])),
                 open_mm=rsml.length_mm(root for root in unsure if root.plant == name),
                 traits=result_traits.measure_shape(
                     Mesh(vertices_mm=vertices_mm[used], faces=np.searchsorted(used, faces)),
@@ -89,6 +90,12 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
             )
         )
     return tuple(found)
+
+
+def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
+    """Return the 90 % interval of a plant, from its volume without and with all parts of uncertain assignment."""
+    (low, _), (_, high) = (part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part) for part in (least_mm3, most_mm3))
+    return low, high
 
 
 def warnings(planted: PlantedRoots, found: Sequence[PlantResult]) -> tuple[str, ...]:

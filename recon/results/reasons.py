@@ -54,7 +54,7 @@ def reasons_for_volume(summary: Json) -> tuple[str, ...]:
     if not terms:
         return (NO_UNCERTAINTY,)
     codes = [OF_CHECK[check["name"]] for check in summary.get("checks") or () if check["state"] == "bad" and check["name"] in OF_CHECK]
-    trust = summary.get("settings", {}).get("trust") or {}
+    trust = _trust(summary)
     if sum(bool(view["used"]) for view in summary["views"]) < trust.get("least_views", TrustSettings.least_views):
         codes.append(FEW_VIEWS)
     volume, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
@@ -65,6 +65,16 @@ def reasons_for_volume(summary: Json) -> tuple[str, ...]:
         name = re.sub(r"[^a-z0-9]+", "_", str(worst.get("name", "")).lower()).strip("_")  # terms of earlier versions have none
         codes += [WIDE, f"high_{name}"] if name else [WIDE]
     return tuple(dict.fromkeys(codes)) or (OTHER,)
+
+
+def is_wide(summary: Json, value: float, interval: Sequence[float]) -> bool:
+    """Return whether an interval extends farther to one side than the setting ``trust.widest`` allows for a volume."""
+    most = _trust(summary).get("widest", TrustSettings.widest) * value
+    return max(value - interval[0], interval[1] - value) > most
+
+
+def _trust(summary: Json) -> Json:
+    return summary.get("settings", {}).get("trust") or {}
 
 
 def reasons_for_estimate(summary: Json, estimate: Json) -> tuple[str, ...]:

@@ -20,6 +20,10 @@ NINETY = 1.645
 """Half-width of the 90 % interval of a normal distribution, in standard deviations."""
 
 
+PROPORTIONAL = ("scale", "water", "canister")
+"""Terms that change all parts of a volume by the same factor."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Term:
     """One cause of uncertainty."""
@@ -119,6 +123,27 @@ class Budget:
             verdict=self.verdict,
             terms=self.terms,
         )
+
+
+def part_interval(terms: Sequence[Term], *, whole_mm3: float, part_mm3: float) -> tuple[float, float]:
+    """Return the 90 % interval of a part of a volume, mm3.
+
+    Terms in `PROPORTIONAL` count by the share of the part. All others count in full, as the whole uncertainty may
+    concern this part: roots that were missed may all belong to one plant.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Error budget of the whole volume.
+    whole_mm3, part_mm3 : float
+        Whole volume, and volume of the part.
+    """
+    share = part_mm3 / whole_mm3
+    own = [
+        replace(term, less_mm3=share * term.less_mm3, more_mm3=share * term.more_mm3) if term.name in PROPORTIONAL else term
+        for term in terms
+    ]
+    return Budget(volume_mm3=part_mm3, terms=tuple(own), views=0).interval_mm3
 
 
 def _reach(terms: Sequence[tuple[float, float]]) -> float:

@@ -168,13 +168,12 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
     planted = plants.check_assignment(session.state.roots(), known, grid_z_mm=grid_z_mm)
     if not planted.roots:
         return (), []
-    low, high = summary["volume_interval_mm3"]
     shape = divide_by_plant.Shape(
         leaves=voxels,
         surface=mesh,
         finest_mm=result_files.finest_mm(summary),
         volume_mm3=float(summary["volume_mm3"]),
-        interval_mm3=(float(low), float(high)),
+        terms=tuple(Term(**term) for term in summary["volume_budget"]),
     )
     return planted.roots, [one.plain() for one in divide_by_plant.measure(shape, planted, known, subject.from_summary(summary, where))]
 

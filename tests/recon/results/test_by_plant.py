@@ -11,8 +11,10 @@ import trimesh
 
 from rhizotwin.experiment.measured import read_all
 from rhizotwin.recon.results import by_plant, divide_by_plant
+from rhizotwin.recon.results.assessments import assess
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
+from rhizotwin.recon.uncertainty.budget import Term
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
@@ -33,14 +35,18 @@ def root(x: float, long_mm: float, plant: str) -> Root:
 ROOTS = root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")
 
 
-def divided(*, is_open: bool = False) -> tuple[by_plant.PlantResult, ...]:
+WATER = Term.symmetric("water", 6.0, "the refractive index")
+MISSING = Term(name="missing roots", less_mm3=0.0, more_mm3=8.0, why="coverage far from all tubes")
+
+
+def divided(*terms: Term, is_open: bool = False) -> tuple[by_plant.PlantResult, ...]:
     """Divide a shape of two cuboids, 20 and 40 mm long, whose volumes are as 1 to 2."""
     low = np.array([[x, 0, -k] for x, count in ((-10, 20), (10, 40)) for k in range(11, 11 + count)], np.int32)
     ones, half = np.ones(60, np.int32), np.full(60, 0.5, np.float32)
     leaves = Leaves(low=low, size=ones, occupancy=half, origin_mm=np.array([-0.5, -0.5, 0.0]), voxel_mm=1.0)
     boxes = [trimesh.creation.box((1.0, 1.0, h)).apply_translation((x, 0.0, -10.0 - h / 2)) for x, h in ((-10, 20), (10, 40))]
     surface = Mesh.of(trimesh.util.concatenate(boxes))
-    shape = divide_by_plant.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
+    shape = divide_by_plant.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, terms=terms or (WATER,))
     return divide_by_plant.measure(shape, PlantedRoots(ROOTS, (False, is_open), ()), (A, B), WHOLE)
 
 
@@ -62,6 +68,15 @@ def test_what_may_be_anothers_is_in_the_intervals_of_both() -> None:
     said = divide_by_plant.warnings(PlantedRoots(ROOTS, (False, True), ("C",)), (a, b))
     assert "plant C" in said[0]
     assert "67 %" in said[1]
+
+
+def test_missing_roots_may_all_be_of_one_plant() -> None:
+    """A tenth of a big plant is half of a small one beside it: that is too wide for a volume to be reliable."""
+    a, b = divided(MISSING)
+    assert (a.volume_interval_mm3, b.volume_interval_mm3) == (pytest.approx((20.0, 28.0)), pytest.approx((40.0, 48.0)))
+    summary = {"volume_trusted": True, "volume_verdict": "", "volume_budget": [{}], "volume_mm3": 60.0, "volume_interval_mm3": [60.0, 68.0]}
+    small, big = (assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)["volume_mm3"] for one in (a, b))
+    assert (small.verdict, small.codes, big.verdict) == ("not reliable", ("wide_interval",), "reliable")
 
 
 def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:

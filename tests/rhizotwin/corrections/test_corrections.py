@@ -250,7 +250,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
         surface=one.solid.surface,
         finest_mm=one.solid.finest_mm,
         volume_mm3=one.solid.volume.mm3,
-        interval_mm3=one.solid.volume.interval_mm3,
+        terms=one.solid.volume.terms,
     )
     found = divide_by_plant.measure(shape, planted, known, Subject(species="Raphanus sativus"))
     whole = replace(one, solid=replace(one.solid, roots=planted.roots), plants=found, subject=Subject(species="Raphanus sativus"))
