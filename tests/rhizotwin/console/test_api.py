@@ -201,6 +201,9 @@ def test_wrong_requests_are_refused_in_a_sentence(lab: Lab) -> None:
         console.start_scan(date="yesterday")
     with pytest.raises(UserError, match="Not Found"):
         console.request("GET", "/api/nothing")
+    for values in ({"table_angle_deg": float("nan")}, {"plant": "\ud800"}, {"\ud800": 1}):
+        with pytest.raises(UserError, match="Input should be|Extra inputs|valid string"):
+            console.request("POST", "/api/scans", values)
     with pytest.raises(UserError, match="at most 64 KiB"):
         console.request("POST", "/api/command", {"line": "x" * 70_000})
 
