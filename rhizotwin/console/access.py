@@ -168,7 +168,7 @@ def _header(scope: Scope, name: str) -> str:
 
 
 def _is_too_long(scope: Scope) -> bool:
-    """Return whether a body is too long, or in chunks of unknown total length; a request without these headers has none."""
+    """Return whether a body is too long, or its length is not known before it is read."""
     headers = {key.lower() for key, _ in scope["headers"]}
     if b"transfer-encoding" in headers:
         return True

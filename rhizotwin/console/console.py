@@ -24,7 +24,7 @@ from rhizotwin.console.questions import Questions
 from rhizotwin.console.reconstruction_queue import Job, Queue
 from rhizotwin.console.rig_thread import RigThread
 from rhizotwin.console.running_scan import RunningScan
-from rhizotwin.console.scan_folders import ScanFolders, check_name
+from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.console.schedule import ScheduleRun
 from rhizotwin.console.state import StateView
 from rhizotwin.rig.bench import check
@@ -198,10 +198,8 @@ class Console:
         scene = self.plants.scene_of(subject.apply_to(self.bench.scene))
         dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
         scene = replace(scene, subject=dated)
-        name = check_name(name) if name else self.folders.new_name(scene.subject)
-        if (self.folders.scans / name / "dataset.json").exists():
-            raise UserError(f"there is a scan {name!r} already: choose another name, or finish that scan")
-        self._start(name, scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
+        name = name or self.folders.new_name(scene.subject)
+        self._start(self.folders.new_scan(name), scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
         return name
 
     def resume_scan(self, name: str, *, reconstruct: bool = True, table_angle_deg: float | None = None) -> None:
@@ -212,10 +210,10 @@ class Console:
         UserError
             For a scan that does not exist, and while the rig is busy.
         """
-        before = load_dataset(self.folders.scan(name))
-        known = before.scene
+        folder = self.folders.scan(name)
+        known = load_dataset(folder).scene
         scene = replace(self.bench.scene, subject=known.subject, solution=known.solution, strip=known.strip)
-        self._start(name, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
+        self._start(folder, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
 
     def start_schedule(self) -> None:
         """Make the planned scans of the experiment that are due, and wait for the others.
@@ -301,8 +299,8 @@ class Console:
         self.rig.command(["picture", str(path)])
         return path.name
 
-    def _start(self, name: str, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
-        folder = self.folders.scans / name
+    def _start(self, folder: Path, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
+        name = folder.name
         identify = self.plants.identity(scene.subject, scene.strip)
 
         def run() -> None:

@@ -91,11 +91,10 @@ class Queue:
         UserError
             Where the scan does not exist, is not complete, is a sketch, or is in the queue.
         """
-        self._folders.scan(scan)
-        entry = next((one for one in self._folders.list_scans() if one.name == scan), None)
-        if entry is not None and not entry.complete:
-            raise UserError(f"{scan}: the scan is not complete; finish it first")
-        if entry is not None and entry.sketch:
+        entry = self._folders.scan_entry(scan)
+        if not entry.complete:
+            raise UserError(f"{scan}: {entry.error or 'the scan is not complete; finish it first'}")
+        if entry.sketch:
             raise UserError(f"{scan}: sketches of the emulated rig show no roots; scan with --fidelity render")
         with self._wake:
             if any(job.scan == scan and job.state in ("waiting", "running") for job in self._jobs):
