@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import datetime
@@ -100,7 +99,7 @@ class Console:
                 Runner(experiment).prepare()
             self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
             stack.callback(self.queue.close)
-            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_change=self.changed)
+            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)
             stack.callback(self.rig.close)
             self._stack = stack.pop_all()
 
@@ -137,7 +136,7 @@ class Console:
 
     def check_devices(self) -> Future[None]:
         """Check every device, as `rhizotwin rig check` does; nothing moves."""
-        return self._begin("check of the devices", self._check)
+        return self.rig.begin("check of the devices", self._check)
 
     def command(self, line: str) -> Future[list[str]]:
         """Carry out a line of `rhizotwin rig jog`, and return its replies.
@@ -150,16 +149,16 @@ class Console:
         words = line.split()
         if not words or words[0] not in WORDS:
             raise UserError(f"{line[:60]!r} is not a command; give one of {', '.join(WORDS)}")
-        return self._begin(line, lambda: self._command(words))
+        return self.rig.begin(line, lambda: self._command(words))
 
     def take_picture(self) -> Future[str]:
         """Take a picture, and write it to the folder ``pictures`` under a name made of the time; return its name."""
-        return self._begin("picture", self._take_picture)
+        return self.rig.begin("picture", self._take_picture)
 
     def let_go(self) -> Future[None]:
         """Switch the lights off, park the arm, switch its torque off, and close the devices."""
         self.set_live(on=False)
-        return self._begin("leaving the rig safe", self.rig.let_go)
+        return self.rig.begin("leaving the rig safe", self.rig.let_go)
 
     def set_live(self, *, on: bool) -> None:
         """Start or end live pictures; they are taken only while clients ask for the state."""
@@ -230,7 +229,8 @@ class Console:
         def run() -> None:
             self.rig.let_go()
             self.schedule = schedule
-            schedule.stopping = self._closing
+            if self._closing:  # `close` began before it could see this run
+                schedule.stopping = True
             try:
                 outcome = schedule.run()
             except KeyboardInterrupt:
@@ -242,7 +242,7 @@ class Console:
             self.messages.add(f"schedule ended: {outcome.scanned} scans made, {len(outcome.missed)} missed{left}")
 
         self.set_live(on=False)
-        self._begin(f"schedule of {self.experiment.name}", run)
+        self.rig.begin(f"schedule of {self.experiment.name}", run)
 
     def stop_schedule(self) -> None:
         """End the schedule after the present scan; an open question is withdrawn."""
@@ -265,18 +265,6 @@ class Console:
         return scan
 
     # in the rig's thread
-
-    def _begin(self, what: str, action: Callable[[], Any]) -> Future[Any]:
-        def reported() -> Any:
-            try:
-                return action()
-            except Exception as error:
-                text = for_console(error_sentence(error))
-                self.devices.read_error(text)
-                self.messages.error(text)
-                raise
-
-        return self.rig.begin(what, reported)
 
     def _check(self) -> None:
         self.rig.let_go()
@@ -335,7 +323,7 @@ class Console:
                 self.queue.add(name)
 
         self.set_live(on=False)
-        self._begin(f"scan {name}", run)
+        self.rig.begin(f"scan {name}", run)
 
     def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
         """Make a scan the one that the console shows."""
@@ -363,6 +351,11 @@ class Console:
     def _say_scan(self, text: str) -> None:
         self.devices.read_report(text)
         self.messages.add(text)
+
+    def _show_error(self, error: Exception) -> None:
+        text = for_console(error_sentence(error))
+        self.devices.read_error(text)
+        self.messages.error(text)
 
     def _show_live(self, image: Grey) -> None:
         self._show(image, read_strip(image, self.bench.scene), title=f"live, {datetime.now().astimezone():%H:%M:%S}")

@@ -71,6 +71,16 @@ def test_live_pictures_with_measurements(lab: Lab) -> None:
     assert not console.state()["live"]
 
 
+def test_an_error_of_a_live_picture_does_not_end_the_rig_thread(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    console = lab.client("Anna")
+    monkeypatch.setattr("rhizotwin.console.console.show", lambda *_, **__: 1 / 0)
+    console.request("POST", "/api/live", {"on": True})
+    message = until(lambda: [one for one in console.state()["messages"] if one["kind"] == "error"])[0]
+    assert "division by zero" in message["text"]
+    assert not console.state()["live"]
+    assert console.command("home 0")[-1] == "table at 0.000 deg"
+
+
 def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     console, other = lab.client("Anna"), lab.client()
     name = console.start_scan(plant="P7", treatment="low N", day=12, date="2026-11-26", paused=True, reconstruct=False)
