@@ -194,9 +194,9 @@ class Console:
         UserError
             For a name that exists, a subject that is not valid, and while the rig is busy.
         """
-        scene = self.plants.scene_of(subject.apply_to(self.bench.scene))
+        scene = subject.apply_to(self.bench.scene)
         dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
-        scene = replace(scene, subject=dated)
+        scene = self.plants.scene_of(replace(scene, subject=dated))
         name = name or self.folders.new_name(scene.subject)
         self._start(self.folders.new_scan(name), scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
         return name

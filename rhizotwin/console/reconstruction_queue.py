@@ -7,11 +7,11 @@ import os
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
+from rhizotwin.catalogue.store import now_utc
 from rhizotwin.console.reconstruction_worker import work
 from rhizotwin.console.scan_folders import ScanFolders, check_name
 from rhizotwin.scenes.atomic import write_json
@@ -100,7 +100,7 @@ class Queue:
             if any(job.scan == scan and job.state in ("waiting", "running") for job in self._jobs):
                 raise UserError(f"{scan} is in the queue already")
             others = [job for job in self._jobs if job.scan != scan]
-            self._keep([*others, Job(scan=scan, added=_now())])
+            self._keep([*others, Job(scan=scan, added=now_utc())])
             self._wake.notify_all()
         self._on_change()
 
@@ -146,7 +146,7 @@ class Queue:
             with self._wake:
                 if self._ended or job not in self._jobs:  # the console ends, or the job was removed
                     continue
-                job = self._change(job, state="failed" if error else "done", error=error, ended=_now())
+                job = self._change(job, state="failed" if error else "done", error=error, ended=now_utc())
             self._on_end(job)
             self._on_change()
 
@@ -216,7 +216,3 @@ def read(path: Path) -> list[Job]:
     for job in found:
         check_name(job.scan)
     return found
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
