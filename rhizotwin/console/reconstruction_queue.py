@@ -180,9 +180,13 @@ class Queue:
         return error
 
     def _change(self, job: Job, **changes: Any) -> Job:
-        """Replace a job, and write the file."""
+        """Replace a job, and write the file; where the disk is full, the next console repeats the job."""
         changed = replace(job, **changes)
-        self._keep([changed if other is job else other for other in self._jobs])
+        jobs = [changed if other is job else other for other in self._jobs]
+        try:
+            self._keep(jobs)
+        except UserError:
+            self._jobs = jobs
         return changed
 
     def _keep(self, jobs: list[Job]) -> None:
