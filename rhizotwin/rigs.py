@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -22,6 +23,7 @@ from rhizotwin.scenes.model import CapturePlan, Scene
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 if TYPE_CHECKING:
+    from rhizotwin.catalogue.records import Plant
     from rhizotwin.rig.devices import Camera
     from rhizotwin.rig.open import Devices
     from rhizotwin.rig.rig_file import RigFile
@@ -149,6 +151,21 @@ def twin_bench(known: Scene, errors: TwinErrors) -> Bench:
     return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
 
 
+def scene_of_plant(scene: Scene, plant: "Plant") -> Scene:
+    """Return a scene with what the catalogue knows of a plant: strip on its pot, nutrient solution, days since sowing.
+
+    A day that the scene's subject has is kept; without one it follows from the subject's date, unless that is earlier
+    than the sowing.
+    """
+    strip, subject = scene.strip, scene.subject
+    if plant.tag is not None:
+        strip = replace(strip, dictionary=plant.tag.dictionary, first_id=plant.tag.first_id)
+    if subject.day is None and plant.sown:
+        days = (date.fromisoformat(subject.date) - date.fromisoformat(plant.sown)).days
+        subject = replace(subject, day=float(days) if days >= 0 else None)
+    return replace(scene, strip=strip, subject=subject, solution=plant.solution if plant.solution.known else scene.solution)
+
+
 def take_scan(
     bench: Bench,
     devices: "Devices",
@@ -239,8 +256,11 @@ def recorder(path: Path | None, stack: ExitStack) -> Any:
         return None
     from rhizotwin.rig.serial_line.recording import Recorder
 
-    if path.is_file() and path.stat().st_size and not path.read_bytes().startswith(b'{"recording"'):
-        raise UserError(f"{path} already exists and is not a recording of serial communication; choose another name")
+    if path.is_file():
+        with path.open("rb") as stream:
+            start = stream.read(12)
+        if start not in (b"", b'{"recording"'):
+            raise UserError(f"{path} already exists and is not a recording of serial communication; choose another name")
     opened = Recorder(path)
     stack.callback(opened.close)
     return opened

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PASSWORD_VARIABLE = "RHIZOTWIN_CONSOLE_PASSWORD"
 LEAST_LETTERS = 8
-"""Length of a password."""
+"""Minimum length of a password."""
 
 
 def console(
@@ -154,10 +154,10 @@ def _password() -> str:
     """
     given = os.environ.get(PASSWORD_VARIABLE, "")
     if not given and sys.stdin.isatty():
-        given = getpass.getpass(f"password for the console (at least {LEAST_LETTERS} letters): ")
+        given = getpass.getpass(f"password for the console (at least {LEAST_LETTERS} characters): ")
     if len(given) < LEAST_LETTERS:
         raise UserError(
-            f"--host with an address of the network needs a password of at least {LEAST_LETTERS} letters: "
-            f"set the environment variable {PASSWORD_VARIABLE}, or type it on a terminal"
+            f"a --host reachable from the network requires a password of at least {LEAST_LETTERS} characters; "
+            f"set {PASSWORD_VARIABLE}, or enter it when asked"
         )
     return given

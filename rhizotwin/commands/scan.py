@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from datetime import date
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -171,12 +171,8 @@ def _identified(
         plant = known.plant(subject.plant)
     if plant.tag is None:
         raise UserError(f"{known.path}: the strip of plant {plant.name} is not known; add it with `rhizotwin catalogue plant`")
-    own = replace(strip, dictionary=plant.tag.dictionary, first_id=plant.tag.first_id)
-    today = date.fromisoformat(subject.date) if subject.date else date.today()  # noqa: DTZ011 - the laboratory's calendar
-    day = float((today - date.fromisoformat(plant.sown)).days) if plant.sown and subject.day is None else subject.day
+    when = subject.date or datetime.now().astimezone().date().isoformat()
     whose = replace(bench.scene.subject, plant=plant.name, species=plant.species, treatment=plant.treatment, replicate=plant.replicate)
-    scene = replace(bench.scene, strip=own, subject=replace(whose, day=day, date=today.isoformat()))
-    if plant.solution.known:
-        scene = replace(scene, solution=plant.solution)
+    scene = rigs.scene_of_plant(replace(bench.scene, subject=replace(whose, day=subject.day, date=when)), plant)
     print(f"plant: {scene.subject}")
     return subject.apply_to(scene), identity.check_plant(plant, plants, strip)

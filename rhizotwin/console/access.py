@@ -25,12 +25,12 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HEADER = "x-rhizotwin-token"
 MOST_BYTES = 64 * 1024
-"""Length of a request's body."""
+"""Maximum length of a request's body."""
 MOST_SESSIONS = 1000
 WAIT_S = 1.0
 """Time after a wrong password, during which no other is checked (s)."""
 PUBLIC = ("/console.css", "/login")
-"""Paths without secrets, for the page that asks for the password."""
+"""Paths served without authentication, for the login page."""
 REFUSED = "This page needs the whole address that `rhizotwin console` printed, with its token.\n"
 HEADERS = {
     "Content-Security-Policy": (
@@ -102,8 +102,8 @@ class Guard:
         path, method = scope["path"], scope["method"]
         cookie_name = cookie_of(scope)
         changes = method not in ("GET", "HEAD")
-        if changes and not 0 <= _length(scope) <= MOST_BYTES:
-            await _answer(send, 413, "the request needs a Content-Length of at most 64 KiB\n")
+        if changes and _is_too_long(scope):
+            await _answer(send, 413, "the body of a request may have at most 64 KiB, and must state its Content-Length\n")
             return
         bearer = _header(scope, "authorization")
         if bearer.lower().startswith("bearer "):
@@ -162,14 +162,18 @@ async def _answer(send: Send, status: int, text: str, **headers: str) -> None:
 
 
 def _header(scope: Scope, name: str) -> str:
-    """Return a header; empty where it is missing or there several times, which no browser sends."""
-    found = [value.decode("latin-1") for key, value in scope["headers"] if key.decode("latin-1").lower() == name]
+    """Return a header; empty where it is missing or given several times, which no browser sends."""
+    found = [value.decode("utf-8", "replace") for key, value in scope["headers"] if key.decode("latin-1").lower() == name]
     return found[0] if len(found) == 1 else ""
 
 
-def _length(scope: Scope) -> int:
+def _is_too_long(scope: Scope) -> bool:
+    """Return whether a body is too long, or its length is not known before it is read."""
+    headers = {key.lower() for key, _ in scope["headers"]}
+    if b"transfer-encoding" in headers:
+        return True
     text = _header(scope, "content-length")
-    return int(text) if text.isascii() and text.isdigit() and len(text) < 12 else -1
+    return b"content-length" in headers and not (text.isascii() and text.isdigit() and len(text) < 12 and int(text) <= MOST_BYTES)
 
 
 def _cookie(scope: Scope, name: str) -> str:

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from urllib.parse import parse_qs
 
 from fastapi import FastAPI, Header, Query, Request
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 
 from rhizotwin.console import bodies as body
@@ -19,6 +20,7 @@ from rhizotwin.console.access import Access, cookie_of, login_headers
 from rhizotwin.console.console import Console
 from rhizotwin.console.messages import for_console
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.formatting import error_sentence, printable
 
 LOOK_S = 0.05
 """Interval at which a waiting request looks for a change of the state (s)."""
@@ -26,14 +28,14 @@ LONGEST_WAIT_S = 30.0
 REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
-"""A report runs its own script, so that it is kept apart from the console: without cookies and without requests."""
+"""A report runs its own scripts, and may have been written by others: it gets no cookies and can send no requests."""
 _PAGE = files("rhizotwin.console").joinpath("page")
 
-Client = Annotated[str, Header(alias="X-Rhizotwin-Client", max_length=100, description="Random identifier of the client")]
+Client = Annotated[str, Header(alias="X-Rhizotwin-Client", min_length=1, max_length=100, description="Random identifier of the client")]
 
 
 def create_app(console: Console, access: Access) -> FastAPI:
-    """Return the application; `access.Guard` has to stand before it.
+    """Return the application, which must be served behind `access.Guard`.
 
     Parameters
     ----------
@@ -54,6 +56,12 @@ def create_app(console: Console, access: Access) -> FastAPI:
     @app.exception_handler(UserError)
     async def refused(_: Request, error: Exception) -> JSONResponse:
         return JSONResponse({"detail": for_console(str(error))}, status_code=409)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
+        # without the values: NaN and unpaired surrogates cannot be sent back as JSON
+        found = [{"loc": [*map(printable, map(str, one["loc"]))], "msg": printable(one["msg"])} for one in error.errors()]
+        return JSONResponse({"detail": found}, status_code=422)
 
     _add_pages(app, access)
     _add_state(app, console)
@@ -264,8 +272,6 @@ def _add_plans(app: FastAPI, console: Console) -> None:
 
 def _wait(future: Future[Any]) -> Any:
     """Return the result of an action of the rig's thread; errors other than `UserError` become one."""
-    from rhizotwin.scenes.formatting import error_sentence
-
     try:
         return future.result()
     except UserError:

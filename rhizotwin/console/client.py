@@ -59,7 +59,8 @@ class Console:
             With the console's reason for a refusal, or where it cannot be reached.
         """
         data = None if method == "GET" else b"" if body is None else json.dumps(body).encode()
-        headers = {"Authorization": f"Bearer {self._secret}", "X-Rhizotwin-Client": self._client, "Content-Type": "application/json"}
+        bearer = f"Bearer {self._secret}".encode().decode("latin-1")  # UTF-8: http.client encodes headers as Latin-1
+        headers = {"Authorization": bearer, "X-Rhizotwin-Client": self._client, "Content-Type": "application/json"}
         request = Request(f"{self._base}{path}", data=data, method=method, headers=headers)
         try:
             with self._opener.open(request, timeout=TIMEOUT_S) as answer:

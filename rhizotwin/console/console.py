@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import datetime
@@ -24,7 +23,7 @@ from rhizotwin.console.questions import Questions
 from rhizotwin.console.reconstruction_queue import Job, Queue
 from rhizotwin.console.rig_thread import RigThread
 from rhizotwin.console.running_scan import RunningScan
-from rhizotwin.console.scan_folders import ScanFolders, check_name
+from rhizotwin.console.scan_folders import ScanFolders
 from rhizotwin.console.schedule import ScheduleRun
 from rhizotwin.console.state import StateView
 from rhizotwin.rig.bench import check
@@ -100,7 +99,7 @@ class Console:
                 Runner(experiment).prepare()
             self.queue = Queue(self.folders, on_change=self.changed, on_end=self._reconstructed)
             stack.callback(self.queue.close)
-            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_change=self.changed)
+            self.rig = RigThread(bench, say=self._say, on_live=self._show_live, on_error=self._show_error, on_change=self.changed)
             stack.callback(self.rig.close)
             self._stack = stack.pop_all()
 
@@ -137,7 +136,7 @@ class Console:
 
     def check_devices(self) -> Future[None]:
         """Check every device, as `rhizotwin rig check` does; nothing moves."""
-        return self._begin("check of the devices", self._check)
+        return self.rig.begin("check of the devices", self._check)
 
     def command(self, line: str) -> Future[list[str]]:
         """Carry out a line of `rhizotwin rig jog`, and return its replies.
@@ -150,16 +149,16 @@ class Console:
         words = line.split()
         if not words or words[0] not in WORDS:
             raise UserError(f"{line[:60]!r} is not a command; give one of {', '.join(WORDS)}")
-        return self._begin(line, lambda: self._command(words))
+        return self.rig.begin(line, lambda: self._command(words))
 
     def take_picture(self) -> Future[str]:
         """Take a picture, and write it to the folder ``pictures`` under a name made of the time; return its name."""
-        return self._begin("picture", self._take_picture)
+        return self.rig.begin("picture", self._take_picture)
 
     def let_go(self) -> Future[None]:
         """Switch the lights off, park the arm, switch its torque off, and close the devices."""
         self.set_live(on=False)
-        return self._begin("leaving the rig safe", self.rig.let_go)
+        return self.rig.begin("leaving the rig safe", self.rig.let_go)
 
     def set_live(self, *, on: bool) -> None:
         """Start or end live pictures; they are taken only while clients ask for the state."""
@@ -195,13 +194,11 @@ class Console:
         UserError
             For a name that exists, a subject that is not valid, and while the rig is busy.
         """
-        scene = self.plants.scene_of(subject.apply_to(self.bench.scene))
+        scene = subject.apply_to(self.bench.scene)
         dated = replace(scene.subject, date=scene.subject.date or datetime.now().astimezone().date().isoformat())
-        scene = replace(scene, subject=dated)
-        name = check_name(name) if name else self.folders.new_name(scene.subject)
-        if (self.folders.scans / name / "dataset.json").exists():
-            raise UserError(f"there is a scan {name!r} already: choose another name, or finish that scan")
-        self._start(name, scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
+        scene = self.plants.scene_of(replace(scene, subject=dated))
+        name = name or self.folders.new_name(scene.subject)
+        self._start(self.folders.new_scan(name), scene, reconstruct=reconstruct, paused=paused, table_angle_deg=table_angle_deg)
         return name
 
     def resume_scan(self, name: str, *, reconstruct: bool = True, table_angle_deg: float | None = None) -> None:
@@ -212,10 +209,10 @@ class Console:
         UserError
             For a scan that does not exist, and while the rig is busy.
         """
-        before = load_dataset(self.folders.scan(name))
-        known = before.scene
+        folder = self.folders.scan(name)
+        known = load_dataset(folder).scene
         scene = replace(self.bench.scene, subject=known.subject, solution=known.solution, strip=known.strip)
-        self._start(name, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
+        self._start(folder, scene, reconstruct=reconstruct, paused=False, table_angle_deg=table_angle_deg)
 
     def start_schedule(self) -> None:
         """Make the planned scans of the experiment that are due, and wait for the others.
@@ -232,7 +229,8 @@ class Console:
         def run() -> None:
             self.rig.let_go()
             self.schedule = schedule
-            schedule.stopping = self._closing
+            if self._closing:  # `close` began before it could see this run
+                schedule.stopping = True
             try:
                 outcome = schedule.run()
             except KeyboardInterrupt:
@@ -244,7 +242,7 @@ class Console:
             self.messages.add(f"schedule ended: {outcome.scanned} scans made, {len(outcome.missed)} missed{left}")
 
         self.set_live(on=False)
-        self._begin(f"schedule of {self.experiment.name}", run)
+        self.rig.begin(f"schedule of {self.experiment.name}", run)
 
     def stop_schedule(self) -> None:
         """End the schedule after the present scan; an open question is withdrawn."""
@@ -268,18 +266,6 @@ class Console:
 
     # in the rig's thread
 
-    def _begin(self, what: str, action: Callable[[], Any]) -> Future[Any]:
-        def reported() -> Any:
-            try:
-                return action()
-            except Exception as error:
-                text = for_console(error_sentence(error))
-                self.devices.read_error(text)
-                self.messages.error(text)
-                raise
-
-        return self.rig.begin(what, reported)
-
     def _check(self) -> None:
         self.rig.let_go()
         bench = self.bench
@@ -301,8 +287,8 @@ class Console:
         self.rig.command(["picture", str(path)])
         return path.name
 
-    def _start(self, name: str, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
-        folder = self.folders.scans / name
+    def _start(self, folder: Path, scene: Scene, *, reconstruct: bool, paused: bool, table_angle_deg: float | None) -> None:
+        name = folder.name
         identify = self.plants.identity(scene.subject, scene.strip)
 
         def run() -> None:
@@ -337,7 +323,7 @@ class Console:
                 self.queue.add(name)
 
         self.set_live(on=False)
-        self._begin(f"scan {name}", run)
+        self.rig.begin(f"scan {name}", run)
 
     def _show_scan(self, name: str, scene: Scene, *, paused: bool = False) -> RunningScan:
         """Make a scan the one that the console shows."""
@@ -365,6 +351,11 @@ class Console:
     def _say_scan(self, text: str) -> None:
         self.devices.read_report(text)
         self.messages.add(text)
+
+    def _show_error(self, error: Exception) -> None:
+        text = for_console(error_sentence(error))
+        self.devices.read_error(text)
+        self.messages.error(text)
 
     def _show_live(self, image: Grey) -> None:
         self._show(image, read_strip(image, self.bench.scene), title=f"live, {datetime.now().astimezone():%H:%M:%S}")

@@ -1,5 +1,6 @@
 """Messages of the console: recent lines of scans, commands and errors, with their time."""
 
+import re
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -10,12 +11,8 @@ from typing import Literal
 from rhizotwin.scenes.formatting import printable
 
 KEPT = 200
-IN_THE_CONSOLE = (
-    ("finish the scan with --resume", "finish the scan, or start it again"),
-    ("resume with --resume", "finish the scan, or start it again"),
-    ("start the scan again with --resume", "finish the scan, or start it again"),
-)
-"""Advice for the command line, and the same for the console."""
+RESUME = re.compile("(finish the scan|start the scan again|resume) with --resume")
+"""Advice for the command line."""
 Kind = Literal["info", "error"]
 
 
@@ -32,9 +29,7 @@ class Message:
 
 def for_console(text: str) -> str:
     """Return a message with advice for the console instead of the command line."""
-    for words, replacement in IN_THE_CONSOLE:
-        text = text.replace(words, replacement)
-    return printable(text)
+    return printable(RESUME.sub("finish the scan, or start it again", text))
 
 
 class Messages:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -83,14 +82,8 @@ def meters(image: Grey, sighting: Sighting | None, *, panel: tuple[float, float]
     panel, motion : tuple of float or None, float or None
         As in `show`.
     """
-    parts: tuple[Callable[[], Meter | None], ...] = (
-        lambda: _markers(sighting),
-        lambda: _focus(sighting),
-        lambda: _exposure(image),
-        lambda: _panel(panel),
-        lambda: _motion(motion),
-    )
-    return tuple(found for part in parts if (found := part()) is not None)
+    found = (_markers(sighting), _focus(sighting), _exposure(image), _panel(panel), _motion(motion))
+    return tuple(meter for meter in found if meter is not None)
 
 
 def jpeg(image: Grey, sighting: Sighting | None) -> bytes:

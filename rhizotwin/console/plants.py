@@ -8,6 +8,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
+from rhizotwin import rigs
 from rhizotwin.catalogue import adding
 from rhizotwin.catalogue.identity import WrongPlantError, check_plant, identify
 from rhizotwin.catalogue.records import Plant, Visit
@@ -45,7 +46,7 @@ class Plants:
         self._plain: tuple[list[dict[str, object]], dict[str, Any]] = [], {}
 
     def scene_of(self, scene: Scene) -> Scene:
-        """Return a scan's scene with what the catalogue knows of its plant: treatment, species, strip on its pot.
+        """Return a scan's scene with what the catalogue knows of its plant.
 
         Raises
         ------
@@ -62,10 +63,7 @@ class Plants:
                     f"the {name} of plant {plant.name} is {known!r} in the catalogue, not {given!r}: correct the plant's name or its {name}"
                 )
         known_fields = {name: getattr(plant, name) for name in KEPT if getattr(subject, name) in ("", None)}
-        strip = scene.strip
-        if plant.tag is not None and plant.tag.dictionary == strip.dictionary:
-            strip = replace(strip, first_id=plant.tag.first_id)
-        return replace(scene, subject=replace(subject, **known_fields), strip=strip)
+        return rigs.scene_of_plant(replace(scene, subject=replace(subject, **known_fields)), plant)
 
     def identity(self, subject: Subject, strip: MarkerStrip) -> Callable[[Grey], object]:
         """Return the check of a scan's first picture: it must show no other plant of the catalogue.
@@ -111,10 +109,11 @@ class Plants:
 
     def plain(self) -> tuple[list[dict[str, object]], dict[str, Any]]:
         """Return plants and planned scans as JSON values."""
-        stamp = (date.today(), *(_stamp(self.path.with_name(f"{self.path.name}{end}")) for end in ("", "-wal")))  # noqa: DTZ011 - local
+        today = datetime.now().astimezone().date()
+        stamp = (today, *(_stamp(self.path.with_name(f"{self.path.name}{end}")) for end in ("", "-wal")))
         if stamp != self._stamp:
             with Catalogue.open(self.path, read_only=True) as catalogue:
-                self._plain = _plants(catalogue), _visits(catalogue.visits())
+                self._plain = _plants(catalogue, today), _visits(catalogue.visits(), today)
             self._stamp = stamp
         return self._plain
 
@@ -131,9 +130,8 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return status.st_mtime_ns, status.st_size
 
 
-def _plants(catalogue: Catalogue) -> list[dict[str, object]]:
+def _plants(catalogue: Catalogue, today: date) -> list[dict[str, object]]:
     scans = catalogue.scans()
-    today = datetime.now().astimezone().date()
     found: list[dict[str, object]] = []
     for plant in catalogue.plants():
         own = [scan for scan in scans if plant.name in scan.plants]
@@ -144,9 +142,8 @@ def _plants(catalogue: Catalogue) -> list[dict[str, object]]:
     return found
 
 
-def _visits(visits: list[Visit]) -> dict[str, Any]:
+def _visits(visits: list[Visit], today: date) -> dict[str, Any]:
     """Return the planned scans: those of today, the next ones, and those that were missed."""
-    today = datetime.now().astimezone().date()
     open_ = [visit for visit in visits if visit.state in ("due", "scanning")]
     todays = [visit for visit in visits if _local(visit).date() == today]
     following = [visit for visit in open_ if visit not in todays][:MOST_SHOWN]

@@ -7,11 +7,11 @@ import os
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
+from rhizotwin.catalogue.store import now_utc
 from rhizotwin.console.reconstruction_worker import work
 from rhizotwin.console.scan_folders import ScanFolders, check_name
 from rhizotwin.scenes.atomic import write_json
@@ -91,17 +91,16 @@ class Queue:
         UserError
             Where the scan does not exist, is not complete, is a sketch, or is in the queue.
         """
-        self._folders.scan(scan)
-        entry = next((one for one in self._folders.list_scans() if one.name == scan), None)
-        if entry is not None and not entry.complete:
-            raise UserError(f"{scan}: the scan is not complete; finish it first")
-        if entry is not None and entry.sketch:
+        entry = self._folders.scan_entry(scan)
+        if not entry.complete:
+            raise UserError(f"{scan}: {entry.error or 'the scan is not complete; finish it first'}")
+        if entry.sketch:
             raise UserError(f"{scan}: sketches of the emulated rig show no roots; scan with --fidelity render")
         with self._wake:
             if any(job.scan == scan and job.state in ("waiting", "running") for job in self._jobs):
                 raise UserError(f"{scan} is in the queue already")
             others = [job for job in self._jobs if job.scan != scan]
-            self._keep([*others, Job(scan=scan, added=_now())])
+            self._keep([*others, Job(scan=scan, added=now_utc())])
             self._wake.notify_all()
         self._on_change()
 
@@ -147,7 +146,7 @@ class Queue:
             with self._wake:
                 if self._ended or job not in self._jobs:  # the console ends, or the job was removed
                     continue
-                job = self._change(job, state="failed" if error else "done", error=error, ended=_now())
+                job = self._change(job, state="failed" if error else "done", error=error, ended=now_utc())
             self._on_end(job)
             self._on_change()
 
@@ -181,9 +180,13 @@ class Queue:
         return error
 
     def _change(self, job: Job, **changes: Any) -> Job:
-        """Replace a job, and write the file."""
+        """Replace a job, and write the file; where the disk is full, the next console repeats the job."""
         changed = replace(job, **changes)
-        self._keep([changed if other is job else other for other in self._jobs])
+        jobs = [changed if other is job else other for other in self._jobs]
+        try:
+            self._keep(jobs)
+        except UserError:
+            self._jobs = jobs
         return changed
 
     def _keep(self, jobs: list[Job]) -> None:
@@ -217,7 +220,3 @@ def read(path: Path) -> list[Job]:
     for job in found:
         check_name(job.scan)
     return found
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")

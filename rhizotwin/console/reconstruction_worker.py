@@ -88,7 +88,7 @@ def work(line: Connection, dataset: str, output: str, console: int) -> None:
         settings = command_steps.settings_of(None, pictures=PictureSettings(tolerant=True))
         progress = SentProgress(send=lambda stage, done: send([stage, done]))
         command_steps.reconstruct_whole(Path(dataset), Path(output), settings=settings, progress=progress)
-    except Exception as error:  # noqa: BLE001 - the console shows it
+    except Exception as error:  # noqa: BLE001 - sent to the console, which shows it
         send({"error": error_sentence(error)})
     else:
         send({"error": ""})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rhizotwin.rig.errors import LostError, NoAnswerError
@@ -36,21 +36,28 @@ class RigThread:
         Receives lines for people.
     on_live : callable
         Receives each live picture.
+    on_error : callable
+        Receives each error of an action or a live picture, before the action ends.
     on_change : callable
         Called when an action begins or ends.
     """
 
     def __init__(
-        self, bench: Bench, *, say: Callable[[str], None], on_live: Callable[[Grey], object], on_change: Callable[[], object]
+        self,
+        bench: Bench,
+        *,
+        say: Callable[[str], None],
+        on_live: Callable[[Grey], object],
+        on_error: Callable[[Exception], object],
+        on_change: Callable[[], object],
     ) -> None:
         self._bench = bench
         self._say = say
-        self._on_live = on_live
-        self._on_change = on_change
+        self._on_live, self._on_error, self._on_change = on_live, on_error, on_change
         self._stack: ExitStack | None = None
         self._jog: Jog | None = None
         self._wake = threading.Condition()
-        self._next: tuple[str, Callable[[], Any], Future[Any]] | None = None
+        self._next: tuple[Callable[[], Any], Future[Any]] | None = None
         self._ended = False
         self.busy = ""
         """Description of the current action; empty when there is none."""
@@ -87,13 +94,13 @@ class RigThread:
             if self.busy:
                 raise UserError(f"the rig is busy: {self.busy}; wait until it has ended, or stop it")
             self.busy = what
-            self._next = what, action, future
+            self._next = action, future
             self._wake.notify_all()
         self._on_change()
         return future
 
     def jog(self) -> Jog:
-        """Return the open devices for commands, opened if necessary; in the rig's thread only."""
+        """Return the open devices for commands, opened if necessary; call from the rig thread only."""
         if self._jog is None:
             stack = ExitStack()
             try:
@@ -105,18 +112,12 @@ class RigThread:
         return self._jog
 
     def command(self, words: list[str]) -> None:
-        """Carry out a command of `rig.jog`; in the rig's thread only.
-
-        Devices that do not answer any more are closed, so that the next command opens them again.
-        """
-        try:
+        """Execute a command of `rig.jog`; call from the rig thread only."""
+        with self._closed_if_lost():
             self.jog().do(words)
-        except (NoAnswerError, LostError):
-            self.let_go()
-            raise
 
     def let_go(self) -> None:
-        """Leave the devices safe (lights off, arm parked, torque off) and close them; in the rig's thread only."""
+        """Leave the devices safe (lights off, arm parked, torque off) and close them; call from the rig thread only."""
         stack, jog = self._stack, self._jog
         self._stack = self._jog = None
         if stack is not None and jog is not None:
@@ -139,7 +140,7 @@ class RigThread:
                 if following is None and self._ended:
                     break
             if following is not None:
-                self._do(following[1], following[2])
+                self._do(*following)
             elif time.monotonic() < self.live_until_s:
                 self._take_live()
         self.let_go()
@@ -147,8 +148,10 @@ class RigThread:
     def _do(self, action: Callable[[], Any], future: Future[Any]) -> None:
         try:
             result, error = action(), None
-        except BaseException as raised:  # noqa: BLE001 - the caller gets it
+        except BaseException as raised:  # noqa: BLE001 - whoever waits for the future gets it
             result, error = None, raised
+            if isinstance(raised, Exception):
+                self._on_error(raised)
         with self._wake:
             self.busy = ""
         self._on_change()
@@ -159,10 +162,18 @@ class RigThread:
 
     def _take_live(self) -> None:
         try:
-            self._on_live(self.jog().shot())
-        except UserError as error:
+            with self._closed_if_lost():
+                self._on_live(self.jog().shot())
+        except Exception as error:  # noqa: BLE001 - reported; the thread goes on, and leaves the rig safe at the end
             self.live_until_s = 0.0
-            self._say(f"{error}")
-            if isinstance(error, NoAnswerError | LostError):
-                self.let_go()
+            self._on_error(error)
             self._on_change()
+
+    @contextmanager
+    def _closed_if_lost(self) -> Iterator[None]:
+        """Close devices that no longer respond, so that the next command opens them again."""
+        try:
+            yield
+        except (NoAnswerError, LostError):
+            self.let_go()
+            raise

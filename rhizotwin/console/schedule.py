@@ -102,7 +102,7 @@ class _Person(PersonChanger):
 
 
 class _Forwarding(Observer):
-    """Passes on to the observer of the present scan."""
+    """Forwards to the observer of the live scan, if there is one."""
 
     watches_motion = True
 
@@ -110,17 +110,17 @@ class _Forwarding(Observer):
         self._scan = scan
 
     def on_plan(self, total: int, done: int) -> None:
-        """Pass on the number of pictures."""
+        """Forward the number of pictures to the live scan."""
         if (scan := self._scan()) is not None:
             scan.live.on_plan(total, done)
 
     def on_look(self, look: Look) -> None:
-        """Pass on a picture."""
+        """Forward a picture to the live scan."""
         if (scan := self._scan()) is not None:
             scan.live.on_look(look)
 
     def on_drop(self, files: list[str]) -> None:
-        """Pass on rejected pictures."""
+        """Forward rejected pictures to the live scan."""
         if (scan := self._scan()) is not None:
             scan.live.on_drop(files)
 

@@ -44,15 +44,15 @@ class _Seen:
     file: str
     view: View
     image: NDArray[np.float32]
+    water: NDArray[np.bool_]
+    """(H, W) mask of the water."""
 
 
 @dataclass(frozen=True)
 class _Outline:
     """Empty part of a picture."""
 
-    view: View
-    water: NDArray[np.bool_]
-    """(H, W) mask of the water."""
+    seen: _Seen
     away_px: NDArray[np.float32]
     """(H, W) distance from each pixel to the nearest covered one."""
 
@@ -87,7 +87,8 @@ class Sketch:
         """
         small = cv2.resize(image, self._camera.image_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
         view = View(camera=self._camera, cam_from_canister=cam_from_canister)
-        self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max))
+        water = water_mask(view, self._optics, self._scene)
+        self._seen.setdefault(ring, []).append(_Seen(file, view, small / np.iinfo(image.dtype).max, water))
 
     def drop(self, file: str) -> None:
         """Remove a picture."""
@@ -102,7 +103,7 @@ class Sketch:
         seen = self._seen.get(ring)
         if not seen:
             return None
-        inside = water_mask(seen[-1].view, self._optics, self._scene)
+        inside = seen[-1].water
         if not inside.any():
             return None
         panel = np.max([one.image for one in seen], axis=0)[inside]
@@ -142,20 +143,19 @@ class Sketch:
         panel = np.max([one.image for one in seen], axis=0)
         found = []
         for one in seen:
-            water = water_mask(one.view, self._optics, self._scene)
-            empty = (one.image > DARK * panel) | ~water
+            empty = (one.image > DARK * panel) | ~one.water
             away_px = cv2.distanceTransform(empty.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-            found.append(_Outline(one.view, water, np.asarray(away_px)))
+            found.append(_Outline(one, np.asarray(away_px)))
         return found
 
     def _look(self, middles: Array, edge_mm: float, outline: _Outline) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which cells (N,) a picture shows, and which of them it shows empty."""
-        view = outline.view
+        view, water = outline.seen.view, outline.seen.water
         px = cameras.project_inner(view, self._optics, middles)
-        height, width = outline.water.shape
+        height, width = water.shape
         at = np.round(np.nan_to_num(px, nan=-1.0)).astype(np.int64)
         seen = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
-        seen[seen] = outline.water[at[seen, 1], at[seen, 0]]
+        seen[seen] = water[at[seen, 1], at[seen, 0]]
         # half the diagonal of the cell nearest to the camera, with the magnification of the water
         half_px = (
             view.camera.focal_px[0] * 0.5 * np.sqrt(3.0) * edge_mm * self._optics.n_water / (view.rho_mm - self._optics.outer_radius_mm)

@@ -1,6 +1,7 @@
 """Who gets an answer from the console: tokens, passwords, cookies and the header against foreign pages."""
 
 import http.client
+import socket
 import time
 from collections.abc import Callable
 from urllib.parse import urlencode
@@ -100,3 +101,18 @@ def test_password(make_lab: Callable[..., Lab]) -> None:
     Console(address, password="a long password").state()
     with pytest.raises(UserError, match="token or password is wrong"):
         Console(address, password="another").state()
+
+
+def test_bodies_are_limited_before_they_are_read(make_lab: Callable[..., Lab]) -> None:
+    lab = make_lab("a long password")
+    for length in ("Content-Length: 65537", "Content-Length: 1\r\nTransfer-Encoding: chunked", "Transfer-Encoding: chunked"):
+        with socket.create_connection(("127.0.0.1", lab.served.port), timeout=30) as line:
+            line.sendall(f"POST /login HTTP/1.1\r\nHost: localhost\r\n{length}\r\n\r\n".encode())
+            assert line.recv(100).startswith(b"HTTP/1.1 413 "), length
+    secret = {"Authorization": "Bearer a long password", "X_Rhizotwin_Client": "1"}
+    assert ask(lab, "DELETE", "/api/control", **secret)[0] == 200  # without a body, as browsers send it
+
+
+def test_a_password_in_any_script(make_lab: Callable[..., Lab]) -> None:
+    lab = make_lab("Wurzelfüße корень")
+    Console(f"http://127.0.0.1:{lab.served.port}/", password="Wurzelfüße корень").state()

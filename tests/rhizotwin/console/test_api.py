@@ -71,6 +71,16 @@ def test_live_pictures_with_measurements(lab: Lab) -> None:
     assert not console.state()["live"]
 
 
+def test_an_error_of_a_live_picture_does_not_end_the_rig_thread(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    console = lab.client("Anna")
+    monkeypatch.setattr("rhizotwin.console.console.show", lambda *_, **__: 1 / 0)
+    console.request("POST", "/api/live", {"on": True})
+    message = until(lambda: [one for one in console.state()["messages"] if one["kind"] == "error"])[0]
+    assert "division by zero" in message["text"]
+    assert not console.state()["live"]
+    assert console.command("home 0")[-1] == "table at 0.000 deg"
+
+
 def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     console, other = lab.client("Anna"), lab.client()
     name = console.start_scan(plant="P7", treatment="low N", day=12, date="2026-11-26", paused=True, reconstruct=False)
@@ -94,7 +104,7 @@ def test_a_scan_is_paused_stopped_and_finished(lab: Lab) -> None:
     assert 1 <= entry["pictures"] < VIEWS
     with pytest.raises(UserError, match="not complete; finish it first"):
         console.reconstruct(name)
-    with pytest.raises(UserError, match="already: choose another name, or finish that scan"):
+    with pytest.raises(UserError, match="already exists; choose another name or resume it"):
         console.start_scan(name=name)
     console.finish_scan(name, reconstruct=False)
     assert console.wait_for_scan(timeout_s=LONG_S)["done"] == VIEWS
@@ -191,6 +201,59 @@ def test_names_lead_nowhere_else(lab: Lab, tmp_path: Path) -> None:
     assert not list((lab.folder / "scans").iterdir())
 
 
+def test_a_scan_is_not_written_through_a_link(lab: Lab, tmp_path: Path) -> None:
+    console = lab.client("Anna")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    for name, goal in (("linked", outside), ("dangling", tmp_path / "made")):
+        (lab.folder / "scans" / name).symlink_to(goal)
+        with pytest.raises(UserError, match=f"scans/{name} is a link"):
+            console.start_scan(name=name)
+        with pytest.raises(UserError, match=f"scans/{name} is a link"):
+            console.finish_scan(name)
+    assert not list(outside.iterdir())
+    assert not (tmp_path / "made").exists()
+    for name in ("\U0001d400" * 100, "growth"):  # too long for a file system; the folder of the curves of growth
+        with pytest.raises(UserError, match="is not a name of a scan"):
+            console.start_scan(name=name)
+        with pytest.raises(UserError, match="is not a name of a scan"):
+            console.report(name)
+
+
+DATASET = '{"schema_version": 1, "scene": {"subject": {"plant": "P7"}}, "frames": [], "origin": %s}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 100_000,
+        "[]",
+        DATASET % '{"planned_views": 1e999}',
+        DATASET % "[]",
+        '{"scene": {"subject": {"\\ud800": 1}}, "frames": [], "origin": {}}',
+        "\0",
+    ],
+    ids=["nested", "list", "infinite", "origin", "surrogate", "binary"],
+)
+def test_a_damaged_file_does_not_hide_the_state(lab: Lab, text: str) -> None:
+    for name, parent in (("dataset.json", "scans"), ("result.json", "results")):
+        (lab.folder / parent / "P7").mkdir()
+        (lab.folder / parent / "P7" / name).write_text(text)
+    (scan,) = lab.client().state()["scans"]
+    assert scan["error"].startswith("cannot be read: ")
+    assert scan["result"] is None
+    with pytest.raises(UserError, match="cannot be read"):
+        lab.client("Anna").reconstruct("P7")
+
+
+def test_a_huge_file_is_not_read(lab: Lab) -> None:
+    (lab.folder / "scans" / "P7").mkdir()
+    with (lab.folder / "scans" / "P7" / "dataset.json").open("wb") as stream:
+        stream.truncate(2**40)
+    (scan,) = lab.client().state()["scans"]
+    assert "more than the maximum of 32 MiB" in scan["error"]
+
+
 def test_wrong_requests_are_refused_in_a_sentence(lab: Lab) -> None:
     console = lab.client("Anna")
     with pytest.raises(UserError, match="plnt: Extra inputs are not permitted"):
@@ -201,6 +264,9 @@ def test_wrong_requests_are_refused_in_a_sentence(lab: Lab) -> None:
         console.start_scan(date="yesterday")
     with pytest.raises(UserError, match="Not Found"):
         console.request("GET", "/api/nothing")
+    for values in ({"table_angle_deg": float("nan")}, {"plant": "\ud800"}, {"\ud800": 1}):
+        with pytest.raises(UserError, match=r"Input should be|Extra inputs|valid string"):
+            console.request("POST", "/api/scans", values)
     with pytest.raises(UserError, match="at most 64 KiB"):
         console.request("POST", "/api/command", {"line": "x" * 70_000})
 

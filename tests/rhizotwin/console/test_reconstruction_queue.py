@@ -102,3 +102,20 @@ def test_a_damaged_queue_is_named(folders: ScanFolders) -> None:
         path.write_text(text)
         with pytest.raises(UserError, match=words):
             open_queue(folders)
+
+
+def test_a_full_disk_does_not_end_the_queue(folders: ScanFolders, monkeypatch: pytest.MonkeyPatch) -> None:
+    queue = open_queue(folders)
+    try:
+        queue.add("P9")
+
+        def full(*_: object) -> None:
+            raise UserError("the disk is full")
+
+        monkeypatch.setattr("rhizotwin.console.reconstruction_queue.write_json", full)
+        until(lambda: states(queue)["P9"] == "failed")
+        monkeypatch.undo()
+        queue.add("P9")
+        until(lambda: states(queue)["P9"] == "failed")
+    finally:
+        queue.close()
