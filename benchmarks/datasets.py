@@ -29,7 +29,7 @@ SAME_VOLUME = 1e-9
 
 
 class Pictures(Protocol):
-    """A dataset to render: `benchmarks.cases.Pictures`, `benchmarks.mixtures.Mixture`."""
+    """A dataset to render: `benchmarks.cases.Pictures`, `benchmarks.random_scans.RandomScan`."""
 
     @property
     def profile(self) -> str:

@@ -17,11 +17,13 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from benchmarks.cases import METHODS, Pictures
-from benchmarks.mixtures import Mixture
+from benchmarks.random_scans import RandomScan
 
 ROOT = Path(__file__).resolve().parent.parent
 LAST_WORDS = 4000
 """Length of a failed job's error text that is reported."""
+LONG = ("views", "rig", "settings", "versions")
+"""Entries of a result's summary that are not reported."""
 
 
 def start(arguments: Sequence[str], *, device: str) -> dict[str, Any]:
@@ -55,11 +57,11 @@ def pictures_as_text(pictures: Pictures) -> str:
     return json.dumps(asdict(pictures))
 
 
-def parse_pictures(text: str) -> Pictures | Mixture:
+def parse_pictures(text: str) -> Pictures | RandomScan:
     """Return the pictures described by an argument."""
     plain = json.loads(text)
-    if "mixture" in plain:
-        return Mixture(number=plain["mixture"])
+    if "random_scan" in plain:
+        return RandomScan(number=plain["random_scan"])
     return Pictures(**{**plain, "image_wh": tuple(plain["image_wh"])})
 
 
@@ -108,7 +110,7 @@ def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, An
     return {"stages": summary["timings_s"], **{kind: summary[kind] for kind in get_args(Pass)}}
 
 
-def dataset(pictures: Pictures | Mixture) -> dict[str, Any]:
+def dataset(pictures: Pictures | RandomScan) -> dict[str, Any]:
     """Add a dataset to the cache."""
     from benchmarks import datasets
 
@@ -162,7 +164,8 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     found = scoring.score(working / "result", dataset_folder).to_dict()
     if found["masks"]:
         del found["masks"]["per_view"]
-    return {**taken, "score": found, "checks": read_summary(working / "result").get("checks", [])}
+    summary = {key: value for key, value in read_summary(working / "result").items() if key not in LONG}
+    return {**taken, "score": found, "summary": summary}
 
 
 def projection() -> dict[str, Any]:
