@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cases, gate, mixtures, scatter
+from benchmarks import cases, gate, scatter
 from benchmarks.arguments import parser
 from benchmarks.metric import Metric
 from benchmarks.run import Run
@@ -83,8 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _scaling(given)
         if given.what == "thesis":
             return _thesis(given)
-        if given.what == "mixtures":
-            return _mixtures(given)
+        if given.what == "intervals":
+            return _intervals(given)
         if given.what == "view":
             return _view(given)
         if given.what == "damages":
@@ -124,17 +124,33 @@ def _thesis(given: argparse.Namespace) -> int:
     return 0
 
 
-def _mixtures(given: argparse.Namespace) -> int:
-    if given.count < 1 or given.first < 0:
-        raise UserError("--count must be 1 or more, and --first 0 or more")
-    records = mixtures.measure(range(given.first, given.first + given.count), device=given.device, say=say)
-    say("\n" + mixtures.table(records))
-    output = given.output or _results() / "mixtures.json"
-    stored = {"about": about(argparse.Namespace(what="mixtures", quick=False, device=given.device)), "records": records}
-    atomic.write_json(output, stored | {"summary": mixtures.summary(records)})
-    atomic.write_text(output.with_suffix(".md"), mixtures.table(records))
+def _intervals(given: argparse.Namespace) -> int:
+    """Measure random scans, or read their table; report the coverage, and record the calibration if asked to."""
+    from benchmarks import conformal, intervals, intervals_page, intervals_table
+    from rhizotwin.recon.settings import TrustSettings
+    from rhizotwin.recon.uncertainty import calibration
+
+    if given.count < 1 or given.first < 0 or given.processes < 1:
+        raise UserError("--count and --processes must be 1 or more, and --first 0 or more")
+    if given.table is None:
+        numbers = range(given.first, given.first + given.count)
+        table = intervals_table.table_of(intervals.measure(numbers, processes=given.processes, device=given.device, say=say))
+    else:
+        table = intervals_table.read(given.table)
+    factors = conformal.calibrate(table[conformal.is_calibration(table)])
+    text = intervals_page.page(table, factors, widest=TrustSettings.widest)
+    say("\n" + text)
+    output = (given.output or _results() / "intervals.csv").with_suffix(".csv")
+    for path in (output, *([HERE / "intervals.csv"] if given.calibrate else [])):
+        atomic.write_text(path, table.to_csv(index=False))
+    atomic.write_text(output.with_suffix(".md"), text)
+    intervals_page.draw(table, factors, output.with_suffix(".png"))
+    if given.calibrate:
+        calibrating = int(conformal.is_calibration(table).sum())
+        source = f"benchmarks/intervals.csv: split conformal prediction from {calibrating} of {len(table)} random scans"
+        atomic.write_json(calibration.TABLE, {"source": source, "confidence": conformal.CONFIDENCE, "factors": factors})
     say(f"every number: {output}")
-    return 1 if any("crashed" in record for record in records) else 0
+    return 0
 
 
 def _batch(given: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import cases, mixtures, scatter
+from benchmarks import cases, intervals, scatter
 
 
 def parser() -> argparse.ArgumentParser:
@@ -37,11 +37,7 @@ def parser() -> argparse.ArgumentParser:
     compared.add_argument("before", type=Path, metavar="A.json", help="output of `accuracy -o A.json` before the change")
     compared.add_argument("after", type=Path, metavar="B.json", help="output after the change; cases in only one of them are ignored")
     compared.add_argument("--method", choices=cases.METHODS, default="coverage", help="default: %(default)s")
-    mixed = what.add_parser("mixtures", help=_MIXTURES, description=_MIXTURES)
-    mixed.add_argument("--count", type=int, default=mixtures.COUNT, metavar="N", help="default: %(default)s")
-    mixed.add_argument("--first", type=int, default=0, metavar="K", help="number of the first mixture (default: %(default)s)")
-    mixed.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    mixed.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
+    _add_intervals(what.add_parser("intervals", help=_INTERVALS, description=_INTERVALS))
     _add_view(what.add_parser("view", help=_VIEW, description=_VIEW))
     _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
@@ -133,11 +129,30 @@ def _add_ratios(one: argparse.ArgumentParser) -> None:
     one.add_argument("--axes", type=_words, metavar="NAME,...", help="only these axes of --scaling (a wrong name lists them)")
 
 
-_MIXTURES = "small random plants with random disturbances: coverage of the intervals of trusted scans; a stopped run is resumed"
+_INTERVALS = (
+    "small random scans of random subjects: coverage of the 90 % intervals, and the factors that calibrate them; a stopped run is resumed"
+)
 _DAMAGES = "one clean scan with typical errors of laboratories: is a wrong volume ever trusted?"
 _SCATTER = (
     "variation of all numbers under rounding of the pictures: tolerances of the gate, and how often it opens; a stopped run is resumed"
 )
+
+
+def _add_intervals(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--count", type=int, default=intervals.COUNT, metavar="N", help="number of scans (default: %(default)s)")
+    one.add_argument("--first", type=int, default=0, metavar="K", help="number of the first scan (default: %(default)s)")
+    one.add_argument("--processes", type=int, default=1, metavar="P", help="number of scans at the same time (default: %(default)s)")
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    one.add_argument(
+        "--table",
+        type=Path,
+        metavar="FILE.csv",
+        help="evaluate this table of an earlier run, such as benchmarks/intervals.csv, without new scans",
+    )
+    one.add_argument("--calibrate", action="store_true", help="record the factors in recon/uncertainty, and the table beside this command")
+    one.add_argument(
+        "-o", "--output", type=Path, metavar="FILE.csv", help="table of all scans; a page and a figure are written beside it (.md, .png)"
+    )
 
 
 def _add_damages(one: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""Scans of random subjects on random rigs: is the truth inside the 90 % intervals?
+"""Measurement of random scans, to find out how often 90 % intervals contain the truth.
 
 Each scan is rendered, reconstructed and scored in processes of its own. Measurements with the same code are reused, so
 that a stopped run continues.
@@ -40,7 +40,7 @@ def measure(numbers: Sequence[int], *, processes: int, device: str, say: Callabl
     Returns
     -------
     list of dict
-        One record per scan, in the order of the numbers. The record of a scan that failed has ``crashed`` with the error
+        One record per scan, in the order of the numbers. The record of a failed scan has ``crashed`` with the error
         instead of ``score`` and ``summary``.
     """
     done = 0

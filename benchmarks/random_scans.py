@@ -145,6 +145,8 @@ class RandomScan:
             return "printed_8ml", draw_taproot(rng)
         name = str(rng.choice(RADISHES)) if self.family == "radish" else self.family
         specimen = load_scene(name).specimen
+        if specimen is None:
+            raise ValueError(f"scene {name} has no specimen")
         if isinstance(specimen, SphereSpecimen):
             x_mm, y_mm = rng.uniform(-SPHERE_OFF_AXIS_MM, SPHERE_OFF_AXIS_MM, size=2)
             return name, replace(

@@ -136,6 +136,7 @@ def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult
         finest_mm=solid.finest_mm,
         volume_mm3=solid.volume.mm3,
         terms=solid.volume.terms,
+        calibration=solid.volume.calibration,
     )
     found = divide_by_plant.measure(shape, planted, scene.plants, scene.subject)
     return replace(solid, roots=planted.roots), found, divide_by_plant.warnings(planted, found)
@@ -161,7 +162,12 @@ def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tu
     """Estimate length, tips and mean diameter, with intervals and verdicts."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(
-            solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_volume_objections(solid)
+            solid.roots,
+            carved.bank,
+            carved.silhouettes,
+            mu_per_mm=solid.mu_per_mm,
+            lost=_volume_objections(solid),
+            calibration=solid.volume.calibration,
         )
 
 

@@ -33,6 +33,7 @@ from rhizotwin.recon.uncertainty import (
     wall_contact,
 )
 from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration, find_calibration
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
@@ -300,20 +301,33 @@ def _budget(
         canister_uncertainty.canister_term(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
     )
     fill, unexplained = (0.0, 0.0) if tubes is None else (tubes.fill, tubes.unexplained)
-    return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
+    budget = Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
+    return replace(budget, calibration=_calibration(carved, budget, missed))
+
+
+def _calibration(carved: CarvedHull, budget: Budget, missed: float) -> Calibration:
+    """Return the calibration of the intervals, for photographs of a canister with markers."""
+    if carved.cameras.markers is None or carved.bank.optics.tank is not None or any(one.binary for one in carved.silhouettes):
+        return NOT_CALIBRATED
+    hidden_mm3 = sum(term.more_mm3 for term in budget.terms if term.name == "occluded")
+    return find_calibration(
+        views=carved.bank.count,
+        px_a_mm=projection.px_a_mm(carved.bank, carved.water.centre_mm),
+        hidden=hidden_mm3 / max(budget.volume_mm3, 1e-9),
+        consistent=_agreement(budget, missed).state != "bad",
+    )
 
 
 def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[Check, ...]:
     """Check the agreement of views and shape."""
     calibration = None if system is None else system.cameras.roots
     sway_mm = None if system is None or calibration is None else calibration.after_px / system.px_a_mm
-    agreed = shape_checks.check_agreement(
-        missed=missed,
-        unexplained=budget.unexplained,
-        fill=budget.fill,
-        trust=budget.trust,
-    )
-    return shape_checks.check_motion(sway_mm, budget.trust), agreed
+    return shape_checks.check_motion(sway_mm, budget.trust), _agreement(budget, missed)
+
+
+def _agreement(budget: Budget, missed: float) -> Check:
+    """Check that views and shape agree."""
+    return shape_checks.check_agreement(missed=missed, unexplained=budget.unexplained, fill=budget.fill, trust=budget.trust)
 
 
 def measure(

@@ -51,6 +51,11 @@ class Water:
     top_mm: float
     bottom_mm: float
 
+    @property
+    def centre_mm(self) -> NDArray[np.float64]:
+        """Return the centre (3,) of the water, canister frame."""
+        return np.array([0.0, 0.0, 0.5 * (self.top_mm + self.bottom_mm)])
+
     def grid(self, size_mm: float) -> Grid:
         """Return the lattice of nodes of a given edge that covers the water."""
         return Grid.over(

@@ -170,6 +170,20 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     return Projected(mi.Vector2f(u, v), visible & in_front, clear_mm, du, dv)
 
 
+def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
+    """Return the scale at a point, px/mm, as the median over the views that show it, or over all if none does.
+
+    Parameters
+    ----------
+    point_mm : (3,) float64 array
+        Canister frame.
+    """
+    at = np.repeat(np.asarray(point_mm, np.float64)[None], bank.count, axis=0)
+    p = project(bank, dr.arange(mi.UInt32, bank.count), mi.Point3f(*(numbers(part) for part in at.T)), mi.Bool(True))
+    scale, visible = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.visible)
+    return float(np.median(scale[visible] if visible.any() else scale))
+
+
 @dataclass
 class _End:
     """The ray to a point, and its pixel; derivatives by (b, p), or by (q_y, q_z) through a tank."""

@@ -13,6 +13,7 @@ from rhizotwin.recon.results.by_plant import Pair, PlantResult
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import PlantedRoots
 from rhizotwin.recon.uncertainty.budget import Term, part_interval
+from rhizotwin.recon.uncertainty.calibration import Calibration
 from rhizotwin.scenes import rsml, tube_surface
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
@@ -31,6 +32,7 @@ class Shape:
     """Edge length of the voxels from which the surface was extracted."""
     volume_mm3: float
     terms: tuple[Term, ...]
+    calibration: Calibration
     """Error budget of the volume."""
 
 
@@ -94,7 +96,10 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 
 def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
     """Return the 90 % interval of a plant, from its volume without and with all parts of uncertain assignment."""
-    (low, _), (_, high) = (part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part) for part in (least_mm3, most_mm3))
+    (low, _), (_, high) = (
+        part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part, calibration=shape.calibration)
+        for part in (least_mm3, most_mm3)
+    )
     return low, high
 
 

@@ -240,6 +240,7 @@ class Result:
             "checks": [asdict(check) for check in self.checks],
             "estimates": [asdict(estimate) for estimate in self.estimates],
             "volume_budget": [asdict(term) for term in volume.terms],
+            "calibration": volume.calibration.plain(),
             "hull_mm3": solid.hull_mm3,
             "untrimmed_mm3": solid.untrimmed_mm3,
             "blind_mm3": solid.blind_mm3,

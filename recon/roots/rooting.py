@@ -12,6 +12,7 @@ from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.hull.boxes import CellSet
 from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import density, ghosts, node_support, organs, search_space, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.organs import Core
@@ -56,7 +57,7 @@ def find_tree(
     known : TubeAttenuation, optional
         Attenuation of the same roots, estimated with other cameras.
     """
-    px_a_mm, learned_per_mm = search_space.px_a_mm(evidence, water), None if learned is None else learned.mu_per_mm
+    px_a_mm, learned_per_mm = projection.px_a_mm(evidence.bank, water.centre_mm), None if learned is None else learned.mu_per_mm
     margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
     if (found := _trace(evidence, water, px_a_mm, margin_mm, monitor=monitor)) is None:
         return None

@@ -31,12 +31,6 @@ _MOST_CELLS = 2_000_000
 """Maximum number of cells; a larger search space is coarsened, as its footprints in all views must fit in memory."""
 
 
-def px_a_mm(evidence: Evidence, water: Water) -> float:
-    """Return the scale at the centre of the water, px/mm."""
-    at = evidence.project(np.array([[0.0, 0.0, 0.5 * (water.top_mm + water.bottom_mm)]]))
-    return float(np.median(np.sqrt(np.linalg.norm(at.du, axis=-1) * np.linalg.norm(at.dv, axis=-1))))
-
-
 def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells]:
     """Carve out of the water the cells that may contain roots, and those that belong to taproot and hypocotyl.
 

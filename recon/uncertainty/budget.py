@@ -1,9 +1,10 @@
 """Error budget of a volume: terms, 90 % interval and verdict.
 
 Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms have different
-causes and add up in quadrature, separately for each side. A one-sided term (an undetected root only makes the volume
-larger) has an expected value of half its width: that half is added linearly, and only the other half is random (GUM,
-JCGM 100:2008, F.2.4.5, of a bias that is not corrected). A single term therefore contributes its full width.
+causes and add up in quadrature, separately for each side; a calibration scales the result. A one-sided term (an
+undetected root only makes the volume larger) has an expected value of half its width: that half is added linearly, and
+only the other half is random (GUM, JCGM 100:2008, F.2.4.5, of a bias that is not corrected). A single term therefore
+contributes its full width.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
+from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.scenes.formatting import interval_ml
 
 NINETY = 1.645
@@ -56,6 +58,8 @@ class Volume:
     """Reliability of the volume, in one sentence."""
     terms: tuple[Term, ...]
     """Causes of uncertainty."""
+    calibration: Calibration = NOT_CALIBRATED
+    """Calibration of the scan's intervals."""
 
     def distrust(self, reasons: Sequence[str]) -> Volume:
         """Return the same volume, not trusted for additional reasons."""
@@ -76,13 +80,16 @@ class Budget:
     """Fraction of the root zone's picture that thin roots cover; 0 for shapes without thin roots."""
     trust: TrustSettings = field(default_factory=TrustSettings)
     """Limits for the volume to be trusted."""
+    calibration: Calibration = NOT_CALIBRATED
+    """Calibration of the scan's intervals."""
 
     @property
     def interval_mm3(self) -> tuple[float, float]:
         """Return the 90 % interval."""
         less = _reach([(term.less_mm3, term.more_mm3) for term in self.terms])
         more = _reach([(term.more_mm3, term.less_mm3) for term in self.terms])
-        return max(0.0, self.volume_mm3 - less), self.volume_mm3 + more
+        factor = self.calibration.factor("volume_mm3")
+        return max(0.0, self.volume_mm3 - factor * less), self.volume_mm3 + factor * more
 
     @property
     def objections(self) -> tuple[str, ...]:
@@ -122,10 +129,13 @@ class Budget:
             trusted=not self.objections,
             verdict=self.verdict,
             terms=self.terms,
+            calibration=self.calibration,
         )
 
 
-def part_interval(terms: Sequence[Term], *, whole_mm3: float, part_mm3: float) -> tuple[float, float]:
+def part_interval(
+    terms: Sequence[Term], *, whole_mm3: float, part_mm3: float, calibration: Calibration = NOT_CALIBRATED
+) -> tuple[float, float]:
     """Return the 90 % interval of a part of a volume, mm3.
 
     Terms in `PROPORTIONAL` count by the share of the part. All others count in full, as the whole uncertainty may
@@ -137,13 +147,15 @@ def part_interval(terms: Sequence[Term], *, whole_mm3: float, part_mm3: float) -
         Error budget of the whole volume.
     whole_mm3, part_mm3 : float
         Whole volume, and volume of the part.
+    calibration : Calibration, optional
+        Calibration of the scan's intervals.
     """
     share = part_mm3 / whole_mm3
     own = [
         replace(term, less_mm3=share * term.less_mm3, more_mm3=share * term.more_mm3) if term.name in PROPORTIONAL else term
         for term in terms
     ]
-    return Budget(volume_mm3=part_mm3, terms=tuple(own), views=0).interval_mm3
+    return Budget(volume_mm3=part_mm3, terms=tuple(own), views=0, calibration=calibration).interval_mm3
 
 
 def _reach(terms: Sequence[tuple[float, float]]) -> float:

@@ -1,13 +1,14 @@
-"""Uncertainty of total length, tips and mean diameter: the roots are rendered, and compared with the pictures.
+"""Uncertainty of total length, tips and mean diameter, from a comparison of the rendered roots with the pictures.
 
-The rendered and the measured coverage are both thinned to lines. Missing roots make the line in the measured picture
-longer, surplus roots make it shorter; tips are the ends of lines, and covered area divided by line length is width.
-Roots hide each other in both pictures alike, so that the comparison needs no tree. Roots that share a path appear as
-one line, and are taken from the roots alone.
+Coverage in a picture that is far from all rendered roots, thinned to lines, is missing length, and each connected line
+a missing root with its tip. Centre lines and tips of roots without coverage nearby are surplus. The covered area
+divided by the length of lines is the width. Roots that share a path appear as one line in all pictures; their shared
+length is taken from the roots.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve
+from skimage.measure import label
 from skimage.morphology import skeletonize
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
@@ -26,6 +27,7 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import NINETY
+from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration
 from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
@@ -42,6 +44,8 @@ _FINER = 4
 """Subdivision of a pixel's edge for drawing roots."""
 _SHIFT = 4
 """Fractional bits of OpenCV's drawing coordinates: a sixteenth."""
+_PEN_PX = 0.5 / _FINER
+"""Width that OpenCV adds to each side of a filled polygon: it fills every pixel that its edge touches."""
 _LEAST_PX = 1e-6
 """Minimum length of a segment in a picture; shorter ones have no direction."""
 _SMOOTH_PX = 0.8
@@ -49,7 +53,15 @@ _SMOOTH_PX = 0.8
 effect."""
 _LINE = 0.2
 """Minimum smoothed coverage of a line: a root half a pixel wide has 0.24."""
-_MODEL = {"length": 0.02, "tips": 0.07, "diameter": 0.03}
+_FAINT = 0.05
+"""Minimum smoothed coverage of a rendered root for pixels nearby to be explained by it."""
+_NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+"""Neighbourhood of two pixels, within which lines are compared: smoothing moves the edge of a line by about one."""
+_SHORT_PX = 3
+"""Minimum length of a missing root: shorter lines are noise, or the rim of a root whose radius is too small."""
+_LEAST_FREE = 0.1
+"""Minimum fraction of the root zone outside the roots, for the correction of missing roots for hidden ones."""
+_MODEL = {"total_length_mm": 0.02, "tips": 0.07, "mean_diameter_mm": 0.03}
 """90 % half-widths of errors that the comparison does not show: lines beginning inside thick parents, undulation along
 the line of sight, ends between pixels. Length (1.6 %) and tips (5 %) of nine in ten clean radishes of the ladder are
 within them (docs/accuracy.md), and so is the width of the scans in docs/log/2026-11-22-families.md."""
@@ -58,8 +70,8 @@ _THIN_PX, _MUCH_THIN = 0.5, 0.15
 further roots may be missing. Scans with at most 3 % had length errors within 2 %, one with 47 % lost a fifth, one with
 54 % a half (docs/log/2026-11-22-families.md)."""
 _LEVEL = np.pi / 2.0
-"""Factor for level roots: over a turn, their line in the picture has on average 2 / pi of their length, so that missing
-or surplus length may be this much larger."""
+"""Factor for horizontal roots: over a turn, their line in the picture has on average 2 / pi of their length, so that
+missing or surplus length may be this much larger."""
 WIDEST = TrustSettings.widest
 """Maximum relative half-width of an interval for a trusted number: the default of the volume, whatever its setting."""
 LEAST_VIEWS = 4
@@ -67,16 +79,29 @@ LEAST_VIEWS = 4
 
 
 @dataclass(frozen=True)
-class _Measures:
-    """Measures of one picture: length of line, number of line ends, and covered area, in pixels."""
+class _Residual:
+    """Differences between one picture and the rendered roots, relative to the rendered roots."""
 
-    line: float
-    ends: float
-    area: float
+    missing: float
+    """Length of missing lines relative to the length of the rendered centre lines."""
+    surplus: float
+    """Fraction of the rendered centre lines without coverage nearby."""
+    missing_tips: float
+    """Number of missing roots relative to the number of visible tips."""
+    surplus_tips: float
+    """Fraction of the visible tips without coverage nearby."""
+    width: float
+    """Relative excess of the mean width in the picture."""
 
 
 def estimates(
-    roots: Sequence[Root], bank: ViewBank, silhouettes: Sequence[Silhouette], *, mu_per_mm: float | None, lost: Sequence[str]
+    roots: Sequence[Root],
+    bank: ViewBank,
+    silhouettes: Sequence[Silhouette],
+    *,
+    mu_per_mm: float | None,
+    lost: Sequence[str],
+    calibration: Calibration = NOT_CALIBRATED,
 ) -> tuple[Estimate, ...]:
     """Compare roots with the pictures.
 
@@ -90,6 +115,8 @@ def estimates(
         Attenuation of the roots; None for opaque roots.
     lost : sequence of str
         Reasons for which the scan as a whole is not trusted; empty if it is.
+    calibration : Calibration, optional
+        Calibration of the scan's intervals.
 
     Returns
     -------
@@ -99,43 +126,80 @@ def estimates(
     if not roots:
         return ()
     count = min(VIEWS, bank.count)
-    seen_at = _Places.project(roots, bank.select(range(count)))
-    drawn = _draw(seen_at, silhouettes[:count], mu_per_mm)
-    thin = seen_at.thin_share()
+    places = _Places.project(roots, bank.select(range(count)))
+    drawn = _draw(places, silhouettes[:count], mu_per_mm)
+    thin = places.thin_share()
     if thin > _MUCH_THIN:
         few = f"{100.0 * thin:.0f} % of the length is thinner than half a pixel, and more may be missing (use a higher resolution)"
         lost = (*lost, few)
-    pairs = [(_measure(s.coverage, s.usable), _measure(picture, s.usable)) for s, picture in zip(silhouettes[:count], drawn, strict=True)]
-    pairs = [(taken, made) for taken, made in pairs if made.line > 0.0 and made.ends > 0.0 and taken.line > 0.0]
+    views = [_compare(s, picture, places, k) for k, (s, picture) in enumerate(zip(silhouettes[:count], drawn, strict=True))]
+    residuals = [view for view in views if view is not None]
     length_mm = rsml.length_mm(roots)
-    shared = length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])
+    shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
     diameter_mm = float(sum(_mean(root) for root in roots)) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
-    by_line = [_LEVEL * (taken.line / made.line - 1.0) for taken, made in pairs]
-    # One end is the base of the root system.
-    by_end = [(taken.ends - made.ends) / max(made.ends - 1.0, 1.0) for taken, made in pairs]
-    by_width = [(taken.area / taken.line) / (made.area / made.line) - 1.0 for taken, made in pairs if made.area > 0.0]
-    return (
-        _estimate("total_length_mm", length_mm, by_line, _MODEL["length"], lost, surplus=shared / max(length_mm, 1e-9)),
-        _estimate("tips", tips, by_end, _MODEL["tips"], lost),
-        _estimate("mean_diameter_mm", diameter_mm, by_width, _MODEL["diameter"], lost),
-    )
+    width = [view.width for view in residuals]
+    changes = {
+        "total_length_mm": (
+            length_mm,
+            _Change([_LEVEL * view.surplus + shared for view in residuals], [_LEVEL * view.missing for view in residuals]),
+        ),
+        "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips for view in residuals])),
+        "mean_diameter_mm": (diameter_mm, _Change([max(0.0, -_mean_of(width))], [max(0.0, _mean_of(width))], width)),
+    }
+    return tuple(_estimate(name, value, change, lost, calibration.factor(name)) for name, (value, change) in changes.items())
 
 
-def _estimate(name: str, value: float, changes: Sequence[float], model: float, lost: Sequence[str], *, surplus: float = 0.0) -> Estimate:
-    """Convert relative changes per picture to an interval: mean on its side, scatter and model error on both."""
-    mean = float(np.mean(changes)) if changes else 0.0
-    scatter = NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
-    less = float(np.hypot(np.hypot(scatter, model), max(0.0, -mean) + surplus))
-    more = float(np.hypot(np.hypot(scatter, model), max(0.0, mean)))
+def _mean_of(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if len(values) else 0.0
+
+
+@dataclass(frozen=True)
+class _Change:
+    """Relative changes of a trait that the pictures suggest."""
+
+    less: Sequence[float]
+    """Amount by which the trait may be smaller, by picture."""
+    more: Sequence[float]
+    """Amount by which the trait may be larger, by picture."""
+    scatter: Sequence[float] | None = None
+    """Changes whose standard error is used; ``more`` minus ``less`` for None."""
+
+    @property
+    def error(self) -> float:
+        """90 % half-width of the mean change."""
+        changes = np.subtract(self.more, self.less) if self.scatter is None else np.asarray(self.scatter)
+        return NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
+
+
+def _estimate(name: str, value: float, change: _Change, lost: Sequence[str], factor: float) -> Estimate:
+    """Convert relative changes in each picture to an interval: means on their sides, scatter and model error on both.
+
+    Parameters
+    ----------
+    name : str
+        Name of the trait.
+    value : float
+        Value of the trait.
+    change : _Change
+        Changes that the pictures suggest.
+    lost : sequence of str
+        Reasons for which the scan as a whole is not trusted.
+    factor : float
+        Factor of the calibration on both half-widths.
+    """
+    error = change.error
+    under, over = _mean_of(change.less), _mean_of(change.more)
+    less, more = (factor * math.hypot(error, _MODEL[name], side) for side in (under, over))
+    low, high = max(0.0, value * (1.0 - less)), value * (1.0 + more)
     reasons = list(lost)
     if max(less, more) > WIDEST:
+        worst = max(under, over)
         reasons.append(
-            f"the pictures show {100.0 * abs(mean):.0f} % {'more' if mean > 0.0 else 'less'} than the reconstructed roots"
-            if abs(mean) > scatter
-            else f"the pictures disagree by {100.0 * scatter:.0f} %"
+            f"the pictures show {100.0 * worst:.0f} % {'more' if over > under else 'less'} than the reconstructed roots"
+            if worst > error
+            else f"the pictures disagree by {100.0 * error:.0f} %"
         )
-    low, high = max(0.0, value * (1.0 - less)), value * (1.0 + more)
     words = _WORDS[name]
     verdict = f"{words} not reliable: {'; '.join(reasons)}" if reasons else f"{words} between {low:.3g} and {high:.3g} with 90 % confidence"
     return Estimate(name=name, value=value, interval=(low, high), trusted=not reasons, verdict=verdict.removeprefix(checks.NO_VOLUME))
@@ -154,13 +218,50 @@ def _mean(root: Root) -> float:
     return float(steps @ (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0)
 
 
-def _measure(picture: NDArray[np.float32], usable: NDArray[np.bool_]) -> _Measures:
-    """Measure skeleton length, number of tips and area in a coverage image (H, W), within usable pixels."""
-    smooth = cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX)
-    mask = (smooth > _LINE) & usable
-    line = skeletonize(mask)
-    neighbours = convolve(line.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant") - line
-    return _Measures(float(line.sum()), float((line & (neighbours == 1)).sum()), float(smooth[mask].sum()))
+def _compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: _Places, view: int) -> _Residual | None:
+    """Compare a picture with the rendered roots, within usable pixels; None if the picture shows no rendered root.
+
+    Parameters
+    ----------
+    silhouette : Silhouette
+        Measured coverage (H, W).
+    drawn : (H, W) float32 array
+        Coverage by the rendered roots.
+    places : _Places
+        Projections of the nodes.
+    view : int
+        Index of the view.
+    """
+    usable = silhouette.usable
+    found, made = (
+        cv2.GaussianBlur(np.where(usable, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX) for picture in (silhouette.coverage, drawn)
+    )
+    covered = (found > _LINE) & usable
+    centres, tips = places.centre_lines(view, usable.shape) & usable, places.tips(view, usable)
+    line = float(centres.sum())
+    if not line or not covered.any():
+        return None
+    beside_picture, beside_roots = (~_dilate(mask) for mask in (covered, made > _FAINT))
+    pieces = label(skeletonize(covered & beside_roots), connectivity=2)
+    sizes = np.bincount(pieces.ravel())[1:]
+    sizes = sizes[sizes >= _SHORT_PX]
+    rows, columns = np.nonzero(covered)
+    zone = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    free = max(float(beside_roots[zone].mean()), _LEAST_FREE)
+    missing, surplus = float(sizes.sum()) / free / line, float((centres & beside_picture).sum()) / line
+    area = float(found[usable].sum()) / max(float(made[usable].sum()), 1e-9)
+    return _Residual(
+        missing=missing,
+        surplus=surplus,
+        missing_tips=len(sizes) / free / max(len(tips), 1),
+        surplus_tips=float(beside_picture[tips[:, 1], tips[:, 0]].mean()) if len(tips) else 0.0,
+        width=area / max(1.0 + missing - surplus, 1e-9) - 1.0,
+    )
+
+
+def _dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels within two of a mask (H, W)."""
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), _NEAR) > 0)
 
 
 @dataclass(frozen=True)
@@ -177,6 +278,8 @@ class _Places:
     """(V, N, 2, 3) gradients of columns and rows by the point, px/mm."""
     visible: NDArray[np.bool_]
     """(V, N)"""
+    tip: NDArray[np.bool_]
+    """(N,) last nodes of roots whose tip is visible in the pictures."""
 
     @staticmethod
     def project(roots: Sequence[Root], bank: ViewBank) -> _Places:
@@ -189,7 +292,25 @@ class _Places:
         px = np.stack([np.array(at.px.x).reshape(shape), np.array(at.px.y).reshape(shape)], axis=-1)
         gradient = np.stack([np.moveaxis(np.array(part).reshape(3, *shape), 0, -1) for part in (at.du, at.dv)], axis=-2)
         radius = np.concatenate([root.diameters_mm for root in roots]) / 2.0
-        return _Places(radius, step, px, gradient, np.array(at.visible).reshape(shape))
+        tip = np.concatenate([(np.arange(len(root.points_mm)) == len(root.points_mm) - 1) & root.tip_seen for root in roots])
+        return _Places(radius, step, px, gradient, np.array(at.visible).reshape(shape), tip)
+
+    def segments(self, view: int) -> NDArray[np.bool_]:
+        """Return the mask (N - 1,) of nodes that are visible like the next node of their root."""
+        return self.visible[view, :-1] & self.visible[view, 1:] & (self.step_mm[:-1] > 0.0)
+
+    def centre_lines(self, view: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Return the mask of the pixels on centre lines, for a picture of the given shape (H, W)."""
+        canvas, at = np.zeros(shape, np.uint8), np.rint(self.px[view] * 2**_SHIFT).astype(np.int32)
+        first = np.flatnonzero(self.segments(view))
+        cv2.polylines(canvas, list(np.stack([at[first], at[first + 1]], axis=1)), False, 1, lineType=cv2.LINE_8, shift=_SHIFT)
+        return canvas > 0
+
+    def tips(self, view: int, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the columns and rows (T, 2) of the tips on usable pixels (H, W)."""
+        at = np.rint(self.px[view, self.tip & self.visible[view]]).astype(np.int64)
+        at = at[((at >= 0) & (at < usable.shape[::-1])).all(axis=1)]
+        return at[usable[at[:, 1], at[:, 0]]]
 
     def thin_share(self) -> float:
         """Return the fraction of the length that is thinner than `_THIN_PX`."""
@@ -212,7 +333,10 @@ class _Places:
         across, last = np.stack([-step[:, 1], step[:, 0]], axis=1) / size[:, None], first + 1
         begin, end = self.px[view, first], self.px[view, last]
         gradient = (np.einsum("mi,mij->mj", across, self.gradient[view, at]) for at in (first, last))
-        half = [self.radius_mm[at] * np.linalg.norm(way, axis=1) for at, way in zip((first, last), gradient, strict=True)]  # of a sphere
+        half = [
+            np.maximum(self.radius_mm[at] * np.linalg.norm(way, axis=1) - _PEN_PX, 0.0)  # of a sphere
+            for at, way in zip((first, last), gradient, strict=True)
+        ]
         to_side, to_other = (wide[:, None] * across for wide in half)
         corners = np.stack([begin + to_side, end + to_other, end - to_other, begin - to_side], axis=1)
         return first, _to_fixed_point(corners), _to_fixed_point(end), np.rint(half[1] * _FINER * 2**_SHIFT).astype(np.int32)
@@ -225,7 +349,7 @@ def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | Non
     for k, silhouette in enumerate(silhouettes):
         height, width = silhouette.coverage.shape
         canvas = np.zeros((height * _FINER, width * _FINER), np.float32)
-        use = at.visible[k, :-1] & at.visible[k, 1:] & (at.step_mm[:-1] > 0.0)
+        use = at.segments(k)
         order = np.argsort(dark[:-1], kind="stable")  # darkest last
         first, sides, ends, radii = at.pieces(k, order[use[order]])
         for corners, end, radius, shade in zip(sides, ends.tolist(), radii.tolist(), dark[first].tolist(), strict=True):

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon import device
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
@@ -113,7 +110,8 @@ def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_p
         return 0.0
     wider = Spheres(
         np.concatenate([spheres.centre_mm, doubtful.centre_mm]),
-        np.concatenate([spheres.radius_mm, doubtful.radius_mm]) + least_px / _px_a_mm(bank, spheres),
+        np.concatenate([spheres.radius_mm, doubtful.radius_mm])
+        + least_px / projection.px_a_mm(bank, spheres.centre_mm[int(spheres.radius_mm.argmax())]),
     )
     low = (wider.centre_mm - wider.radius_mm[:, None]).min(axis=0)
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
@@ -126,14 +124,6 @@ def _unconstrained_mm3(bank: ViewBank, part: Leaves, thick: TrimmedHull, least_p
 def _select(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
     """Return a subset of spheres (N,)."""
     return Spheres(spheres.centre_mm[chosen], spheres.radius_mm[chosen])
-
-
-def _px_a_mm(bank: ViewBank, spheres: Spheres) -> float:
-    """Return the scale at the largest sphere, px/mm, as the median over the views that show it."""
-    middle = np.repeat(spheres.centre_mm[[int(spheres.radius_mm.argmax())]], bank.count, axis=0)
-    p = projection.project(bank, dr.arange(mi.UInt32, bank.count), device.points(middle), mi.Bool(True))
-    scale, visible = np.array(dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))), np.array(p.visible)
-    return float(np.median(scale[visible] if visible.any() else scale))
 
 
 def mm3_per_px(hull: Hull, *, slack_px: float) -> float:

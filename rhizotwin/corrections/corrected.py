@@ -20,6 +20,7 @@ from rhizotwin.recon.results import by_plant, divide_by_plant, result_traits
 from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
 from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Budget, Term
+from rhizotwin.recon.uncertainty.calibration import Calibration
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failure_reasons, verdict
 from rhizotwin.scenes import atomic, rsml, subject
 from rhizotwin.scenes.errors import UserError
@@ -144,7 +145,12 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
             check = found.check()
             checked.append(asdict(check))
             lost += failure_reasons([check])
-    budget = Budget(volume_mm3=after_mm3, terms=tuple(terms), views=sum(view["used"] for view in old["views"]))
+    budget = Budget(
+        volume_mm3=after_mm3,
+        terms=tuple(terms),
+        views=sum(view["used"] for view in old["views"]),
+        calibration=Calibration.from_plain(old.get("calibration")),
+    )
     if old["volume_trusted"]:
         lost += budget.objections
     verdict_now = f"{budget.verdict}, if the corrections are right" if session.log.edits else budget.verdict
@@ -174,6 +180,7 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
         finest_mm=result_files.finest_mm(summary),
         volume_mm3=float(summary["volume_mm3"]),
         terms=tuple(Term(**term) for term in summary["volume_budget"]),
+        calibration=Calibration.from_plain(summary.get("calibration")),
     )
     return planted.roots, [one.plain() for one in divide_by_plant.measure(shape, planted, known, subject.from_summary(summary, where))]
 

@@ -19,6 +19,7 @@ from rhizotwin.recon.results.parts import Json, picture_path
 from rhizotwin.recon.results.result import POSES, Result, Solid, triple
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
+from rhizotwin.recon.uncertainty.calibration import Calibration
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import solution, subject, trait_table
 from rhizotwin.stored import result_files
@@ -80,6 +81,7 @@ def _solid(folder: Path, summary: Json) -> Solid:
             trusted=summary["volume_trusted"],
             verdict=summary["volume_verdict"],
             terms=tuple(_term(term) for term in summary["volume_budget"]),
+            calibration=Calibration.from_plain(summary.get("calibration")),
         ),
         hull_mm3=float(summary["hull_mm3"]),
         untrimmed_mm3=float(summary["untrimmed_mm3"]),

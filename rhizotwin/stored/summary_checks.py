@@ -155,6 +155,9 @@ _MAYBE: dict[str, Fits] = {
     "bands": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
     "checks": _list(_CHECK),
     "estimates": _list(_ESTIMATE),
+    "calibration": _with(
+        {"regime": _or_none(_text), "factors": lambda value: isinstance(value, dict) and all(map(_number, value.values()))}
+    ),
     "shoot": _or_none(
         _with(
             {"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number},

@@ -1,0 +1,127 @@
+"""Calibration of intervals by split conformal prediction, and their coverage on the scans that were not used for it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import beta, norm
+
+from benchmarks.intervals_table import TRAITS, ratios
+
+CONFIDENCE = 0.9
+LEAST_SCANS = 10
+"""Minimum number of calibration scans of a regime: with fewer than 9 scans, the factor would be the largest ratio or
+infinite."""
+WRONG = 0.04
+"""Relative error from which a volume counts as wrong."""
+GEOMETRIC = ("wide_interval",)
+"""Reason codes that follow from the interval, and not from a check of the scan."""
+
+
+def is_calibration(table: pd.DataFrame) -> pd.Series:
+    """Return which scans are used for calibration: every other block of six, so that both halves have all profiles."""
+    return (table["number"] // 6) % 2 == 0
+
+
+def is_eligible(table: pd.DataFrame) -> pd.Series:
+    """Return which volumes no check refuses: those that are not reliable at most because of a wide interval."""
+    codes = table["reasons"].fillna("").str.split()
+    return codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found)) & table["regime"].notna()
+
+
+def calibrate(table: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Return the factor on the half-widths by regime and trait.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Calibration scans (`benchmarks.intervals_table`).
+
+    Returns
+    -------
+    dict of dict of float
+        Factors by regime and trait; regimes with fewer than `LEAST_SCANS` scans are missing.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for trait in TRAITS:
+        ratio = ratios(table, trait).abs()
+        for regime, some in ratio[is_eligible(table) & ratio.notna()].groupby(table["regime"]):
+            if len(some) >= LEAST_SCANS:
+                found.setdefault(str(regime), {})[trait] = float(f"{conformal_quantile(some.to_numpy()):.3g}")
+    return found
+
+
+def conformal_quantile(scores: NDArray[np.float64]) -> float:
+    """Return the score (N,) that a further one does not exceed with probability `CONFIDENCE` (Lei et al. 2018).
+
+    It is the ceil((N + 1) `CONFIDENCE`)-th smallest, and the largest if N is too small for that.
+    """
+    rank = math.ceil((len(scores) + 1) * CONFIDENCE)
+    return float(np.sort(scores)[min(rank, len(scores)) - 1])
+
+
+def apply(table: pd.DataFrame, factors: dict[str, dict[str, float]], *, widest: float) -> pd.DataFrame:
+    """Return a table with calibrated intervals, and with the reliability that follows from them.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Scans with intervals without calibration.
+    factors : dict of dict of float
+        Result of `calibrate`.
+    widest : float
+        Maximum relative half-width of the interval of a reliable trait.
+    """
+    made = table.copy()
+    for trait in TRAITS:
+        factor = table["regime"].map(lambda regime, trait=trait: factors.get(regime, {}).get(trait, 1.0))
+        value = table[f"{trait}.value"]
+        made[f"{trait}.low"] = (value - factor * (value - table[f"{trait}.low"])).clip(lower=0.0)
+        made[f"{trait}.high"] = value + factor * (table[f"{trait}.high"] - value)
+        wide = np.maximum(value - made[f"{trait}.low"], made[f"{trait}.high"] - value) > widest * value
+        before = np.maximum(value - table[f"{trait}.low"], table[f"{trait}.high"] - value) > widest * value
+        refused = ~(is_eligible(table) if trait == "volume_mm3" else table[f"{trait}.reliable"].astype("boolean").fillna(False) | before)
+        made[f"{trait}.reliable"] = ~(wide | refused)
+    return made
+
+
+def holds(table: pd.DataFrame, trait: str) -> pd.Series:
+    """Return which intervals contain the truth."""
+    return table[f"{trait}.true"].between(table[f"{trait}.low"], table[f"{trait}.high"])
+
+
+def interval_score(table: pd.DataFrame, trait: str) -> pd.Series:
+    """Return the interval score relative to the truth (Gneiting and Raftery 2007, eq. 43): width plus penalties."""
+    true, low, high = (table[f"{trait}.{name}"] for name in ("true", "low", "high"))
+    penalty = 2.0 / (1.0 - CONFIDENCE) * ((low - true).clip(lower=0.0) + (true - high).clip(lower=0.0))
+    return (high - low + penalty) / true
+
+
+def probability_integral(table: pd.DataFrame, trait: str) -> pd.Series:
+    """Return the probability of a value below the truth, for normal distributions with the half-widths of each side."""
+    return pd.Series(norm.cdf(norm.ppf(0.5 + 0.5 * CONFIDENCE) * ratios(table, trait)), index=table.index)
+
+
+def binomial_band(held: int, count: int) -> tuple[float, float]:
+    """Return the 90 % confidence interval of a fraction (Clopper and Pearson 1934)."""
+    low = float(beta.ppf(0.05, held, count - held + 1)) if held else 0.0
+    high = float(beta.ppf(0.95, held + 1, count - held)) if held < count else 1.0
+    return low, high
+
+
+def coverage(table: pd.DataFrame, trait: str) -> dict[str, Any]:
+    """Return the coverage of reliable intervals with its binomial band, their mean score and their relative width."""
+    some = table[table[f"{trait}.reliable"].astype(bool) & table[f"{trait}.true"].notna()]
+    held, count = int(holds(some, trait).sum()), len(some)
+    width = (some[f"{trait}.high"] - some[f"{trait}.low"]) / some[f"{trait}.true"]
+    return {
+        "scans": count,
+        "hold": held,
+        "band": binomial_band(held, count) if count else (0.0, 1.0),
+        "score": float(interval_score(some, trait).mean()) if count else float("nan"),
+        "width": float(width.median()) if count else float("nan"),
+    }

@@ -1,0 +1,144 @@
+"""Tables and figures of intervals: coverage by regime, reliability diagrams, and right volumes that were refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from benchmarks import conformal
+from benchmarks.intervals_table import TRAITS, ratios
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.figures import figure, png
+
+LABELS = {"volume_mm3": "volume", "total_length_mm": "length", "tips": "tips", "mean_diameter_mm": "mean diameter"}
+LEVELS = np.linspace(0.05, 0.95, 19)
+"""Nominal levels of the reliability diagram."""
+CAUSES: Mapping[str, tuple[str, ...]] = {
+    "dirty_canister": ("dust", "algae", "floating", "turbidity", "highlight", "seam", "harsh"),
+    "inconsistent_views": ("tube", "seat", "sway", "turbidity", "algae", "floating", "seam", "coarse", "harsh"),
+    "moving_roots": ("sway",),
+    "canister_mismatch": ("tube", "harsh"),
+    "poor_markers": ("seat", "harsh"),
+    "wrong_exposure": ("highlight",),
+    "coarse_pictures": ("coarse",),
+    "few_views": ("few",),
+    "high_missing_roots": ("coarse", "few", "dust", "algae", "floating", "turbidity", "harsh"),
+    "high_translucency": ("glass", "hairs", "harsh"),
+    "high_hairs": ("hairs", "harsh"),
+    "high_occluded": ("hidden",),
+    "high_area": ("coarse", "turbidity", "dust", "algae", "harsh"),
+    "high_trimmed_away": ("few",),
+}
+"""Simulated causes that each reason code names correctly. ``harsh`` is the profile of that name, ``coarse`` roots
+thinner than `COARSE_PX`, ``few`` fewer than `FEW` views, ``hidden`` the regime of hidden tops."""
+COARSE_PX = 1.5
+"""Mean diameter, px, below which pictures are coarse: blur of a pixel then changes the coverage of most roots."""
+FEW = 18
+"""Number of views below which they are few."""
+
+
+def page(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], *, widest: float) -> str:
+    """Return the tables as Markdown.
+
+    Parameters
+    ----------
+    table : DataFrame
+        All scans, with intervals without calibration.
+    factors : dict of dict of float
+        Factors by regime and trait.
+    widest : float
+        Maximum relative half-width of the interval of a reliable trait.
+    """
+    table = table[table["volume_mm3.value"].notna()]
+    judged = table[~conformal.is_calibration(table)]
+    before, after = (conformal.apply(judged, some, widest=widest) for some in ({}, dict(factors)))
+    lines = [
+        "| trait | regime | factor | scans | hold | 90 % band | median width | score | uncalibrated: hold | score |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for trait, label in LABELS.items():
+        for regime in ("all", *sorted(factors)):
+            some = slice(None) if regime == "all" else (judged["regime"] == regime).to_numpy()
+            new, old = (conformal.coverage(one[some], trait) for one in (after, before))
+            factor = "" if regime == "all" else f"{factors[regime].get(trait, 1.0):.2f}"
+            low, high = new["band"]
+            lines.append(
+                f"| {label} | {regime} | {factor} | {new['scans']} | {_share(new)} | {100 * low:.0f}-{100 * high:.0f} % "
+                f"| {100 * new['width']:.1f} % | {new['score']:.3f} | {_share(old)} of {old['scans']} | {old['score']:.3f} |"
+            )
+    return "\n".join([*lines, "", *_totals(conformal.apply(table, dict(factors), widest=widest)), ""])
+
+
+def _share(found: Mapping[str, float]) -> str:
+    return f"{100.0 * found['hold'] / found['scans']:.0f} %" if found["scans"] else "-"
+
+
+def _totals(table: pd.DataFrame) -> list[str]:
+    """Return the fractions of wrong volumes that are reliable, and of right volumes that are refused."""
+    error = (table["volume_mm3.value"] / table["volume_mm3.true"] - 1.0).abs()
+    reliable, right = table["volume_mm3.reliable"].astype(bool), error <= conformal.WRONG
+    missed = reliable & ~right & ~conformal.holds(table, "volume_mm3")
+    refused = table[right & ~reliable]
+    percent = round(100 * conformal.WRONG)
+    named = refused[[_names_cause(row) for _, row in refused.iterrows()]] if len(refused) else refused
+    return [
+        f"- Reliable, more than {percent} % wrong, and the interval misses: {missed.sum()} of {len(table)} scans "
+        f"({100 * missed.mean():.1f} %).",
+        f"- Right to {percent} %: {right.sum()}; of these, refused: {len(refused)} ({100 * len(refused) / max(right.sum(), 1):.0f} %); "
+        f"the reason names a simulated cause in {len(named)} of them ({100 * len(named) / max(len(refused), 1):.0f} %).",
+    ]
+
+
+def _names_cause(row: pd.Series) -> bool:
+    """Return whether a reason code names a simulated cause."""
+    views = sum(int(count) for count in str(row["views"]).split("+"))
+    present = set(str(row["troubles"]).split()) if isinstance(row["troubles"], str) else set()
+    px_a_mm = row["width_px"] / 210.0
+    present |= {row["profile"]} | ({"few"} if views < FEW else set()) | ({"hidden"} if row["regime"] == "hidden top" else set())
+    if row["mean_diameter_mm.true"] * px_a_mm < COARSE_PX:
+        present.add("coarse")
+    return any(cause in present for code in str(row["reasons"]).split() for cause in CAUSES.get(code, ()))
+
+
+def draw(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], path: Path) -> None:
+    """Draw reliability diagrams and histograms of the probability integral transform, by trait and regime.
+
+    Parameters
+    ----------
+    table : DataFrame
+        All scans, with intervals without calibration.
+    factors : dict of dict of float
+        Factors by regime and trait.
+    path : Path
+        PNG file to write.
+    """
+    judged = table[~conformal.is_calibration(table) & conformal.is_eligible(table)]
+    drawn = figure(13.0, 6.2)
+    axes = drawn.subplots(2, len(TRAITS))
+    for column, (trait, label) in enumerate(LABELS.items()):
+        diagram, histogram = axes[0, column], axes[1, column]
+        values, names = [], []
+        for regime in sorted(factors):
+            some = judged[(judged["regime"] == regime) & ratios(judged, trait).notna()]
+            if not len(some):
+                continue
+            scaled = conformal.apply(some, dict(factors), widest=np.inf)
+            pit = conformal.probability_integral(scaled, trait)
+            observed = [float((np.abs(pit - 0.5) <= 0.5 * level).mean()) for level in LEVELS]
+            diagram.plot(LEVELS, observed, marker=".", label=f"{regime} ({len(some)})")
+            values.append(pit.to_numpy())
+            names.append(regime)
+        diagram.plot([0, 1], [0, 1], color="0.5", linewidth=0.8)
+        diagram.set_title(label)
+        diagram.set_xlabel("nominal level")
+        if values:
+            histogram.hist(values, bins=np.linspace(0.0, 1.0, 11), stacked=True)
+        histogram.set_xlabel("probability integral transform")
+        if column == 0:
+            diagram.set_ylabel("fraction of intervals that hold the truth")
+            histogram.set_ylabel("scans")
+            diagram.legend(fontsize=7)
+    write_bytes(path, png(drawn, dpi=110))
