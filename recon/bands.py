@@ -57,8 +57,8 @@ def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str,
     complete = {name: taken for name, taken in by_band.items() if len(taken) == len(views)}
     if not complete:
         raise UserError(
-            f"{dataset.folder / 'dataset.json'}: no band with panel and front light on has a picture of every view of the {kind}: add the "
-            "missing pictures, or correct panel_level and front_level of [[camera.bands]]"
+            f"{dataset.folder / 'dataset.json'}: no band in which the panel and the front light are on has a picture of every {kind} view. "
+            "Add the missing pictures, or correct panel_level and front_level of [[camera.bands]]."
         )
     chosen = views[:: max(1, len(views) // _VIEWS)]
     with monitor.stage("bands"):

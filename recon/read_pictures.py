@@ -49,8 +49,8 @@ class CurveFound:
             return None
         off = 100.0 * (self.stated_bend or 0.0)
         return (
-            f"the markers' edges contradict the stated curve, {self.stated.name} (their greys deviate by {off:.0f} % of the contrast): "
-            f"{self.curve.name} is used instead"
+            f"the greys at the markers' edges do not match the stated transfer curve (gamma), {self.stated.name}: "
+            f"they deviate by {off:.0f} % of the contrast. The pictures are decoded with {self.curve.name} instead."
         )
 
 
@@ -111,17 +111,17 @@ def read_pictures(
     listed = tuple(frame for frame in dataset.frames if frame.kind == kind and frame.band == band)
     if not listed:
         taken = f" in the band {band}" if band else ""
-        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}{taken}; take or import some.")
+        raise UserError(f"{dataset.folder / 'dataset.json'} lists no {kind} pictures{taken}. Take or import such pictures.")
     unwanted = _files_to_leave_out(dataset, settings.leave_out)
     with monitor.stage("read"):
         read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
     known = [(frame, image) for frame, image in read if not isinstance(image, str)]
-    left_out = [(frame, "as chosen") for frame in listed if frame.file in unwanted]
+    left_out = [(frame, "it is named in --leave-out or in the setting pictures.leave_out") for frame in listed if frame.file in unwanted]
     left_out += [(frame, reason) for frame, reason in read if isinstance(reason, str)]
     if not known:
-        raise UserError(f"{dataset.folder}: every picture of the {kind} is left out ({left_out[-1][1]})")
+        raise UserError(f"{dataset.folder}: all {kind} pictures are excluded. Reason for the last picture: {left_out[-1][1]}")
     frames = tuple(frame for frame, _ in known)
-    said = [f"{frame.file} is left out: {reason}" for frame, reason in left_out]
+    said = [f"{frame.file} is excluded: {reason}" for frame, reason in left_out]
     said += () if dataset.masks else _contradictions(dataset, frames)
     images = tuple(image for _, image in known)
     return Pictures(dataset=dataset, frames=frames, images=images, bands=ratios, warnings=tuple(said), left_out=tuple(left_out))
@@ -140,7 +140,7 @@ def _files_to_leave_out(dataset: Dataset, names: Sequence[str]) -> set[str]:
         end = PurePath(name).parts
         files = {frame.file for frame in dataset.frames if PurePath(frame.file).parts[-len(end) :] == end}
         if not files:
-            raise UserError(f"--leave-out {name}: {dataset.folder / 'dataset.json'} lists no such picture")
+            raise UserError(f"--leave-out {name}: {dataset.folder / 'dataset.json'} lists no picture with this name")
         found |= files
     return found
 
@@ -171,7 +171,9 @@ def _contradictions(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, ...
     words = [transfer.read_stated_curve(dataset.folder / frame.file) or scene for frame in frames]
     if not all(word.same(words[0]) for word in words):
         names = ", ".join(sorted({word.name for word in words}))
-        return (f"the picture files state different transfer curves ({names}); each is decoded by its own",)
+        return (f"the picture files state different transfer curves ({names}). Each file is decoded with its own curve.",)
     if words[0].same(scene):
         return ()
-    return (f"the picture files state the transfer curve {words[0].name}, the scene's camera {scene.name}; that of the files is used",)
+    return (
+        f"the picture files state the transfer curve {words[0].name}, but the scene states {scene.name}. The curve of the files is used.",
+    )

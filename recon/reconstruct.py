@@ -130,7 +130,7 @@ def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult
     if not scene.plants:
         return solid, (), ()
     if not solid.roots:
-        return solid, (), ("no roots were found, so that nothing can be assigned to the plants",)
+        return solid, (), ("no roots were found, so there are no roots to assign to the plants",)
     planted = plants.assign(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
     shape = divide_by_plant.Shape(
         leaves=solid.voxels,

@@ -258,7 +258,7 @@ def load_settings(file: Path | str) -> Settings:
     """
     path = Path(file)
     if not path.is_file():
-        raise UserError(f"{path}: there is no such file; settings are a TOML file such as `voxel_mm = 0.2`")
+        raise UserError(f"{path} does not exist. The settings must be a TOML file with lines such as `voxel_mm = 0.2`.")
     try:
         text = read_file(path).decode()
         mapping = tomllib.loads(text)

@@ -108,8 +108,8 @@ def carve_hull(
             hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
-            f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
-            "the poses or the scene file do not match the pictures."
+            f"{dataset.folder}: the silhouettes have no volume in common, so no shape can be reconstructed. "
+            "The camera poses or the scene file do not match the pictures."
         )
     return CarvedHull(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
@@ -128,7 +128,7 @@ def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, 
         bank = projection.ViewBank.pack(cameras.views, cameras.optics)
         silhouettes = [coverage.silhouettes[k] for k in cameras.order]
         found = agreement.find_wrong_views(bank, silhouettes, water_space(dataset.scene, cameras))
-    return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or truncated" for view in found}
+    return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or cropped" for view in found}
 
 
 def water_space(scene: Scene, cameras: Cameras) -> Water:
@@ -362,7 +362,7 @@ def measure(
         if len(mesh.vertices):
             low, high = np.asarray(mesh.bounds, np.float64)
         else:
-            warnings = ("the shape is thinner than the voxels everywhere: the surface is empty; choose a smaller --voxel-mm",)
+            warnings = ("the shape is thinner than the voxels everywhere, so its surface is empty. Choose a smaller --voxel-mm.",)
             corners = origin_mm + voxel_mm * voxels.low
             low, high = corners.min(axis=0), (corners + voxel_mm * voxels.size[:, None]).max(axis=0)
         return Solid(
@@ -392,7 +392,7 @@ def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
     kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
         found.append(
-            f"{100.0 * kept:.0f} % of the volume is untrimmed hull: parts other than roots, or roots too thin or too "
-            "dense for this resolution, whose volume is mostly overestimated; use a higher resolution or a second ring"
+            f"{100.0 * kept:.0f} % of the volume is untrimmed hull, which is usually too large. These parts are not roots, or they are "
+            "roots too thin or too dense for the resolution. Use a higher picture resolution or a second ring."
         )
     return found

@@ -69,7 +69,7 @@ class StageFolder:
             If the folder cannot be written.
         """
         if stage not in STAGES:
-            raise ValueError(f"{stage=} is none of {STAGES}")
+            raise ValueError(f"{stage=} must be one of {STAGES}")
         if self.folder is None:
             return value
         arrays: dict[str, NDArray[Any]] = {}
@@ -103,7 +103,7 @@ def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDAr
         return [_plain(item, f"{at}/{place}", leave, arrays) for place, item in enumerate(value)]
     array = np.asarray(value)  # also for Dr.Jit arrays
     if array.dtype.hasobject:
-        raise TypeError(f"{at}: {type(value).__name__} has no open format")
+        raise TypeError(f"{at}: {type(value).__name__} cannot be written to the files of a stage")
     if not array.shape:
         return _plain(array.item(), at, leave, arrays)
     key = at.partition("/")[2] or at

@@ -26,7 +26,7 @@ def sample(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: 
     a, b, c = (np.asarray(vertices_mm, np.float64)[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if not len(faces) or not area.sum() > 0.0:
-        raise ValueError(f"{faces.shape=} has no area to sample")
+        raise ValueError(f"{faces.shape=} has no area from which points can be sampled")
     # Stratified over the area, so that a small count still covers every part.
     level = (np.arange(count) + rng.random(count)) / count * area.sum()
     chosen = np.minimum(np.searchsorted(np.cumsum(area), level, side="right"), len(faces) - 1)

@@ -73,13 +73,16 @@ class BareCanister:
         """Return notes for the user about the estimated cameras and contradictions between pictures and scene."""
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
         found = [
-            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel from its diameter of "
-            f"{2.0 * can.outer_radius_mm:g} mm, steps of {step.mean():.2f} +- {step.std():.2f} degrees, elevation "
-            f"{self.elevation_deg:.2f} degrees; under parallel rays, the opposite direction of the table gives the mirror image; check "
-            "turntable.direction"
+            f"the cameras were estimated from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel for a diameter of "
+            f"{2.0 * can.outer_radius_mm:g} mm, table steps of {step.mean():.2f} +- {step.std():.2f} degrees, and an elevation of "
+            f"{self.elevation_deg:.2f} degrees",
+            "pictures without markers do not show in which direction the table turned. Check turntable.direction in the scene: "
+            "if it is wrong, the result is a mirror image.",
         ]
         if self.floor_z_mm is not None and abs(self.floor_z_mm - can.floor_z_mm) > HEIGHTS_AGREE_MM:
-            found.append(f"the floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene")
+            found.append(
+                f"the canister's floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene"
+            )
         return tuple(found)
 
 
@@ -102,9 +105,9 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         not visible, or if the views are inconsistent.
     """
     if scene.camera.kind != "telecentric":
-        raise UserError('calibration without markers requires a telecentric camera; set camera.kind = "telecentric" in the scene')
+        raise UserError('calibration without markers requires a telecentric camera. Set camera.kind = "telecentric" in the scene.')
     if len(pictures) < LEAST_VIEWS:
-        raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers; at least {LEAST_VIEWS} are required")
+        raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers, which requires at least {LEAST_VIEWS}")
     stack = np.stack(pictures)
     bare = bare_edges.empty_panel(stack)
     edges, width_sigma_px = bare_edges.find_edges(stack, bare)
@@ -114,8 +117,8 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     azimuth, azimuth_sigma, place, agreement = bare_turn.find_turn(moments, mass, start)
     if agreement > MOST_AGREEMENT_PX:
         raise UserError(
-            f"the rows of the pictures contradict a rigid rotation under parallel straight rays (by {agreement:.1f} px, limit "
-            f"{MOST_AGREEMENT_PX:g} px): the liquid around the canister may not match, the steps may be uneven, or the plan may be wrong"
+            f"the roots in the pictures do not rotate like a rigid body (deviation {agreement:.1f} px, limit {MOST_AGREEMENT_PX:g} px). "
+            "The liquid around the canister may have the wrong refractive index, the table's steps may be uneven, or the plan may be wrong."
         )
     lean = np.cos(azimuth)[:, None] * [0.0, 1.0] - np.sin(azimuth)[:, None] * [1.0, 0.0]  # horizontal axis of each view in (X, Y)
     slope = np.column_stack([np.ones(len(azimuth)), -lean])

@@ -87,12 +87,16 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     bright = [run for run in _runs(profile > PANEL_SHARE * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
     left, right = [run for run in bright if run[1] <= inside[0]], [run for run in bright if run[0] >= inside[1]]
     if not left or not right:
-        raise UserError("the two outer edges of the canister are not visible; the panel must be visible on both sides of it and through it")
+        raise UserError(
+            "the two outer edges of the canister are not visible. The panel must be visible on both sides of the canister and through it."
+        )
     # A quantile below the median, as no panel is visible in the middle above the water.
     down = np.quantile(bare[:, inside[0] : inside[1]], WATER_QUANTILE, axis=1)
     water = max(_runs(down > 0.5 * panel), key=lambda run: run[1] - run[0], default=(0, 0))
     if water[0] == 0 or water[1] - water[0] < height // 8:
-        raise UserError("the water surface is not visible, so heights cannot be determined; it must lie within the pictures")
+        raise UserError(
+            "the water surface is not visible, so heights cannot be determined. The water surface must lie within the pictures."
+        )
     margin = round(BAND * (water[1] - water[0]))
     rows = np.arange(water[0] + margin, water[1] - margin)
     middle = float(rows.mean())
@@ -132,7 +136,7 @@ def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, 
     place = first + step - 1 + (a - level) / np.where(a > b, a - b, 1.0)
     y, x = rows[crossed] - middle, place[crossed]
     if len(x) < len(rows) // 2:
-        raise UserError("the outer edge of the canister was not found in a picture; keep the panel beside the canister free")
+        raise UserError("the outer edge of the canister was not found in a picture. Keep the panel beside the canister free of objects.")
     weight, line = np.ones(len(x)), np.zeros(2)
     for _ in range(8):
         line = np.polyfit(y, x, 1, w=weight)[::-1]

@@ -126,7 +126,7 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
     """
     shown = np.median(mass, axis=0) > 1.0
     if shown.sum() < ROWS_TOGETHER * 4:
-        raise UserError("the canister is almost empty in the pictures, so that the table angles cannot be determined")
+        raise UserError("the canister is almost empty in the pictures, so the table angles cannot be determined")
     known = (mass > 0.5 * np.median(mass, axis=0))[:, shown]
     orders = [_Moment(n + 1, np.where(known, moments[n][:, shown], 0.0), known, known.astype(np.float64)) for n in range(len(moments))]
     azimuth, ideal, table_sigma = start.copy(), start.copy(), ANGLE_SIGMA_RAD
@@ -146,8 +146,8 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
             steps = float(ideal @ start / max(float(start @ start), 1e-9))
             if abs(steps - 1.0) > STEPS_AGREE:
                 raise UserError(
-                    f"the roots rotate by {100.0 * steps:.0f} % of the commanded steps: the table slips or does not move, "
-                    "or the plan has another number of views per turn"
+                    f"the roots rotate by {100.0 * steps:.0f} % of the commanded table angles. The table slips or does not move, "
+                    "or the plan in the scene has the wrong number of views per turn."
                 )
             off = azimuth - ideal
             azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)

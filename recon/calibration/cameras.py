@@ -254,7 +254,7 @@ class Cameras:
         ``reasons`` maps frame numbers to the reasons for the exclusion. Each excluded frame adds a warning.
         """
         every = tuple(replace(camera, used=False, reason=reasons[k]) if k in reasons else camera for k, camera in enumerate(self.all))
-        notes = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
+        notes = tuple(f"{self.all[k].file} is excluded: {reason}" for k, reason in reasons.items())
         order = tuple(k for k in self.order if k not in reasons)
         every += tuple(Camera(file=frame.file, ring=frame.ring, used=False, reason=reason) for frame, reason in unread)
         return replace(self, all=every, order=order, warnings=(*self.warnings, *notes))

@@ -59,8 +59,8 @@ def find_cameras(
     scene, optics = pictures.dataset.scene, Optics.from_scene(pictures.dataset.scene)
     if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
         raise UserError(
-            f"{pictures.dataset.folder}: the pose of the tank is estimated from the markers of all views together: "
-            "this requires the strip, and neither given cameras nor single views"
+            f"{pictures.dataset.folder}: the position of the tank can only be estimated from the markers of all pictures together. "
+            "The scene must have a marker strip, and the dataset must not contain camera poses."
         )
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
@@ -71,7 +71,7 @@ def find_cameras(
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)
-    left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
+    left_out = tuple(f"{view.file} is excluded: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
         canister = None if single_view else _canister(pictures, solved, lens, settings)
     chain = StripToCanister.combine(solved, canister)
@@ -105,7 +105,9 @@ def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
     The view is excluded if the pose of its tank is unknown.
     """
     if camera.cam_from_tank is None:
-        return replace(camera, used=False, reason=camera.reason or "its table angle is unknown, and therefore the pose of its tank")
+        return replace(
+            camera, used=False, reason=camera.reason or "its table angle could not be determined, so the position of the tank is unknown"
+        )
     turn = 0.0 if canister is None else float(np.deg2rad(canister.tank_turn_deg))
     return replace(camera, cam_from_tank=camera.cam_from_tank @ frames.rotation_z(turn))
 
@@ -155,8 +157,8 @@ def _table_deg(pictures: Pictures) -> list[float]:
     angles = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
     if len(angles) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
-            f"{pictures.dataset.folder}: without markers, pictures of one ring with table angles are required; "
-            "the plan of the scene must have as many views as there are pictures"
+            f"{pictures.dataset.folder}: calibration without markers requires pictures of exactly one ring, each with a table angle. "
+            "The plan in the scene must have as many views as there are pictures."
         )
     return angles
 
@@ -170,7 +172,7 @@ def _require_views(pictures: Pictures, cameras: Cameras) -> Cameras:
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(
-            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures of roots have a camera pose and at least "
+            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures have a camera pose, but at least "
             f"{LEAST_VIEWS} are required ({reasons or 'take more pictures of the turn'})."
         )
     return cameras

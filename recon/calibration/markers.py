@@ -73,7 +73,10 @@ def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
         raise UserError(f"strip.dictionary: {error}") from None
     last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
     if last >= size:
-        raise UserError(f"strip: its last marker has the id {last}, but {strip.dictionary} ends at {size - 1}: lower first_id or use fewer")
+        raise UserError(
+            f"strip: the last marker of the strip has the id {last}, but the dictionary {strip.dictionary} ends at the id {size - 1}. "
+            "Lower first_id, or use fewer markers."
+        )
     return dictionary
 
 
@@ -194,18 +197,23 @@ def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
     """Return the reason why no markers were found in a picture."""
     last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
-        return f"{blurred} markers were identified, but are too blurred or noisy to be measured"
+        return f"{blurred} markers were identified, but they are too blurred or noisy to be measured"
     names = ", ".join(str(k) for k in foreign[:5])
-    others = f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
+    others = (
+        f"the picture shows markers of another strip: their {strip.dictionary} ids are {names}, but those of the scene's strip are "
+        f"{strip.first_id} to {last}"
+    )
     if len(foreign) >= 3:
         return others
     picture = _linear(image)
     mirrored = _detector(marker_dictionary(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
     if mirrored is not None and len(mirrored) >= 3:
-        return "the picture is mirrored: its markers are only found in its mirror image"
+        return "the picture is mirrored: its markers can only be read in its mirror image"
     for name in OTHER_DICTIONARIES:
         if name != strip.dictionary:
             ids = _detector(get_dictionary(name)).detectMarkers(picture)[1]
             if ids is not None and len(ids) >= 3:
-                return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
+                return (
+                    f"the picture shows markers of another strip: their dictionary is {name}, but the scene's strip has {strip.dictionary}"
+                )
     return others if foreign else "no markers were found"  # one or two may be coincidental in small dictionaries

@@ -98,8 +98,8 @@ def find_poses(
             sightings[k] = sight
     if not sightings:
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no camera could be calibrated in any of the {len(captured)} pictures: "
-            "check focus, light and the strip in the scene file, or give the cameras"
+            f"{captured[0].file}: {views[0].reason}. No camera pose could be estimated from any of the {len(captured)} pictures. "
+            "Check the focus, the light, and the strip in the scene file, or provide camera poses."
         )
     median_px = float(np.median([views[k].reprojection_px for k in sightings]))
     for k in list(sightings):
@@ -125,9 +125,9 @@ def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured:
         first = next(frame.file for frame, markers in zip(captured, detected, strict=True) if strange[0] in markers.foreign)
         strip = scene.strip
         raise UserError(
-            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} appear beside the scene's "
-            f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in "
-            "the scene file, or cover the other markers"
+            f"{first}: markers of another strip ({strip.dictionary} ids {', '.join(str(k) for k in strange[:5])}) appear beside the "
+            f"ids {strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1} of the scene's strip. Correct first_id, columns "
+            "and rows of the strip in the scene file, or cover the other markers."
         )
 
 
@@ -139,12 +139,18 @@ def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bo
     count = len(markers.ids)
     nothing = Camera(file=frame.file, ring=frame.ring, used=False, markers=count)
     if count < LEAST_MARKERS:
-        reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
+        reason = (
+            markers.diagnosis
+            if count == 0 and markers.diagnosis
+            else f"only {count} markers were found, at least {LEAST_MARKERS} are needed"
+        )
         return replace(nothing, reason=reason), None
     sightings = view_fit.sightings(markers, scene)
     pose = view_fit.single_view(sightings, polish=polish)
     if pose is None:
-        reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
+        reason = (
+            "its markers do not match the strip in the scene file (check columns, rows, first_id and sizes of the strip, and the camera)"
+        )
         return replace(nothing, reason=reason), None
     local = view_fit.linearise(sightings, pose)
     view = _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
@@ -166,13 +172,17 @@ def _misfit(error_px: float | None, median_px: float, settings: CalibrationSetti
     """Return the reason to exclude a view with a large reprojection error; None if the error is acceptable."""
     if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
-    return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
+    return (
+        f"its markers deviate from the fitted camera by {error_px:.2g} px (median of all pictures: {median_px:.2g} px), so the strip "
+        "or the camera moved, or the picture is blurred"
+    )
 
 
 def _require_camera(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
     if not any(view.used for view in views):
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
+            f"{captured[0].file}: {views[0].reason}. No camera pose could be estimated from any picture. "
+            "Check the strip, focal_px and distortion in the scene file."
         )
 
 

@@ -67,8 +67,11 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
         if _scatter(angle[members] - commanded) < AGREE_RAD:
             command[members], known[members] = commanded, True
         else:
-            other = " (they match the opposite turntable.direction)" if _scatter(angle[members] + commanded) < AGREE_RAD else ""
-            warnings.append(f"ring {number}: the pictures contradict the commanded table angles{other}; angles from the pictures are used")
+            other = ", but match the opposite turntable.direction" if _scatter(angle[members] + commanded) < AGREE_RAD else ""
+            warnings.append(
+                f"ring {number}: the table angles in the pictures differ from the commanded angles{other}. "
+                "The angles from the pictures are used."
+            )
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
     cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])

@@ -106,12 +106,12 @@ def measure_coverage(
     blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].usable.any()]
     if len(blank) > most:
         name = names[blank[0]].file
-        raise UserError(f"{name} does not show the water below the net pot: check the camera, the backlight and the scene file.")
+        raise UserError(f"{name} does not show the water below the net pot. Check the camera, the backlight and the scene file.")
     empty = [k for k in cameras.order if k not in blank and not (drawn[k].coverage > 0.25).any()]
     if len(empty) > most:
         raise UserError(
-            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is visible in it; "
-            "leave it out with --leave-out, or check light and focus."
+            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do), because no root is visible. "
+            "Exclude these pictures with --leave-out, or check the light and the focus."
         )
     reasons = dict.fromkeys(blank, "it does not show the water below the net pot") | dict.fromkeys(empty, "no root is visible in it")
     if reasons:

@@ -258,7 +258,7 @@ def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: floa
     gain is chosen such that the coverage of this root, which is at most 1, sums to its diameter.
     """
     if attenuation.mu_per_mm is None:
-        raise ValueError(f"{attenuation=} is that of opaque roots")
+        raise ValueError(f"{attenuation=} must be that of translucent roots")
     peaks, gains = _gains(attenuation.mu_per_mm, px_a_mm)
     clear = np.clip(opacity / np.float32(1.0 - attenuation.own), 0.0, 1.0).astype(np.float32)
     peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))

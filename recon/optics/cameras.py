@@ -130,7 +130,7 @@ def tank_pose(view: View) -> Array:
         If the pose is unknown.
     """
     if view.cam_from_tank is None:
-        raise ValueError(f"{view.cam_from_tank=} but expected a pose: the scene has a tank")
+        raise ValueError(f"{view.cam_from_tank=} but expected a pose, because the scene has a tank")
     return view.cam_from_tank
 
 

@@ -45,7 +45,7 @@ def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tup
     try:
         shoot = _reconstruct(dataset, settings, monitor)
     except UserError as error:
-        return None, (f"the shoot is not reconstructed: {error}",)
+        return None, (f"the shoot could not be reconstructed: {error}",)
     return shoot, shoot.warnings
 
 
@@ -87,15 +87,15 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
 
 def _hidden_warning(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of the visible shoot is in front of the net pot, where its shape cannot be determined: "
-        "height and projected areas are valid, the surface is too small; lower the camera or raise the panel"
+        f"{100.0 * share:.0f} % of the visible shoot is in front of the net pot, where its shape cannot be determined. "
+        "The surface area is too small, but height and projected areas are valid. Lower the camera or raise the panel."
     )
 
 
 def _enclosed_warning(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of the shoot's hull is thicker than leaves are: they enclose space that no picture shows, so that "
-        "leaf area could not be determined and the surface is too small; height and projected areas are valid; add a ring from higher above"
+        f"{100.0 * share:.0f} % of the shoot's hull is space between leaves that no picture shows. The leaf area could not be determined, "
+        "and the surface area is too small, but height and projected areas are valid. Add a higher ring."
     )
 
 

@@ -78,7 +78,7 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
         else:
             of_band |= {} if ratio is None else {k: ratio}
     warnings = [
-        f"no view shows both leaves and well exposed paper in the range {name}; its reflectance could not be determined"
+        f"the reflectance in the range {name} could not be determined, because no view shows both leaves and well exposed paper"
         for name, found in ratios.items()
         if not found
     ]
@@ -109,9 +109,10 @@ def _lit_bands(scene: Scene) -> tuple[str, ...]:
     lit = [needed[name] for name in ("red", "red_edge", "nir") if name in needed and name not in dark]
     if not lit or "nir" not in needed:
         return ()
+    bands = "bands" if len(lit) > 1 else "band"
     return (
-        f"the panel is on in the band{'s' if len(lit) > 1 else ''} {', '.join(lit)}: leaves transmit its light, so that reflectance and "
-        "vegetation indices could not be determined there; set panel_level = 0 for these bands and switch the panel off",
+        f"the panel is on in the {bands} {', '.join(lit)}. Leaves transmit its light, so reflectance and vegetation indices could not be "
+        f"determined. Set panel_level = 0 for the {bands}, and switch the panel off.",
     )
 
 
