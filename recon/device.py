@@ -45,13 +45,13 @@ _ALIGNED = 64
 
 
 TO_LAST = 1.01
-"""Minimum distance of interpolated positions from the picture's width and height, px. Interpolation then stays within
-the last sample, with a margin for float32 rounding."""
+"""Minimum distance of interpolated positions from the right and lower border of the picture, px. Interpolation then
+stays within the last sample, with a margin for float32 rounding."""
 
 
 _BELOW_HALF = 1e-9
-"""Positive threshold below the smallest positive half-precision number, 6e-8. The threshold itself cannot be
-represented in half precision."""
+"""Threshold above which a half-precision number counts as positive. The threshold is less than the smallest positive
+half-precision number, 6e-8, and cannot itself be represented in half precision."""
 
 
 def readable(px: Vector2f, width: int, height: int) -> Bool:

@@ -17,7 +17,7 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 LeftOut = tuple[Frame, str]
-"""Frame whose picture is excluded, and the reason as text."""
+"""Excluded frame, and the reason for the exclusion."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -144,7 +144,7 @@ def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult
 
 
 def _apply_checks(solid: Solid, checked: tuple[Check, ...]) -> Solid:
-    """Return the solid; if a check failed, its volume is marked as not trusted."""
+    """Mark the volume of a solid as not trusted if a check failed."""
     failed = checks.failure_reasons(checked)
     return replace(solid, volume=solid.volume.distrust(failed)) if failed else solid
 
@@ -208,7 +208,7 @@ def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settin
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
-    """Check the quality of the pictures in use.
+    """Check the quality of the pictures.
 
     Some checks are skipped for masks and for pictures with given cameras.
     """

@@ -17,7 +17,7 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationSettings:
-    """Calibration of the cameras from the markers and the canister's edges."""
+    """Settings for the calibration of the cameras from the markers and the canister's edges."""
 
     worst_px: float = bounded(1.0, 0.05, 100.0)
     """Reprojection error above which a view is excluded, px, if the error also exceeds `worst_factor` times the median
@@ -30,8 +30,8 @@ class CalibrationSettings:
     scan by tens of per cent, not by factors."""
     hopeless_px: float = bounded(5.0, 0.05, 1000.0)
     """Reprojection error above which a view is always excluded, px. The error of one view reduces the width of every
-    root by the same amount, and 5 px (1.2 mm on a bench) exceed the width of any lateral, and of a taproot up to its
-    fifteenth day."""
+    root by the same amount. An error of 5 px (1.2 mm on a bench) exceeds the width of any lateral, and of a taproot up
+    to its fifteenth day."""
     focus_sure: float = bounded(5.0, 0.0, 100.0)
     """Minimum estimated change of the focal length, in standard deviations, at which the estimate replaces the
     calibrated focal length. A change of focus resembles a change of distance: the uncertainty of the distance increases
@@ -52,7 +52,7 @@ class CalibrationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSettings:
-    """Measurement of the coverage of each pixel by roots."""
+    """Settings for the measurement of the coverage of each pixel by roots."""
 
     noise_sigmas: float = bounded(4.0, 0.0, 20.0)
     """Minimum darkening that counts as coverage, in standard deviations of the noise of the empty backlight. The
@@ -71,13 +71,13 @@ class CoverageSettings:
     film_most: float = bounded(0.5, 0.01, 10.0)
     """Maximum optical depth of a film on the wall. Darker structures are treated as objects."""
     bubble_depth: float = bounded(0.06, 0.001, 2.0)
-    """Minimum mean optical depth of a bubble, averaged over one millimetre of wall. The default is twice the optical
-    depth of the faintest film."""
+    """Minimum optical depth of a bubble, averaged over one millimetre of wall. The default is twice the optical depth
+    of the faintest film."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureSettings:
-    """Selection of the pictures and of the band."""
+    """Settings for the selection of pictures and of the camera band."""
 
     leave_out: tuple[str, ...] = ()
     """Pictures to exclude, specified by their file names in the dataset or by the ends of these names."""
@@ -101,7 +101,7 @@ class PictureSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class HullSettings:
-    """Carving of the visual hull from the silhouettes."""
+    """Settings for the carving of the visual hull from the silhouettes."""
 
     finest_mm: float = bounded(0.14, 0.01, 5.0)
     """Maximum edge length of carved voxels, mm. Larger output voxels are assembled from carved voxels, so that their
@@ -116,92 +116,95 @@ class HullSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class TrustSettings:
-    """Limits for a volume to be trusted.
+    """Limits that a scan must satisfy for its volume to be trusted.
 
-    A setting with two values has a fair and a bad limit: a measured value beyond the fair limit is rated fair, and a
+    A setting with two values has a fair and a bad limit. A measured value beyond the fair limit is rated fair, and a
     value beyond the bad limit is rated bad.
     """
 
     widest: float = bounded(0.25, 0.0, 10.0)
-    """Maximum half-width of the 90 % interval, relative to the volume, of a trusted volume. With this half-width, two
+    """Maximum half-width of the 90 % interval of a trusted volume, relative to the volume. With this half-width, two
     scans one week apart do not resolve growth by a third."""
     least_views: int = bounded(8, 3, 1000)
-    """Minimum number of views of a trusted volume. With fewer views, there may be no view that contradicts a ghost."""
+    """Minimum number of views of a trusted volume. With fewer views, there may be no view that contradicts a ghost,
+    which is a reconstructed root without a real one."""
     unexplained: tuple[float, float] = bounded((0.1, 0.2), 0.0, 1.0)
-    """Fair and bad limit for the fraction of the covered area that the shape does not explain. Above the bad limit, too
-    many roots were missed to estimate their volume."""
+    """Fair and bad limits for the fraction of the covered area that the shape does not explain. Above the bad limit,
+    too many roots were missed to estimate their volume."""
     fill: tuple[float, float] = bounded((0.35, 0.5), 0.0, 1.0)
-    """Fair and bad limit for the fraction of the root zone that thin roots cover in the pictures. Above one half,
+    """Fair and bad limits for the fraction of the root zone that thin roots cover in the pictures. Above one half,
     silhouettes no longer distinguish roots from gaps."""
     missed: tuple[float, float] = bounded((0.05, 0.1), 0.0, 1.0)
-    """Fair and bad limit for the fraction of the coverage that lies outside the hull of all views. Views with
-    inconsistent geometry carve roots away. The fraction is at most 0.03 for plants and printed phantoms of the ladder,
-    0.06 for correct mixtures, and at least 0.20 for wrong mixtures, which lost 24 to 37 % of the volume. The bad limit
-    is the geometric mean of 0.06 and 0.20 (`docs/log/2026-11-22-mixtures.md`)."""
+    """Fair and bad limits for the fraction of the coverage that lies outside the hull of all views. Views with
+    inconsistent geometry carve roots away. The fraction is at most 0.03 for simulated plants and printed phantoms. In
+    simulated scans with random combinations of disturbances, it is at most 0.06 if the volume is correct, and at least
+    0.20 if 24 to 37 % of the volume are lost. The bad limit is the geometric mean of 0.06 and 0.20
+    (`docs/log/2026-11-22-mixtures.md`)."""
     sway_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
-    """Fair and bad limit for the root mean square displacement of the roots in single pictures from their common
+    """Fair and bad limits for the root mean square displacement of the roots in single pictures from their common
     position, mm. The displacement is 0.023 to 0.059 mm for static plants in the twin. The volume lost by motion grows
     with the square of the displacement, and a sway of 0.3 mm lost 10 % of the volume. The limits therefore correspond
-    to 0.4 and 2.5 %. Wrong cameras have 0.48 mm (a cropped picture) and 0.89 mm (a picture of half the size)."""
+    to 0.4 and 2.5 %. Scans with wrong cameras have 0.48 mm (a cropped picture) and 0.89 mm (a picture of half the
+    size)."""
     dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
-    """Fair and bad limit for the fraction of the wall in front of the roots that films, bubbles and glare cover."""
+    """Fair and bad limits for the fraction of the wall in front of the roots that films, bubbles and glare cover."""
     spread: tuple[float, float] = bounded((0.02, 0.04), 0.0, 1.0)
-    """Fair and bad limit for the scattered light, which is the light missing beside roots relative to the light that
+    """Fair and bad limits for the scattered light, which is the light missing beside roots relative to the light that
     the roots absorb (`recon.uncertainty.scattered_light`). The ratio is 0.000 to 0.007 for printed phantoms and plants
     in the profiles `clean`, `bench` and `camera`. When a quarter of the light was scattered over 20 px, the ratio was
     0.19, and the volume of a printed phantom was 5.9 % too large. The limits therefore correspond to volume errors of
     0.6 and 1.2 % (`docs/log/2026-11-22-damages.md`)."""
     clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
-    """Fair and bad limit for the fraction of the panel's pixels at full scale. Where the panel is clipped, the
+    """Fair and bad limits for the fraction of the panel's pixels at full scale. Where the panel is clipped, the
     absorption by roots is unknown."""
     dim: tuple[float, float] = bounded((0.2, 0.05), 0.0, 1.0)
-    """Fair and bad lower limit for the brightness of the panel, relative to full scale. At a twentieth of full scale,
-    an 8-bit picture resolves 13 levels, of which a root half a pixel wide spans three."""
+    """Fair and bad lower limits for the brightness of the panel, relative to full scale. At a twentieth of full scale,
+    an 8-bit picture resolves 13 levels, and a root half a pixel wide spans three of these levels."""
     wander: tuple[float, float] = bounded((0.05, 0.3), 0.0, 10.0)
-    """Fair and bad limit for the standard deviation of the exposure over the pictures. The exposure is normalised, but
+    """Fair and bad limits for the standard deviation of the exposure over the pictures. The exposure is normalised, but
     a variation by a third moves the panel out of the camera's range."""
     uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
-    """Fair and bad limit for the standard deviation of the panel beside the canister relative to the same panel in all
-    pictures, after row-by-row normalisation of the exposure. Without this normalisation, brightness bands of 7 % made a
-    printed phantom 6.8 % too large: the relative error of the volume is about that of the brightness
-    (`docs/log/2026-11-22-damages.md`)."""
+    """Fair and bad limits for the brightness variation of the panel beside the canister that remains after row-by-row
+    normalisation of the exposure. The variation is the standard deviation relative to the same panel in all pictures.
+    Without the normalisation, brightness bands of 7 % made a printed phantom 6.8 % too large: the relative error of the
+    volume is about that of the brightness (`docs/log/2026-11-22-damages.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
-    """Fair and bad limit for the standard deviation of the blur, px, including 0.29 px of the pixel itself. At 800
+    """Fair and bad limits for the standard deviation of the blur, px, including 0.29 px of the pixel itself. At 800
     pixels across 250 mm, a root of 0.3 mm is one pixel wide. Blurred by 2.5 px, the root darkens the panel by a sixth.
     """
     refocus_px: tuple[float, float] = bounded((0.5, 1.0), 0.0, 100.0)
-    """Fair and bad limit for the additional blur of the least sharp picture relative to the sharpest, px, computed from
-    the difference of the variances. All pictures are fitted with the same blur. When half of a printed phantom's
+    """Fair and bad limits for the additional blur of the least sharp picture relative to the sharpest, px, computed
+    from the difference of the variances. All pictures are fitted with the same blur. When half of a printed phantom's
     pictures were blurred by an additional 1.5 px, 9.3 % of its volume was lost. The loss grows with the square of the
-    blur, so the limits correspond to 1 % and 4 %. Plants and printed phantoms in `bench`, `camera` and mixtures have
-    0.1 px."""
+    blur, so the limits correspond to 1 % and 4 %. The additional blur is 0.1 px for simulated plants and printed
+    phantoms."""
     inset_px: tuple[float, float] = bounded((0.03, 0.045), 0.0, 10.0)
-    """Fair and bad limit for the apparent enlargement of the markers on each side, px. In linear light, blur does not
+    """Fair and bad limits for the apparent enlargement of the markers on each side, px. In linear light, blur does not
     move the markers' edges. The enlargement is 0.001 to 0.005 px for correct scans of the twin, and 0.028 px for an
     uncalibrated lens with k1 = -0.15, whose volume was correct to 1.1 %. It is 0.077 px for a table that turns by 4 px
     during the exposure, with a volume 6.9 % too large, and 0.11 px for sRGB values interpreted as light. The bad limit
     is the geometric mean of the largest value of an acceptable scan and the smallest value of a wrong scan."""
     corners_px: tuple[float, float] = bounded((0.3, 1.0), 0.0, 100.0)
-    """Fair and bad limit for the distance of the markers' corners from their projections by the estimated cameras, px.
+    """Fair and bad limits for the distance of the markers' corners from their projections by the estimated cameras, px.
     The measured distance is at most 0.06 px for fitted corners. For OpenCV's corners, the distance is at most 0.2 px in
     pictures 800 pixels wide, and 0.4 px in pictures 400 pixels wide."""
     radius_share: tuple[float, float] = bounded((0.002, 0.006), 0.0, 1.0)
-    """Fair and bad limit for the relative deviation of the canister's outer radius from its nominal value that remains
+    """Fair and bad limits for the relative deviation of the canister's outer radius from its nominal value that remains
     after correction. The refractive power of the canister changes by the same fraction."""
     edge_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
-    """Fair and bad limit for the median deviation of the canister's edges from the fitted oval, mm."""
+    """Fair and bad limits for the median deviation of the canister's edges from the fitted oval, mm."""
     oval_mm: tuple[float, float] = bounded((0.12, 0.3), 0.0, 10.0)
-    """Fair and bad limit for half the difference e between the largest and the smallest outer radius of the canister,
+    """Fair and bad limits for half the difference e between the largest and the smallest outer radius of the canister,
     mm. A wall inclined by 2 e / R deflects a ray by a quarter of this angle (index 1.33), which displaces a root on the
     axis by e / 2. The limits permit the same displacement as ``sway_mm``."""
     resolution_px: tuple[float, float] = bounded((0.7, 0.0), 0.0, 100.0)
-    """Fair and bad lower limit for the width of thin roots in the pictures, px. The views of a five-day-old radish are
+    """Fair and bad lower limits for the width of thin roots in the pictures, px. The views of a five-day-old radish are
     inconsistent at a width of 0.61 px, but consistent at 0.75 and 0.95 px. The fair limit is the geometric mean of 0.61
     and 0.75. The bad limit is zero, because the volume is correct at any width if the views are consistent."""
     left_out: tuple[float, float] = bounded((0.1, 0.34), 0.0, 1.0)
-    """Fair and bad limit for the fraction of the pictures that could not be used."""
+    """Fair and bad limits for the fraction of the pictures that could not be used."""
     gap_deg: tuple[float, float] = bounded((30.0, 75.0), 0.0, 360.0)
-    """Fair and bad limit for the largest angular step between neighbouring views around the canister, degrees. Between
+    """Fair and bad limits for the largest angular step between neighbouring views around the canister, degrees. Between
     two neighbouring views, the shape is constrained only by these views."""
 
     def __post_init__(self) -> None:
@@ -219,12 +222,12 @@ class TrustSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ShootSettings:
-    """Measurement of the shoot."""
+    """Settings for the measurement of the shoot."""
 
     leaf_thickness_mm: float = bounded(0.0, 0.0, 10.0)
-    """Thickness of a leaf blade, mm, measured with a calliper or from the mass of a punched disc. If the thickness is
-    unknown, set 0; the volume of the shoot is then not computed. Blades are about one pixel thick (0.3 mm), which
-    silhouettes do not resolve."""
+    """Thickness of a leaf blade, mm, measured with a calliper or from the mass of a punched disc. Set 0 if the
+    thickness is unknown, in which case the volume of the shoot is not computed. Blades are about one pixel thick (0.3
+    mm), which silhouettes do not resolve."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,17 +238,17 @@ class Settings:
     """Edge length of the output voxels, mm. The default of 0.27 mm is the value used in the thesis. Volumes are
     measured on a finer grid."""
     pictures: PictureSettings = field(default_factory=PictureSettings)
-    """Settings of the selection of pictures."""
+    """Settings for the selection of pictures."""
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
-    """Settings of the calibration of the cameras."""
+    """Settings for the calibration of the cameras."""
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
-    """Settings of the measurement of coverage."""
+    """Settings for the measurement of coverage."""
     hull: HullSettings = field(default_factory=HullSettings)
-    """Settings of the carving of the visual hull."""
+    """Settings for the carving of the visual hull."""
     trust: TrustSettings = field(default_factory=TrustSettings)
-    """Limits for a volume to be trusted."""
+    """Limits that a scan must satisfy for its volume to be trusted."""
     shoot: ShootSettings = field(default_factory=ShootSettings)
-    """Settings of the measurement of the shoot."""
+    """Settings for the measurement of the shoot."""
 
 
 def load_settings(file: Path | str) -> Settings:

@@ -41,15 +41,15 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 _MISSED_VIEWS = 8
-"""Number of views in which the coverage missed by the hull is measured. The processing order of the views spreads these
-over the turn."""
+"""Number of views in which the coverage missed by the hull is measured. These are the first views in processing order,
+which are spread over the turn."""
 _MISSED_LEAVES = 100_000
-"""Maximum number of leaves with which the coverage missed by the hull is measured; larger hulls are subsampled. The
-leaves of a solid are closer together in a picture than one pixel, and hide each other."""
+"""Maximum number of leaves with which the coverage missed by the hull is measured. Larger hulls are subsampled: in a
+picture, the leaves of a solid are less than one pixel apart, and hide each other."""
 _SURFACE_LEAVES = 1_000_000
-"""Maximum number of finest leaves from which the surface is computed; above it, leaves are merged first."""
+"""Maximum number of finest leaves from which the surface is computed. Larger numbers of leaves are merged first."""
 _MUCH_KEPT = 0.2
-"""Fraction of the volume that is untrimmed hull above which a warning is issued."""
+"""Maximum fraction of untrimmed hull in the volume without a warning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +115,7 @@ def carve_hull(
 
 
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
-    """Find the views that contradict all others; return the reason of each, keyed by frame number.
+    """Find the views that contradict all others; return the reason for each, keyed by frame number.
 
     Parameters
     ----------

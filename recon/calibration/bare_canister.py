@@ -45,8 +45,8 @@ HEIGHTS_AGREE_MM = 1.0
 """Maximum difference between the floor's height in the pictures and in the scene that causes no warning, mm. The limit
 exceeds the height of a meniscus."""
 CALLIPER_MM = 0.1
-"""Standard deviation of a diameter measured with callipers, mm. The wall of a tube yields by a tenth of a millimetre
-under the callipers, whose resolution is a fifth of that."""
+"""Standard deviation of a diameter measured with callipers, mm. The resolution of callipers is 0.02 mm, but the wall of
+a tube yields by a tenth of a millimetre."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +54,8 @@ class BareCanister:
     """Camera poses estimated from pictures without markers."""
 
     cam_from_canister: tuple[Array, ...]
-    """Pose (4, 4) of each view's camera, mm, OpenCV axes. The distance along the optical axis cannot be observed, and
-    is the planned distance of the scene."""
+    """Pose (4, 4) of each view's camera, mm, OpenCV axes. The distance along the optical axis cannot be observed. It is
+    set to the planned distance of the scene."""
     mm_per_px: float
     """Scale of the pictures, mm per pixel."""
     azimuth_deg: Array

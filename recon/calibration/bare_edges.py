@@ -24,8 +24,8 @@ EDGE_WIDTH_PX = 4
 PANEL_SHARE = 0.85
 """Minimum brightness of pixels that show the empty panel, relative to the panel's typical brightness."""
 WATER_QUANTILE = 0.25
-"""Quantile of a row's brightness across the canister by which rows with water are detected. A row exceeds the threshold
-if three quarters of it show the panel."""
+"""Quantile of a row's brightness across the canister from which rows with water are detected. A row is bright if three
+quarters of the row show the panel."""
 BAND = 0.06
 """Fraction of the water's height that is excluded at the water surface and at the floor, where reflections occur."""
 

@@ -22,7 +22,8 @@ TENSOR_PX = 2.0
 """Standard deviation of the Gaussian by which the structure tensor is averaged to determine a root's direction, px. The
 average includes both sides of a root, but not neighbouring roots."""
 ANGLE_SIGMA_RAD = np.deg2rad(1.5)
-"""Initial standard deviation of the table angles about equal steps, rad. A real table with 72 steps had 0.8 degrees."""
+"""Initial standard deviation of the table angles about equal steps, rad. The standard deviation of a real table with 72
+steps was 0.8 degrees."""
 LEAST_ANGLE_SIGMA_RAD = np.deg2rad(0.01)
 """Minimum standard deviation of the table angles, rad. The value is a tenth of a sixteenth step of a plain motor with
 200 steps."""
@@ -34,8 +35,8 @@ picture is not known more precisely."""
 ROWS_TOGETHER = 8.0
 """Number of neighbouring rows that share the error of one root, and therefore count as one independent row."""
 STEPS_AGREE = 0.15
-"""Maximum relative deviation of the total turn from the commanded turn. A real table had 0.01 to 0.02. A plan with the
-wrong number of views deviates by one view in six or more."""
+"""Maximum relative deviation of the total turn from the commanded turn. The deviation of a real table was 0.01 to 0.02.
+A deviation of one view in six or more indicates a plan with the wrong number of views."""
 _ROUNDS = 200
 """Number of relaxation steps. The first quarter of the steps estimates only the scale of the whole turn."""
 

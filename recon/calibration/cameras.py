@@ -28,7 +28,7 @@ class Camera:
     used: bool
     """Whether the view is used for the reconstruction."""
     reason: str | None = None
-    """Reason why the view is excluded; None if it is used."""
+    """Reason why the view is excluded; None for used views."""
     cam_from_canister: Array | None = None
     """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes; None if it could not be estimated. An excluded
     view may have a pose."""
@@ -154,7 +154,7 @@ class MarkerCalibration(StripCalibration):
 
     table_sigma: Array | None
     """(4,) standard deviations of the canister's tilt about x and y on the table, degrees, and its offset in x and y,
-    mm. They combine the errors of the markers with those of the canister's edges."""
+    mm. The values combine the errors of the markers with those of the canister's edges."""
     table_correction_deg: float | None
     """Standard deviation of the estimated table angles about the commanded angles, degrees; None if no angles were
     commanded."""

@@ -6,17 +6,16 @@ canister's axis at exactly the outer radius, independent of the wall and the wat
 Inside the edge, the picture is black, because grazing light is reflected away. Outside the edge, it shows the empty
 panel.
 
+The offset and tilt of the axis are estimated from the edges in all views by one least-squares fit. Two further unknowns
+are common to all edges: their distance outside R_o, due to blur or a canister of another size, and the ovality of the
+wall. The support function of an oval with the radii R + e and R - e is R + e cos 2(azimuth - azimuth of the largest
+radius), to first order in e / R.
+
 In a tank, the same relation holds for the lines of sight in the liquid, because light that enters the wall inside the
 edge is strongly deflected. However, light reflected by the wall continues nearly straight. In front of a wide panel,
 the edge is therefore as bright as the panel, and cannot be detected. (The twin's fast pictures omit reflections and
 show a dark edge.) The rotation of the tank is a further unknown: refraction at its front moves both edges of all views
 in the same direction, by a quarter of a degree per degree in water.
-
-In a tank, the same holds for the lines in the liquid: inside the edge, light that enters the wall is deflected far.
-However, light reflected by the wall continues nearly straight: in front of a wide panel the edge is as bright as the
-panel, and not detected (the twin's fast pictures, without reflections, show it dark). Rotation of a tank moves both
-edges of all views in the same direction, by refraction at its front (a quarter of a degree per degree, in water); it is
-a further unknown.
 """
 
 from __future__ import annotations
@@ -53,11 +52,12 @@ LEAST_RISE = 0.25
 """Minimum rise of the brightness within three pixels for an edge to be accepted, relative to the brightness outside the
 edge."""
 LEAST_EDGES = 200
-"""Minimum number of edge points for an estimate. Two views show about 200 points (52 heights, two sides), and a single
-view does not determine the tilt towards the camera."""
+"""Minimum number of edge points from which the pose is estimated. Two views show about 200 points (52 heights, two
+sides), and a single view does not determine the tilt towards the camera."""
 _SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1, 4e-3])
-"""Steps of the unknowns (rad and mm) that have a similar effect on the edges. A milliradian over half the canister's
-height is 0.08 mm. For the rotation of a tank, the effect is a quarter of that over the tank's depth."""
+"""Steps of the unknowns (rad and mm) that have a similar effect on the edges. A tilt of one milliradian moves an edge
+by 0.08 mm at half the canister's height. A rotation of the tank has a quarter of this effect over its depth, so its
+step is four times as large."""
 _POSE_SCALE = np.array([1e-3] * 3 + [0.1] * 3)
 """Steps of a camera's twist (rad and mm) that have a similar effect on the edges."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25, np.deg2rad(2.0)])

@@ -99,9 +99,9 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
 
 
 def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
-    """Find the gamma, applied after the stated curve, with zero bend; return the better of this curve and ``best``.
+    """Find the gamma that, applied after the stated curve, removes the bend; return the curve and its bend.
 
-    Return the curve and its bend.
+    If ``best`` has a smaller bend ``least``, these are returned instead.
     """
     tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_upon(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T

@@ -196,7 +196,7 @@ def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Si
 
 
 def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
-    """Return the row-by-row brightness of the panel (N,) on both sides; None if a side is hardly visible."""
+    """Return the row-by-row brightness profiles of the panel (N,) on both sides; None if a side is hardly visible."""
     if min(left.sum(), (~left).sum()) < _LEAST_PIXELS:
         return None
     rows = np.unique(row)

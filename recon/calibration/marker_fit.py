@@ -184,9 +184,10 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
 def _gauss_newton(
     window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
 ) -> tuple[Array, float, Array, float, float] | None:
-    """Return H and b (11,), the blur, the covariance (18, 18), the correlation and the bend.
+    """Fit the marker model to the pixels of a window by Gauss-Newton.
 
-    Return None if the fit diverges.
+    Return H and b (11,), the blur, the covariance (18, 18), the correlation and the bend. Return None if the fit
+    diverges.
 
     Long sums use `_products`, because a multi-threaded BLAS would compete for processor cores with threads that measure
     other pictures.
@@ -244,7 +245,7 @@ def _gauss_newton(
 
 
 def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
-    """Return the excess brightness of halfway greys relative to the model (`MarkerFit.bend`).
+    """Return the excess brightness of greys halfway between black and white (`MarkerFit.bend`).
 
     Parameters
     ----------
@@ -352,7 +353,7 @@ def _corner_derivatives(warp: Array) -> Array:
 
 
 def _warp(warp: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Return x, y and the homogeneous coordinate of W(s, t), each (P,)."""
+    """Return x (P,), y (P,) and the homogeneous coordinate (P,) of W(s, t)."""
     bulge = 1.0 - s * s
     depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
     x = (warp[0] * s + warp[1] * t + warp[2] + warp[8] * bulge) / depth
@@ -360,7 +361,7 @@ def _warp(warp: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
 
 
 def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return the derivatives (dx/ds, dy/ds), (dx/dt, dy/dt) of W(s, t), each (P,)."""
+    """Return the derivatives (dx/ds, dy/ds) and (dx/dt, dy/dt) of W(s, t), each of shape (P,)."""
     x, y, depth = _warp(warp, s, t)
     depth_s = warp[6] - 2.0 * warp[10] * s
     by_s = (warp[0] - 2.0 * warp[8] * s - x * depth_s) / depth, (warp[3] - 2.0 * warp[9] * s - y * depth_s) / depth
@@ -370,7 +371,7 @@ def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[
 def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
     """Solve W(s, t) = xy with two Newton steps from a near initial value.
 
-    Return s, t and the derivatives (ds/dx, ds/dy, dt/dx, dt/dy), each (P,).
+    Return s, t and the derivatives (ds/dx, ds/dy, dt/dx, dt/dy), each of shape (P,).
     """
     for _ in range(2):
         x, y, _depth = _warp(warp, s, t)

@@ -28,7 +28,7 @@ _BRIGHTEST = 99.5
 """Brightness percentile that is mapped to white for marker detection. The reflection of a lamp then does not reduce the
 contrast of the strip."""
 FEW = 6
-"""Minimum number of detected markers; with fewer markers, detection is repeated with the next tone curve."""
+"""Minimum number of detected markers. If fewer markers are detected, detection is repeated with the next tone curve."""
 OTHER_DICTIONARIES = (
     "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
 )  # fmt: skip
@@ -46,7 +46,7 @@ class Markers:
     bottom left of the upright strip viewed from outside."""
     covariance_px2: Array | None = None
     """(M, 8, 8) covariance of the x and y coordinates of each marker's corners, px^2. None if the corners were not
-    measured; their errors are then treated as independent with 0.1 px."""
+    measured, in which case their errors are assumed to be independent with a standard deviation of 0.1 px."""
     bend: Array | None = None
     """(M,) excess brightness of medium greys at each marker's edges, see `MarkerFit.bend`; None if the corners were not
     measured."""
@@ -90,8 +90,8 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     strip : MarkerStrip
         Strip whose markers are detected; markers with other ids are only reported as foreign.
     measure : bool
-        Whether to measure the corners by a fit of the marker pattern. If False, OpenCV's corners are returned, refined
-        with SUBPIX as in the thesis, which are about ten times less accurate.
+        Whether to measure the corners by a fit of the marker pattern. If False, OpenCV's corners are returned, which
+        are refined with SUBPIX as in the thesis. OpenCV's corners are about ten times less accurate.
 
     Returns
     -------

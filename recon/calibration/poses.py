@@ -25,8 +25,8 @@ STILL_PX = 2.0
 """Maximum median reprojection error of a ring's views, relative to one common camera pose, for the camera to count as
 static, px. Single views are excluded because of movement only if the camera is otherwise static."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
-"""Maximum scatter of the poses in a ring, rad and mm. Above it, the ring is not a turn in front of a static camera, and
-each view is calibrated independently."""
+"""Maximum scatter of the poses in a ring, rad and mm. A ring with a larger scatter is not a turn in front of a static
+camera, and its views are calibrated independently."""
 LEAST_RING = 5
 """Minimum number of views of a ring for the detection of a view in which the camera moved."""
 OUTLIER_WEIGHT = 0.1
@@ -35,8 +35,8 @@ deviations."""
 AS_CALIBRATED = 1e-7
 """Prior standard deviation of the relative focal length with which the calibrated focal length is kept."""
 STRANGERS = 3
-"""Minimum number of foreign marker ids, each in at least two pictures, at which the pictures are rejected because the
-strip in the scene is wrong."""
+"""Minimum number of foreign marker ids, each found in at least two pictures, at which the pictures are rejected. The
+strip in the scene file is then wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +158,7 @@ def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bo
 
 
 def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
-    """Estimate the pose of a view that is not part of the rig fit again, with the refined focal length."""
+    """Re-estimate the pose of a view outside the rig fit with the refined focal length."""
     pose = view_fit.single_view(replace(sightings, camera=sightings.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
@@ -282,7 +282,7 @@ def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: 
 
 
 def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
-    """Find views whose camera pose deviates from that of the ring; return the reason of each, by frame number."""
+    """Find views whose camera pose deviates from that of the ring; return the reasons, keyed by frame number."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
         members = np.flatnonzero(fit.rig.ring == ring).tolist()

@@ -35,10 +35,11 @@ appearing exact."""
 MOST_STEPS = 15
 """Maximum number of Gauss-Newton steps. The iteration either converges in a few steps or diverges."""
 SPREAD_STEPS = 10
-"""Number of fixed-point iterations for the camera's movement within each Gauss-Newton step; both converge together."""
+"""Number of fixed-point iterations for the camera's movement within each Gauss-Newton step. Both iterations converge
+together."""
 _CHI2_MEDIAN = 7.34
-"""Median of the chi-squared distribution with 8 degrees of freedom, which are the coordinates of a marker's four
-corners (`scipy.stats.chi2.median(8)` is 7.344)."""
+"""Median of the chi-squared distribution with 8 degrees of freedom, one for each coordinate of a marker's four corners
+(`scipy.stats.chi2.median(8)` is 7.344)."""
 ENOUGH = 1e-6
 """Step size below which the fit ends, in rad, mm and px."""
 

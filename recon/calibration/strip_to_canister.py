@@ -102,7 +102,7 @@ class StripToCanister:
     def _on_table(self, table_from_canister: Array) -> tuple[Array, Array]:
         """Return the derivatives of the canister's pose on the table by the errors.
 
-        They are given with respect to the shared camera errors (4, S) and the independent edge errors (4, 4).
+        The derivatives are by the shared camera errors (4, S) and by the independent edge errors (4, 4).
         """
         by_edges = -adjoint(table_from_canister)[np.ix_(CANISTER, CANISTER)]
         own = np.zeros((4, len(self.errors.shared)))

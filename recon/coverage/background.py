@@ -73,9 +73,9 @@ _DARKEST = 0.2
 """Quantile of the darkest views' brightness that is compared in front of and beside reflections. It represents pixels
 fully covered by a root, and exceeds the noise of single pixels."""
 _BESIDE_PX = 41
-"""Side of the square around reflections in which roots are used for comparison, px. Within this distance, roots have
-the same brightness as in front of the reflection, because the front light varies over the depth of the water (200 px
-and more)."""
+"""Side of the square around reflections in which roots are used for comparison, px. Roots within this distance have the
+same brightness as roots in front of the reflection, because front light varies only over distances of 200 px and more
+(the depth of the water)."""
 _BLOCK_ROWS = 24
 """Number of picture rows that are processed at once. 24 rows of 40 views with 800 columns occupy 3 MB and fit in the
 cache."""
@@ -125,10 +125,10 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approa
 
 
 def wall_light(view: cameras.View, optics: Optics) -> Image:
-    """Return the transmittance (H, W) of the canister's walls; outside of the flanks, that of the flanks.
+    """Return the transmittance (H, W) of the canister's walls.
 
-    If the canister rotates about an axis other than its own, its flanks move in the picture. The transmittance is
-    therefore divided out before the backlight is estimated.
+    Outside of the flanks, the transmittance is that of the flanks. If the canister rotates about an axis other than its
+    own, its flanks move in the picture. The transmittance is therefore divided out before the backlight is estimated.
     """
     lines = CoarseLines.compute(view, optics, step=_STEP)
     return lines.upsample(refraction.transmittance(optics, refraction.clip_to_water(optics, lines.line, _FLANK)))
@@ -201,9 +201,10 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
 
 
 def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
-    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and where these views are the majority.
+    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and a mask of reliable pixels.
 
-    ``inside`` (V, H, W) is the mask of pixels that show the water; None for all pixels.
+    A pixel is reliable if most of its views contribute to the mean. ``inside`` (V, H, W) is the mask of pixels that
+    show the water; None for all pixels.
     """
     views = len(part)
     number = views if inside is None else inside.sum(axis=0)

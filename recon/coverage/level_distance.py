@@ -18,8 +18,8 @@ _SURE = 0.9
 """Safety factor for the comparison of the 3x3 chamfer distance with `_WIDEST`. The chamfer distance is up to 4.5 % too
 short."""
 _LOOKS = 2.0
-"""Maximum number of tests by the column search per sample of the picture, at 20 ns per test. Above it, a distance
-transform of the whole picture is faster, at 70 ns per sample."""
+"""Maximum number of tests by the column search per sample of the picture, at 20 ns per test. If more tests are
+required, a distance transform of the whole picture is faster, at 70 ns per sample."""
 
 
 def level_distance(value: Image) -> Image:

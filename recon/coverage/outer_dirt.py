@@ -27,7 +27,7 @@ from rhizotwin.scenes.monitor import Monitor
 _DARK = 0.08
 """Minimum opacity of dirt, which is above the noise and similar to that of a faint root."""
 _WIDEST_MM = 3.0
-"""Maximum width of dirt, mm; seams are 1 to 2 mm wide. Wider objects are ignored, because thick roots are also dark in
+"""Maximum width of dirt, mm. Seams are 1 to 2 mm wide. Wider objects are ignored, because thick roots are also dark in
 many views."""
 _ALWAYS = 0.85
 """Minimum fraction of the views of a texel in which dirt is dark. One view in seven may miss the dirt due to pose
@@ -45,7 +45,7 @@ not affect this median."""
 _LEAST_SHARE = 0.02
 """Minimum fraction of views in which a texel is assumed to be dark by chance, due to noise."""
 _NEVER = 10.0
-"""Inverse of the number of texels on the whole wall that may be classified as dirt by chance (0.1 texels)."""
+"""Inverse of the expected number of texels on the whole wall that are classified as dirt by chance (0.1 texels)."""
 _LEAST_VIEWS = 5
 """Minimum number of views of a texel. At the top and the bottom of the wall, a texel is shown only by the nearest
 views, which are a sixth of a ring."""

@@ -207,9 +207,9 @@ def blur_coverage(silhouette: Silhouette, sigma_px: float) -> Image:
 def signed_distance(silhouette: Silhouette) -> Image:
     """Return the signed distance (2 H, 2 W) to the outline on a half-pixel grid, px, positive inside.
 
-    At pixels that are not usable, and within one pixel of them, the value is `UNSEEN_PX`. For the distance of other
-    pixels, they are treated as inside. Sample (i, j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 -
-    0.5).
+    At pixels that are not usable, and within one pixel of them, the value is `UNSEEN_PX`. In the computation of other
+    distances, pixels that are not usable count as inside. Sample (i, j) lies at the pixel position ((j + 0.5) / 2 -
+    0.5, (i + 0.5) / 2 - 0.5).
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
     fine = cv2.resize(blur_coverage(silhouette, _BLUR_PX), size, interpolation=cv2.INTER_CUBIC)

@@ -75,7 +75,8 @@ _RADII_PX = np.geomspace(1.0, 7.5, 80)
 """Radii of the model profiles, in steps of 2.6 %, px. The range is half of `_WIDTH_PX`, with a margin for the effects
 of blur and translucency."""
 _MOST_GAIN = 20.0
-"""Maximum ratio of coverage to opacity, which is that of a root that absorbs a twentieth of the light."""
+"""Maximum gain, which is the ratio of coverage to opacity. The maximum is the gain of a root that absorbs a twentieth
+of the light."""
 _OWN = (0.0, 0.5, 1.0)
 """Candidates for the roots' own brightness, as fractions of the brightness inside the darkest wide roots."""
 _LONGEST_PX = 60.0
@@ -243,7 +244,10 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
 
 
 def _vertex(at: Array, cost: Array, best: int) -> float:
-    """Return the minimum of a parabola in log ``at`` through the smallest cost (N,) and its two neighbours."""
+    """Return the position of the minimum of a parabola in log ``at`` through the smallest cost and its neighbours.
+
+    ``cost`` has the shape (N,).
+    """
     if best in (0, len(at) - 1):
         return float(at[best])
     a, b, c = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)

@@ -40,7 +40,7 @@ _LEAST_VIEWS = 5
 _NARROWEST_TEXELS = 4
 """Minimum width of a film, in texels. Roots on the wall are thinner."""
 _WIDEST_BUBBLE_MM = 5.0
-"""Maximum diameter of a bubble, mm. The value is about two capillary lengths of water (2.7 mm); larger bubbles do not
+"""Maximum diameter of a bubble, mm. The value is about two capillary lengths of water (2.7 mm). Larger bubbles do not
 adhere to a wall."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
 """Two parameters of the bubble test: the maximum optical depth of the ring around a bubble, and the minimum number of
@@ -99,8 +99,8 @@ class Face:
     outside: bool
     """Whether this is the outer face."""
     beyond_mm: float = 0.0
-    """Height by which the face extends above the water and below its floor, mm. Lines of sight through the water may
-    cross the outer face there."""
+    """Height by which the face extends above the water surface and below the canister's floor, mm. Lines of sight
+    through the water may cross the outer face there."""
 
     def shape(self, optics: Optics) -> tuple[int, int]:
         """Return the number of texel rows and columns."""

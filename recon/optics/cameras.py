@@ -31,8 +31,8 @@ class View:
     cam_from_canister: Array
     """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes."""
     cam_from_tank: Array | None = None
-    """(4, 4) pose of the camera in the tank's frame, mm, which is the rig's frame rotated with the tank; None if there
-    is no tank."""
+    """(4, 4) pose of the camera in the tank's frame, mm; None if there is no tank. The tank's frame is the rig's frame
+    rotated with the tank."""
     sway: Sway = STILL
     """Displacement of the roots in this picture."""
 
@@ -173,7 +173,7 @@ def length_behind_canister(view: View, optics: Optics, near: Approach, line: ref
     Parameters
     ----------
     view, optics : View, Optics
-        View, and optics with a tank.
+        Camera and pose of the view, and optics with a tank.
     near, line : Approach, refraction.WaterLine
         Lines of sight in front of the canister and in the water.
 

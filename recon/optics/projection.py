@@ -1,6 +1,6 @@
 """Projection of points in the water through the canister into many views, as a fast kernel (Dr.Jit, float32).
 
-The mathematics and symbols are those of `recon.optics.refraction`; the two equations of a projection,
+The mathematics and symbols are those of `recon.optics.refraction`. The two equations of a projection,
 
     f1 = P . nu - b_w = 0                                               the point lies beside the line
     f2 = z_entry + p_z / h_w (P . t + sqrt(R_i^2 - b_w^2)) - P_z = 0    and at its height
@@ -34,7 +34,8 @@ _PARAMETERS = 40
 _PRINCIPAL = slice(15, 17)
 """Indices of the principal point, px, in a view's parameters."""
 _IN_OPEN, _SWAY = 24, 36
-"""Number of kernel parameters that are used without a tank, and index of the first sway parameter."""
+"""Two constants of the parameter layout: the number of kernel parameters that are used without a tank, and the index of
+the first sway parameter."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
 """Three constants of the solver: the number of Newton steps without a tank, the number of Newton steps through a tank,
 and the tolerance of the rays, mm. Rays through a tank have no symmetry from which an initial value could be computed,
@@ -45,9 +46,9 @@ _FLANK, _STEEPEST = 0.9995, 0.98
 """Upper bounds of a ray's impact parameter and climb in Newton's method, relative to their limits, at which slopes are
 infinite."""
 _TABLE_MM = 0.2, 2.0
-"""Tolerances of the camera's distance from the axis and its height within which views share a start table, mm. Tanks
-with similar poses also share a table; their poses are compared by the displacement at the wall. Newton's method
-compensates for the differences."""
+"""Two tolerances within which views share a start table, mm: one for the camera's distance from the axis, and one for
+its height. Tanks with similar poses also share a table, and are compared by the displacement at the wall. Newton's
+method compensates for the differences."""
 
 
 @dataclass(frozen=True)

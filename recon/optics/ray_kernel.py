@@ -21,13 +21,14 @@ from rhizotwin.recon.optics.refraction import Optics
 class Near:
     """Rays from the camera up to the outer wall, with derivatives by b and p.
 
-    For lines in a tank, the heading and the foot are given.
+    For lines in a tank, the derivatives are at constant heading and foot.
     """
 
     turn: tuple[Float, Float]
-    """Heading minus pi inside the outer wall's normal, as a product of unit complex numbers multiplied by radii."""
+    """Real and imaginary part of a complex number whose argument is the ray's heading minus pi, up to the outer wall.
+    Its modulus is a product of radii."""
     per_radii: Float
-    """Inverse of the product of the radii in ``turn`` and the radii of the wall and the water, by which the heading is
+    """Inverse of the product of all radii, including those of the wall and the water, by which the complex heading is
     normalised."""
     turn_b: Float
     """Derivative of the heading by b."""

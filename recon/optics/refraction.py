@@ -6,9 +6,13 @@ sqrt(n_i^2 - p_z^2)``, the ray's horizontal impact parameter in medium i is ``b_
 r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i *
 s_i``. At a wall of radius r, its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``.
 
-`recon.optics.projection` implements the same mathematics as a Dr.Jit kernel. A test compares both implementations.
+All functions use the camera's azimuth frame, which is the canister frame rotated about z such that the camera centre is
+at (rho, 0, z_cam). A camera without a tank is then defined by (rho, z_cam). The unknowns of a projection are ``p_z``
+and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the canister. Through the flat wall of a tank,
+lines of sight do not originate from one point. `recon.optics.tank` computes these lines in the liquid (`Approach`), and
+from there on the equations are the same.
 
-`recon.optics.projection` implements the same mathematics as a Dr.Jit kernel; a test compares the two.
+`recon.optics.projection` implements the same mathematics as a Dr.Jit kernel. A test compares both implementations.
 """
 
 from dataclasses import dataclass, replace
@@ -253,8 +257,7 @@ def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
 def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
     """Solve f2 for p_z at a given impact parameter w.
 
-    The result is the p_z of the ray whose line in the water passes the point at the point's height. f2 is monotonic in
-    p_z.
+    The result is the p_z of the ray that passes the point at the point's height. f2 is monotonic in p_z.
     """
     p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
     step = 1e-6

@@ -20,7 +20,7 @@ _SINES = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193))
 """Impact parameters of a fan, relative to the largest. The lines are at most half a cell apart, and densest where
 refraction is strongest."""
 _NAMES = np.linspace(-0.9, 0.9, 4001)
-"""Values of the ray component q_y from which the lines of a fan are selected. They exceed the range of a tank's front
+"""Values of the ray component q_y from which the lines of a fan are selected. The range exceeds that of a tank's front
 (64 degrees to either side)."""
 
 

@@ -9,8 +9,8 @@ offset. The line's ``p_z`` and angular momentum ``L = x p_y - y p_x`` in this fr
 camera's pose.
 
 The point P lies on the line if ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``. These two equations are solved
-for (q_y, q_z) by Newton's method. If a liquid with another refractive index than water causes several images of a
-point, the image nearest to the straight line to the point is used.
+for (q_y, q_z) by Newton's method. If the refractive indices of liquid and water differ, a point may have several
+images. The image nearest to the straight line to the point is then used.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ _STEPS = 30
 _CLOSE_MM = 1e-8
 """Distance of a ray from the point below which the ray has converged, mm."""
 DIFFERENCE = 1e-7
-"""Step of central differences in (q_y, q_z), which is half of the digits of double precision."""
+"""Step of central differences in (q_y, q_z). The step keeps half of the digits of double precision."""
 
 
 @dataclass(frozen=True, kw_only=True)

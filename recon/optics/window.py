@@ -14,7 +14,7 @@ from rhizotwin.recon.device import Bool, Float, Point3f, Vector3f
 from rhizotwin.scenes.model import Tank
 
 Pair = tuple[Float, Float]
-"""Two values, for q_y and q_z."""
+"""Two numbers that refer to q_y and q_z, such as derivatives."""
 
 
 @dataclass(frozen=True)

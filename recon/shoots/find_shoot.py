@@ -22,8 +22,8 @@ from rhizotwin.scenes.monitor import Monitor
 FINEST_MM = 0.27
 """Edge length of the finest octree nodes, mm. It is one pixel of the usual camera at the plant."""
 MUCH_ENCLOSED = 0.05
-"""Enclosed fraction of the hull's volume above which the leaf area is not computed. For hulls of blades 0.7 mm thick, a
-ball with this fraction of the volume has a twenty-fifth of the blades' area."""
+"""Fraction of the hull's volume enclosed by leaves above which the leaf area is not computed. For hulls of blades 0.7
+mm thick, a ball with this fraction of the volume has a twenty-fifth of the blades' area."""
 MUCH_HIDDEN = 0.05
 """Fraction of hidden pixels above which a warning is issued. The missing area then exceeds the uncertainty of the area
 (docs/shoots.md)."""

@@ -24,9 +24,9 @@ class Shoot:
     blades_mm2: tuple[float, ...]
     """One-sided area of each separate blade, in decreasing order, mm2. Touching blades count as one."""
     leaf_area_mm2: float | None
-    """One-sided area of all blades, mm2, computed as half of the area of the hull's surface at the blades. The hull of
-    a blade is a thin lens around the blade, with nearly the same area on both sides. None if leaves enclose space that
-    no picture shows, because the hull is solid there."""
+    """One-sided area of all blades, mm2, computed as half of the hull's surface area at the blades. The hull of a blade
+    is a thin lens around the blade, with nearly the same area on both sides. None if leaves enclose space that no
+    picture shows, because the hull is solid there."""
     stalks_mm3: float
     """Volume of the stem and the petioles in the hull, mm3."""
     leaf_thickness_mm: float | None = None
@@ -41,7 +41,7 @@ class Shoot:
     """Fraction of the covered pixels that lie in front of the net pot or beside the panel, where the hull is not
     constrained."""
     enclosed_share: float
-    """Fraction of the hull's volume at a depth inside the hull that leaves and stalks do not reach."""
+    """Fraction of the hull's volume that lies deeper inside the hull than leaves and stalks do."""
     colour: Mapping[str, float] = field(default_factory=dict)
     """Reflectance of the leaves in each wavelength range, relative to white paper, and vegetation indices, keyed by
     their names in `scenes.trait_table.COLOURS`. Empty if the shoot was taken in one band."""

@@ -117,9 +117,9 @@ def _lit_bands(scene: Scene) -> tuple[str, ...]:
 
 
 def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> float | None:
-    """Return the ratio of the mean light of the leaves to that of the strip's paper.
+    """Return the ratio of the mean brightness of the leaves to that of the strip's paper.
 
-    Return None if the leaves or well exposed paper are not visible.
+    Return None if leaves or well exposed paper are not visible.
     """
     curve = pictures.curve
     picture = read_image(pictures.dataset, frame, curve=None if curve is None or curve.warning is None else curve.curve)

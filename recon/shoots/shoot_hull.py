@@ -23,9 +23,9 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 
 _DEEP_MM = NEAR_MM / 2.0
-"""Depth inside the hull above which space is treated as enclosed, mm. Blades and nearly all stalks are less deep: the
+"""Depth inside the hull above which space is treated as enclosed, mm. Blades and nearly all stalks are thinner: the
 hull of a blade 40 mm wide, in views 9 degrees apart, is 1.6 mm thick. No part of the twin's default shoot is deeper
-than 1.5 mm, whereas 45 % of a cup of nine touching leaves is."""
+than 1.5 mm, whereas 45 % of a cup of nine touching leaves is deeper."""
 SLACK_PX = 0.3
 """Assumed error of the outlines, px, which is the same as for roots."""
 _ROOM = 0.8
@@ -89,7 +89,7 @@ def stalks_mm3(hull: Hull, blades: Blades) -> float:
 
 
 def enclosed_share(hull: Hull, blades: Blades) -> float:
-    """Return the fraction of a hull's volume at a depth inside the hull that leaves and stalks do not reach."""
+    """Return the fraction of a hull's volume that lies deeper inside the hull than leaves and stalks do."""
     depth_mm = cKDTree(blades.points_mm).query(hull.leaves.middles_mm, workers=-1)[0]
     return hull.leaves.select(depth_mm > _DEEP_MM).volume_mm3() / hull.leaves.volume_mm3()
 

@@ -22,7 +22,7 @@ from rhizotwin.scenes.model import NetPot, Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 _PANEL_ORDER = 4
-"""Degree of the polynomial in column and row that is fitted to the light of the diffuse panel."""
+"""Degree of the polynomial in column and row that is fitted to the brightness of the diffuse panel."""
 _LIT = 0.95
 """Minimum ratio of a pixel's upper percentile to the fitted polynomial for the pixel to count as the bare panel."""
 _UPPER = 90.0
@@ -40,7 +40,7 @@ _FAINT = 0.1
 """Minimum brightness, above that of the felt, of pixels that show the plant in front of the net pot's top, relative to
 the brightness of a leaf. As for roots, coverage below a tenth is ignored. The noise of a bench is a hundredth."""
 _FELT_ORDER, _FELT_ROUNDS, _FELT_MADS, _LEAST_FELT = 2, 6, 4.0, 100
-"""Four parameters of the polynomial fit to the light of the felt: the degree, the number of fits, the rejection
+"""Four parameters of the polynomial fit to the brightness of the felt: the degree, the number of fits, the rejection
 threshold in median absolute deviations, and the minimum number of pixels. Four fits exclude a plant in front of a
 quarter of the net pot's top."""
 _INSIDE_PX = 2.5
@@ -58,8 +58,8 @@ def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene
     views : sequence of View
         Cameras of the pictures.
     scene : Scene
-        Scene with the net pot, from which it is determined where the pictures show the panel, the net pot's top, or
-        strip and canister.
+        Scene with the net pot. The parts of the pictures in front of the panel, the net pot's top, and strip and
+        canister are determined from its dimensions.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
 
 
 def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
-    """Return the light of the bare panel (H, W), fitted by a smooth surface, and the mask of the panel."""
+    """Return the brightness of the bare panel (H, W), fitted by a smooth surface, and the mask of the panel."""
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
@@ -143,7 +143,7 @@ def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask
 
 
 def _felt(image: Image, before_pot: Mask) -> Image:
-    """Return the light (H, W) of the net pot's bare top, from a smooth fit to pixels without a plant."""
+    """Return the brightness (H, W) of the net pot's bare top, from a smooth fit to pixels without a plant."""
     height, width = image.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     terms, bare = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
@@ -161,8 +161,8 @@ def _felt(image: Image, before_pot: Mask) -> Image:
 def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
     """Return the coverage (H, W) in front of the net pot's top.
 
-    The coverage is the brightness above the felt, relative to that of the plant's interior nearby. A stem in the shadow
-    of a leaf reflects half as much light as the leaf, for the same coverage.
+    The coverage is the brightness above the felt, relative to that of the plant's interior nearby. At the same
+    coverage, a stem in the shadow of a leaf reflects half as much light as the leaf.
     """
     rise = np.where(told, image - felt, 0.0).astype(np.float32)
     plant = rise > _FAINT * (green - felt)
@@ -186,7 +186,7 @@ def _inside(signal: Image) -> Mask:
 
 
 def _near(told: Mask) -> Mask:
-    """Return the mask (H, W) of pixels within the rim's width of a pixel with known coverage."""
+    """Return the mask (H, W) of pixels near a pixel with known coverage, within the width of the rim."""
     return cv2.dilate(told.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * _EDGE_PX + 3,) * 2)) > 0
 
 
