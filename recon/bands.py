@@ -25,9 +25,9 @@ silhouettes is the same (`CoverageSettings.noise_sigmas`)."""
 def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str, float]:
     """Measure the signal-to-noise ratio in each band of the camera.
 
-    Only bands are compared in which the panel and the front light are on and every view was taken. The signal is the
-    Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in white noise (Kay
-    1998, Detection Theory, section 4.3).
+    Bands are compared only if the panel and the front light are on and a picture of every view was taken. The signal is
+    the Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in white noise
+    (Kay 1998, Detection Theory, section 4.3).
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class _Moment:
     def basis(self, azimuth: Array) -> tuple[Array, Array]:
         """Return the basis functions (V, order + 1) of the moment at each azimuth, and their derivatives.
 
-        The basis functions are the terms of (-X sin + Y cos)^order.
+        The basis functions are the terms of (-X sin + Y cos)^order. The derivatives are with respect to the azimuth.
         """
         s, c = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
         power = np.arange(self.order + 1)[None, :]
@@ -103,9 +103,10 @@ class _Moment:
         return shape, by_s * c - by_c * s
 
     def improve(self, azimuth: Array) -> tuple[Array, Array, Array]:
-        """Fit each row and update the weights; return coefficients, residuals, and derivatives by the angle.
+        """Fit the coefficients of each row, and update the weights.
 
-        The coefficients have the shape (order + 1, R), and the residuals and their derivatives (V, R).
+        Return the coefficients (order + 1, R), the residuals (V, R), and the derivatives (V, R) of the model with
+        respect to the table angle.
         """
         shape, by_angle = self.basis(azimuth)
         normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)

@@ -86,7 +86,8 @@ class CanisterPose:
     """(4, 4) covariance of the tilt about x and y, rad, and the offset in x and y, mm, without the errors shared by all
     cameras."""
     by_cameras: Array
-    """(4, S) derivatives of tilt, rad, and offset, mm, by the S errors shared by all cameras (`PoseErrors`)."""
+    """(4, S) derivatives of tilt, rad, and offset, mm, with respect to the S errors shared by all cameras
+    (`PoseErrors`)."""
     sigma: Array
     """(4,) standard deviations of the tilt about x and y, degrees, and of the offset in x and y, mm, including the
     errors shared by all cameras."""
@@ -259,7 +260,9 @@ class _Edges:
 
 
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
-    """Return the covariance (K, K) of tilt and offset, and their derivatives (K, S) by the shared camera errors.
+    """Return the covariance of tilt and offset, and their derivatives with respect to the shared camera errors.
+
+    The shapes are (K, K) and (K, S).
 
     K is 4, or 5 with a tank, whose rotation comes last.
 
@@ -289,7 +292,7 @@ def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, setting
 
 
 def _slopes(function: Callable[[Array], Array], at: Array, scale: Array) -> Array:
-    """Return the derivatives (N, K) of a function by K unknowns, from central differences.
+    """Return the derivatives (N, K) of a function with respect to K unknowns, from central differences.
 
     The step is a thousandth of each unknown's ``scale`` (K,).
     """

@@ -186,11 +186,8 @@ def _gauss_newton(
 ) -> tuple[Array, float, Array, float, float] | None:
     """Fit the marker model to the pixels of a window by Gauss-Newton.
 
-    Return H and b (11,), the blur, the covariance (18, 18), the correlation and the bend. Return None if the fit
-    diverges.
-
-    Long sums use `_products`, because a multi-threaded BLAS would compete for processor cores with threads that measure
-    other pictures.
+    Return H and b (11,), the blur, the covariance (18, 18), the correlation and the bend, or None if the fit diverges.
+    Long sums use `_products`, because a multi-threaded BLAS would compete with threads that measure other pictures.
     """
     warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
     table, tabled, rows = scratch.table, np.zeros(2), np.empty((19, 0))
@@ -250,7 +247,7 @@ def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
     Parameters
     ----------
     rows : (19, P) float64 array
-        18 derivatives of the model by its parameters at each pixel, followed by the picture.
+        18 derivatives of the model with respect to its parameters at each pixel, followed by the picture.
     left : (19,) float64 array
         Coefficients of the residual picture with respect to ``rows``.
     inverse : (18, 18) float64 array
@@ -278,7 +275,7 @@ def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
 def _fill_warp_derivatives(
     rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]
 ) -> None:
-    """Write the derivatives of the model by H and b, at fixed pixels, to rows 0 to 10 of ``rows``."""
+    """Write the derivatives of the model with respect to H and b, at fixed pixels, to rows 0 to 10 of ``rows``."""
     s_x, s_y, t_x, t_y = to_h
     bulge = 1.0 - s * s
     depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
@@ -297,8 +294,8 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: 
 
     The modules of the pattern are convolved with a Gaussian in closed form.
 
-    A step at e, blurred by sigma, is Phi((s - e) / sigma). Its derivative by log sigma is sigma^2 times the second
-    derivative by s (heat equation).
+    A step at e, blurred by sigma, is Phi((s - e) / sigma). Its derivative with respect to log sigma is sigma^2 times
+    the second derivative with respect to s (heat equation).
     """
     cells = np.pad(white.astype(np.float32), 1, constant_values=1.0)
     edges = np.linspace(-1.0, 1.0, len(white) + 1)
@@ -340,7 +337,7 @@ def _homography_through(corners: Array) -> Array:
 
 
 def _corner_derivatives(warp: Array) -> Array:
-    """Return the derivatives (8, 8) of the corners' x and y by h.
+    """Return the derivatives (8, 8) of the corners' x and y with respect to h.
 
     The bulge does not move the corners.
     """
@@ -369,7 +366,7 @@ def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[
 
 
 def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-    """Solve W(s, t) = xy with two Newton steps from a near initial value.
+    """Solve W(s, t) = xy with two Newton steps from initial values near the solution.
 
     Return s, t and the derivatives (ds/dx, ds/dy, dt/dx, dt/dy), each of shape (P,).
     """

@@ -23,7 +23,7 @@ class PoseErrors:
     shared: Array
     """(S, S) covariance of the shared errors s."""
     carry: Array
-    """(V, 6, S) derivatives of each view's twist by the shared errors s."""
+    """(V, 6, S) derivatives of each view's twist with respect to the shared errors s."""
     own: Array
     """(V, 6, 6) covariance of each view's own error e, which is independent between views."""
 

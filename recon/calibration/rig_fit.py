@@ -185,13 +185,13 @@ class _System:
 
     rig: Rig
     by_shared: Array
-    """(V, 8, S) derivatives of (twist, inset, focus) of each view by the shared unknowns."""
+    """(V, 8, S) derivatives of (twist, inset, focus) of each view with respect to the shared unknowns."""
     by_local: Array
-    """(V, 8, 7) derivatives of (twist, inset, focus) of each view by the local unknowns."""
+    """(V, 8, 7) derivatives of (twist, inset, focus) of each view with respect to the local unknowns."""
     normal: Array
-    """(V, 8, 8) normal matrix of each view for (twist, inset, focus)."""
+    """(V, 8, 8) normal matrix of each view with respect to (twist, inset, focus)."""
     gradient: Array
-    """(V, 8) gradient of each view for (twist, inset, focus)."""
+    """(V, 8) gradient of each view with respect to (twist, inset, focus)."""
     own: Array
     """(V, 6) movement of the camera in each view, as a rotation vector, rad, and a shift, mm."""
     angle_off: Array
@@ -233,8 +233,8 @@ class _System:
         """Return a step of the shared unknowns (S,) and local unknowns (V, 7), with covariances and gain.
 
         The covariances are those of the shared unknowns (S, S), and of the local unknowns given the shared unknowns (V,
-        7, 7), both for independent residuals. The gain (V, 7, S) is minus the derivative of the local unknowns by the
-        shared unknowns.
+        7, 7), both for independent residuals. The gain (V, 7, S) is minus the derivative of the local unknowns with
+        respect to the shared unknowns.
         """
         prior = self._prior(spread, weight)
         local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)

@@ -44,7 +44,7 @@ class StripToCanister:
     covariance: Array
     """(4, 4) covariance of the independent edge errors e, rad and mm."""
     by_cameras: Array
-    """(4, S) derivatives of the canister's tilt and offset by the shared camera errors s."""
+    """(4, S) derivatives of the canister's tilt and offset with respect to the shared camera errors s."""
 
     @staticmethod
     def combine(solved: Poses, canister: CanisterPose | None) -> StripToCanister:
@@ -100,9 +100,9 @@ class StripToCanister:
         return np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]])
 
     def _on_table(self, table_from_canister: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the canister's pose on the table by the errors.
+        """Return the derivatives of the canister's pose on the table with respect to the errors.
 
-        The derivatives are by the shared camera errors (4, S) and by the independent edge errors (4, 4).
+        The derivatives are with respect to the shared camera errors (4, S) and the independent edge errors (4, 4).
         """
         by_edges = -adjoint(table_from_canister)[np.ix_(CANISTER, CANISTER)]
         own = np.zeros((4, len(self.errors.shared)))

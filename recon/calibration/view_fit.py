@@ -1,4 +1,4 @@
-"""Reprojection of the markers of one picture: residuals, their derivatives by the pose, and single-view poses (PnP)."""
+"""Reprojection of the markers of one picture: residuals, their derivatives, and single-view poses (PnP)."""
 
 from dataclasses import dataclass
 

@@ -154,12 +154,12 @@ class Nodes:
 
     @cached_property
     def du(self) -> Array:
-        """Gradient (V, N, 3) of the picture column by the position of the point, px/mm."""
+        """Gradient (V, N, 3) of the picture column with respect to the position of the point, px/mm."""
         return self._read(self.on_device.du)
 
     @cached_property
     def dv(self) -> Array:
-        """Gradient (V, N, 3) of the picture row by the position of the point, px/mm."""
+        """Gradient (V, N, 3) of the picture row with respect to the position of the point, px/mm."""
         return self._read(self.on_device.dv)
 
     @cached_property
@@ -186,7 +186,8 @@ def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:
     Parameters
     ----------
     du, dv : Vector3f
-        Gradients of picture column and row by the position, px/mm. Both are perpendicular to the line of sight.
+        Gradients of picture column and row with respect to the position, px/mm. Both gradients are perpendicular to the
+        line of sight.
     direction : Vector3f
         Unit directions in the canister frame.
     """

@@ -40,8 +40,9 @@ _CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
 px, and the minimum number of pixels. The brightness of roots is at most 0.3 (`translucency`). With any opacity
 threshold from 0.5 to 0.8, the median opacity inside resolved roots is 0.98 (`printed_8ml`)."""
 _NEAR_PX, _LEAST_NEAR = 13, 0.02
-"""Two parameters of the local brightness of roots, which varies with the illumination: the side of the square in which
-resolved roots are averaged, px, and the minimum fraction of the square that they cover (three pixels)."""
+"""Two parameters of the local brightness of roots, which varies with the illumination. They are the side of the square
+in which resolved roots are averaged, px, and the minimum fraction of the square that resolved roots cover (three
+pixels)."""
 _LEAST_NOISE = 1e-4
 """Minimum noise of the opacity. The value is ten times the measured noise of noise-free pictures (1e-5), and a fiftieth
 of the noise on a bench."""

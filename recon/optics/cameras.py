@@ -69,7 +69,7 @@ def apply_sway(view: View, optics: Optics, points_mm: Array) -> Array:
 
 
 def sway_jacobian(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return the derivatives (N, 3, 3) of `apply_sway` by the points (N, 3)."""
+    """Return the derivatives (N, 3, 3) of `apply_sway` with respect to the points (N, 3)."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     found = np.tile(np.eye(3), (len(points_mm), 1, 1))
@@ -260,7 +260,8 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     visible : (N,) bool array
         Whether each point is visible.
     jacobian : (N, 2, 3) float64 array
-        Derivatives of the pixels by the points, px/mm, from the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
+        Derivatives of the pixels with respect to the points, px/mm, from the implicit function theorem: ``dq =
+        -(df/dq)^-1 df/dP``.
     """
     at = tank_view(view, optics)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))

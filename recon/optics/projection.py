@@ -43,8 +43,8 @@ and need more steps. A point is invisible if its ray does not reach it within th
 bench's pixel (0.23 mm), and ten times the spacing of single-precision numbers at the camera's distance (3e-5 mm from
 256 to 512 mm)."""
 _FLANK, _STEEPEST = 0.9995, 0.98
-"""Upper bounds of a ray's impact parameter and climb in Newton's method, relative to their limits, at which slopes are
-infinite."""
+"""Upper bounds of a ray's impact parameter and vertical component in Newton's method, relative to their limits, at
+which derivatives are infinite."""
 _TABLE_MM = 0.2, 2.0
 """Two tolerances within which views share a start table, mm: one for the camera's distance from the axis, and one for
 its height. Tanks with similar poses also share a table, and are compared by the displacement at the wall. Newton's
@@ -134,9 +134,9 @@ class Projected:
     clear_mm: Float
     """mi.Float, horizontal distance within which the view shows all neighbouring points exactly once, mm."""
     du: Vector3f
-    """mi.Vector3f, gradient of the picture column by the point's position in the canister frame, px/mm."""
+    """mi.Vector3f, gradient of the picture column with respect to the point in the canister frame, px/mm."""
     dv: Vector3f
-    """mi.Vector3f, gradient of the picture row by the point's position in the canister frame, px/mm."""
+    """mi.Vector3f, gradient of the picture row with respect to the point in the canister frame, px/mm."""
 
 
 def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Projected:
@@ -183,7 +183,7 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
 class _End:
     """Ray from the camera to a point, and its pixel.
 
-    Derivatives are by (b, p) or, through a tank, by (q_y, q_z).
+    Derivatives are with respect to (b, p) or, through a tank, (q_y, q_z).
     """
 
     ray: ray_kernel.Ray
@@ -254,7 +254,7 @@ def _first_ray(
     clear_mm : mi.Float
         Horizontal distance within which the view shows all neighbouring points exactly once, mm.
     b, p : mi.Float
-        Impact parameter in air, mm, and climb p_z of the initial ray.
+        Impact parameter in air, mm, and vertical component p_z of the initial ray.
     """
     o, (x, y, z) = bank.optics, at
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
@@ -275,7 +275,7 @@ def _first_ray(
 def _start(bank: ViewBank, view: UInt32, at: tuple[Float, Float, Float], row_mm: Float, active: Bool) -> Vector2f:
     """Interpolate the start tables of the views.
 
-    The position in the table is the x coordinate of the point, mm, and ``row_mm``.
+    The tables are interpolated at the x coordinate of the point, mm, and at the row position ``row_mm``.
     """
     ny, nx = bank.table_shape
     most = np.ceil(bank.optics.inner_radius_mm) + 1.0

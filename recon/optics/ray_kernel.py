@@ -1,8 +1,9 @@
 """Ray tracing in kernels: through wall and water past a point, and back through the lens (Dr.Jit, float32).
 
 The mathematics and symbols are those of `recon.optics.refraction` and, for lines in a tank's liquid, of
-`recon.optics.tank`. A ray is defined by its impact parameter b and its climb p outside the outer wall. All functions
-also return the derivatives by b and p, with which `optics.projection` solves for the ray through a point.
+`recon.optics.tank`. A ray is defined by its impact parameter b and its vertical component p outside the outer wall. All
+functions also return the derivatives with respect to b and p, with which `optics.projection` solves for the ray through
+a point.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ from rhizotwin.recon.optics.refraction import Optics
 
 @dataclass
 class Near:
-    """Rays from the camera up to the outer wall, with derivatives by b and p.
+    """Rays from the camera up to the outer wall, with derivatives with respect to b and p.
 
     For lines in a tank, the derivatives are at constant heading and foot.
     """
 
     turn: tuple[Float, Float]
-    """Real and imaginary part of a complex number whose argument is the ray's heading minus pi, up to the outer wall.
-    Its modulus is a product of radii."""
+    """Complex number (real and imaginary part) whose argument is the heading of the ray at the outer wall, minus pi.
+    The modulus is a product of radii."""
     per_radii: Float
-    """Inverse of the product of all radii, including those of the wall and the water, by which the complex heading is
+    """Inverse of the product of all radii, including those of the wall and the water, by which complex headings are
     normalised."""
     turn_b: Float
-    """Derivative of the heading by b."""
+    """Derivative of the heading with respect to b, rad/mm."""
     outer_z: Float
     """Height at which the ray meets the outer wall, mm."""
     z_b: Float
-    """Derivative of ``outer_z`` by b."""
+    """Derivative of ``outer_z`` with respect to b."""
     z_p: Float
-    """Derivative of ``outer_z`` by p."""
+    """Derivative of ``outer_z`` with respect to p, mm."""
 
 
 @dataclass
@@ -52,21 +53,21 @@ class Ray:
     f2: Float
     """Vertical distance of the ray from the point, mm."""
     f1_b: Float
-    """Derivative of f1 by the impact parameter b."""
+    """Derivative of f1 with respect to the impact parameter b."""
     f1_p: Float
-    """Derivative of f1 by the climb p."""
+    """Derivative of f1 with respect to the vertical component p, mm."""
     f2_b: Float
-    """Derivative of f2 by the impact parameter b."""
+    """Derivative of f2 with respect to the impact parameter b."""
     f2_p: Float
-    """Derivative of f2 by the climb p."""
+    """Derivative of f2 with respect to the vertical component p, mm."""
     inv: Float
-    """Inverse of the determinant of the four derivatives."""
+    """Inverse of the determinant of the derivatives of f1 and f2 with respect to b and p."""
     cos_d: Float
     """Cosine of (heading in the water minus pi)."""
     sin_d: Float
     """Sine of (heading in the water minus pi)."""
     m_w: Float
-    """Climb of the ray in the water, mm per horizontal mm."""
+    """Slope of the ray in the water: rise per horizontal distance."""
     h_a: Float
     """Horizontal component of the optical direction outside the canister."""
     h_a2: Float
@@ -110,7 +111,7 @@ def from_line(o: Optics, line: window.Line, b: Float) -> Near:
 
 
 def to_tank_derivatives(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) -> Ray:
-    """Convert the derivatives of rays by (b, p) to derivatives by (q_y, q_z)."""
+    """Convert the derivatives of rays with respect to (b, p) to derivatives with respect to (q_y, q_z)."""
     along, beside = -at[0] * ray.cos_d - at[1] * ray.sin_d, -at[0] * ray.sin_d + at[1] * ray.cos_d
     f1 = [ray.f1_b * line.b_q[j] + ray.f1_p * line.p_q[j] + along * line.h_q[j] for j in (0, 1)]
     f2 = [ray.f2_b * line.b_q[j] + ray.f2_p * line.p_q[j] - ray.m_w * beside * line.h_q[j] + line.z_q[j] for j in (0, 1)]
@@ -129,12 +130,12 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
     at : (3,) mi.Float
         Points, mm.
     b, p : Float
-        Impact parameter outside the canister, mm, and climb p_z of the rays.
+        Impact parameter outside the canister, mm, and vertical component p_z of the rays.
 
     Returns
     -------
     Ray
-        Rays in the water, and their distances from the points, with derivatives by b and p.
+        Rays in the water, and their distances from the points, with derivatives with respect to b and p.
     """
     x, y, z = at
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
@@ -171,12 +172,12 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
 
 
 Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
-"""Column and row of rays, px, whether the rays are in front of the camera, and the derivatives of column and row by two
-unknowns."""
+"""Column and row of rays, px, whether the rays are in front of the camera, and the derivatives of column and row with
+respect to two unknowns."""
 
 
 def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
-    """Return the pixels of rays of cameras without a tank, with derivatives by (b, p).
+    """Return the pixels of rays of cameras without a tank, with derivatives with respect to (b, p).
 
     Parameters
     ----------
@@ -193,7 +194,9 @@ def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
 
 
 def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tuple[Float, ...], by_2: tuple[Float, ...]) -> Pixel:
-    """Project directions to pixels through the rotation and the lens of a camera, with derivatives by two unknowns.
+    """Project directions to pixels through the rotation and the lens of a camera, with derivatives.
+
+    The derivatives are with respect to two unknowns.
 
     Parameters
     ----------
@@ -202,12 +205,12 @@ def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tup
     direction : (3,) mi.Float
         Direction before the rotation of the camera, of any length.
     by_1, by_2 : (3,) mi.Float
-        Derivatives of the direction by the two unknowns.
+        Derivatives of the direction with respect to the two unknowns.
 
     Returns
     -------
     Pixel
-        Pixels, with derivatives by the two unknowns.
+        Pixels, with derivatives with respect to the two unknowns.
     """
     r = parameter[:9]
     (cx, cy, cz), (cx_b, cy_b, cz_b), (cx_p, cy_p, cz_p) = (

@@ -3,7 +3,7 @@
 Concentric cylinders about z conserve two optical invariants along a ray with the optical direction ``p = n d`` (``|p| =
 n``). The invariants are ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i =
 sqrt(n_i^2 - p_z^2)``, the ray's horizontal impact parameter in medium i is ``b_i = L / h_i``. Between the radii r1 >
-r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i *
+r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and rises by ``p_z / h_i *
 s_i``. At a wall of radius r, its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``.
 
 All functions use the camera's azimuth frame, which is the canister frame rotated about z such that the camera centre is
@@ -164,7 +164,7 @@ def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z:
     rho_mm, z_cam_mm : (...) array or float
         Position of the camera.
     b_mm, p_z : (...) array
-        Impact parameter, mm, and climb of the rays.
+        Impact parameter, mm, and vertical component of the rays.
 
     Returns
     -------
@@ -185,7 +185,7 @@ class WaterLine(_HeadedLines):
     heading_rad: Array
     """(...) azimuth of the horizontal direction t, rad."""
     slope: Array
-    """(...) climb per horizontal mm, p_z / h_water."""
+    """(...) rise per horizontal distance, p_z / h_water."""
     entry_z_mm: Array
     """(...) height at which the line enters the water at the inner wall, mm."""
     outer_z_mm: Array
@@ -391,7 +391,7 @@ def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array
     outer_radius_mm : float
         Outer radius of the canister, mm.
     w, p_z : (...) array
-        Impact parameter relative to the outer radius, and climb.
+        Impact parameter relative to the outer radius, and vertical component.
 
     Returns
     -------

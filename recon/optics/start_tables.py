@@ -1,7 +1,7 @@
 """Start tables: initial values for Newton's method, and distances to points with two images or none.
 
-A fan of lines of sight with one climb is swept over the canister's cross-section. The number of lines through a point
-is the number of its images, and the adjacent lines of the fan yield the initial ray.
+A fan of lines of sight with the same vertical component is swept over the canister's cross-section. The number of lines
+through a point is the number of its images, and the adjacent lines of the fan yield the initial ray.
 """
 
 from __future__ import annotations
@@ -67,21 +67,24 @@ def _tank_table(view: View, optics: Optics) -> Array:
 
 
 def _positions(optics: Optics, *, low_mm: float | None = None) -> Array:
-    """Return the positions (ny, nx, 2) of the table's cells over the cross-section, from y = ``low_mm``, mm."""
+    """Return the positions (ny, nx, 2) of the table's cells, mm.
+
+    The positions cover the cross-section of the canister, starting at y = ``low_mm``.
+    """
     most = np.ceil(optics.inner_radius_mm) + 1.0
     y = np.arange(-most if low_mm is None else low_mm, most + 1.0, CELL_MM)
     return np.stack(np.meshgrid(np.arange(-most, most + 1.0, CELL_MM), y), axis=-1)
 
 
 def _round_fan(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:
-    """Tabulate b_a, mm, and the number of images over (x, y >= 0) for rays with one climb."""
+    """Tabulate b_a, mm, and the number of images over (x, y >= 0) for rays with the same p_z."""
     w = _SINES * optics.w_limit
     line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
     return _sweep(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
 
 
 def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:
-    """Tabulate q_y and the number of images over (x, y) for rays with one q_z."""
+    """Tabulate q_y and the number of images over (x, y) for rays with the same q_z."""
     wide = tank.approach(at, _NAMES, np.full_like(_NAMES, q_z))[0]
     q_y = np.interp(_SINES, wide.b_mm / refraction.reach_mm(at.optics, wide.p_z), _NAMES)
     line = refraction.clip_to_water(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])

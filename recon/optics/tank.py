@@ -128,7 +128,7 @@ def miss(at: TankView, points_mm: Array, q: Array) -> Array:
 
 
 def slopes(missed: Callable[[Array], Array], q: Array) -> Array:
-    """Return the derivatives (N, 2, 2) of the distances (rows) by the components of q (columns)."""
+    """Return the derivatives (N, 2, 2) of the distances (rows) with respect to the components of q (columns)."""
     columns = []
     for k in (0, 1):
         step = np.zeros(2)

@@ -42,12 +42,15 @@ class Place:
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line in the liquid, azimuth frame, with derivatives; numbers are mi.Float."""
+    """Straight line in the liquid, in the azimuth frame, with derivatives.
+
+    All fields are Dr.Jit arrays of type mi.Float, except ``through`` (mi.Bool).
+    """
 
     b: Float
     """Impact parameter, mm."""
     p: Float
-    """Climb p_z of the optical direction."""
+    """Vertical component p_z of the optical direction."""
     cos_h: Float
     """Cosine of (heading minus pi)."""
     sin_h: Float
@@ -55,13 +58,13 @@ class Line:
     foot_z: Float
     """Height of the point nearest to the canister's axis, mm."""
     b_q: Pair
-    """Derivatives of the impact parameter by q_y and q_z, mm."""
+    """Derivatives of the impact parameter with respect to q_y and q_z, mm."""
     p_q: Pair
-    """Derivatives of the climb by q_y and q_z."""
+    """Derivatives of the vertical component with respect to q_y and q_z."""
     h_q: Pair
-    """Derivatives of the heading by q_y and q_z, rad."""
+    """Derivatives of the heading with respect to q_y and q_z, rad."""
     z_q: Pair
-    """Derivatives of ``foot_z`` by q_y and q_z, mm."""
+    """Derivatives of ``foot_z`` with respect to q_y and q_z, mm."""
     through: Bool
     """Whether the ray passes through the front below the liquid's surface."""
 
@@ -90,7 +93,7 @@ def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -
     Returns
     -------
     Line
-        Lines in the tank's liquid, with derivatives by q_y and q_z.
+        Lines in the tank's liquid, with derivatives with respect to q_y and q_z.
     """
     n, q = tank.n_liquid, (q_y, q_z)
     q2 = q_y * q_y + q_z * q_z

@@ -44,8 +44,8 @@ _FELT_ORDER, _FELT_ROUNDS, _FELT_MADS, _LEAST_FELT = 2, 6, 4.0, 100
 threshold in median absolute deviations, and the minimum number of pixels. Four fits exclude a plant in front of a
 quarter of the net pot's top."""
 _INSIDE_PX = 2.5
-"""Maximum distance from a pixel of the outline to the plant's interior, px. The distance is one pixel, or two across a
-corner."""
+"""Maximum distance from a pixel of the outline to the plant's interior, px. The interior is one pixel away, or two
+pixels across a corner."""
 
 
 def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
