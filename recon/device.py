@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from rhizotwin import engine
 
-# Mitsuba's types exist only once a variant is set, so that a static checker does not know them; these names document
-# the intended types.
+# Mitsuba's types exist only after a variant is set, so static checkers do not know them. These names document the
+# intended types.
 Float: TypeAlias = Any
 """Array of type mi.Float."""
 UInt32: TypeAlias = Any

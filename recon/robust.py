@@ -56,7 +56,7 @@ def scatter(scores: Array, *clusters: Numbers, curvatures: Array | None = None, 
     if len(clusters) == 2:
         both = clusters[0] * (int(clusters[1].max(initial=0)) + 1) + clusters[1]
         one, other, common = (scatter(scores, cluster, curvatures=curvatures, normal=normal) for cluster in (*clusters, both))
-        return _positive(one + other - common, np.diag(np.diag(one + other)) if normal is None else normal)
+        return _clip_eigenvalues(one + other - common, np.diag(np.diag(one + other)) if normal is None else normal)
     (cluster,) = clusters
     _, number = np.unique(cluster, return_inverse=True)
     count = int(number.max(initial=-1)) + 1
@@ -83,7 +83,7 @@ def sandwich(normal: Array, meat: Array, least: Array) -> Array:
     return np.asarray(found * larger[:, None] * larger)
 
 
-def _positive(matrix: Array, measure: Array) -> Array:
+def _clip_eigenvalues(matrix: Array, measure: Array) -> Array:
     """Set the negative eigenvalues of a symmetric matrix to zero, in the metric of ``measure``.
 
     If ``measure`` is proportional to the gradient covariance for independent residuals, all unknowns have equal weight.

@@ -220,8 +220,8 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
             tubes = tube_volume.combine(solids.leaves, system, hull.widest)
         leaves = tubes.leaves
     volume = leaves.volume_mm3()
-    # Upper bound: the hull with outlines moved out. Lower bound: the shape, minus the effect on solids of moving them
-    # in.
+    # Upper bound: the hull with outlines moved outwards. Lower bound: the shape, minus the volume that solids lose when
+    # outlines are moved inwards.
     moved_in_mm3 = part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
     thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)

@@ -100,8 +100,8 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     margin = round(BAND * (water[1] - water[0]))
     rows = np.arange(water[0] + margin, water[1] - margin)
     middle = float(rows.mean())
-    from_left = np.array([_edge_line(picture, rows, middle, left[-1][1], panel) for picture in stack])
-    from_right = np.array([_edge_line(picture[:, ::-1], rows, middle, width - right[0][0], panel) for picture in stack])
+    from_left = np.array([_fit_edge_line(picture, rows, middle, left[-1][1], panel) for picture in stack])
+    from_right = np.array([_fit_edge_line(picture[:, ::-1], rows, middle, width - right[0][0], panel) for picture in stack])
     from_right = np.array([width - 1.0, 0.0]) - from_right
     widths = from_right[:, 0] - from_left[:, 0]
     found = Edges(
@@ -116,7 +116,7 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     return found, float(np.std(widths) / np.sqrt(len(widths)))
 
 
-def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
+def _fit_edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
     """Fit a line to the panel's edge; return its column at the row ``middle`` and the column's change per row.
 
     The search starts at the column ``at``, and the fit is robust against outliers.

@@ -153,8 +153,7 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
                 )
             off = azimuth - ideal
             azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)
-            # Estimate how uneven the table is by expectation maximisation: from each angle's deviation and its
-            # variance.
+            # Expectation maximisation: estimate the table's unevenness from the deviation and variance of each angle.
             sigma = 1.0 / np.sqrt(curvature + table_sigma**-2)
             table_sigma = max(float(np.sqrt(np.mean(off**2 + sigma**2))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))

@@ -245,7 +245,7 @@ class _Edges:
         canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
         origin, direction = self.lines(float(unknown[_OPEN]) if len(unknown) > _OPEN else 0.0)
         start, along = frames.apply(canister_from_strip, origin), direction @ canister_from_strip[:3, :3].T
-        away_mm, azimuth = _from_axis(start, along)
+        away_mm, azimuth = _distance_from_axis(start, along)
         oval_mm = unknown[5] * np.cos(2.0 * azimuth) + unknown[6] * np.sin(2.0 * azimuth)
         return np.asarray(away_mm - self.optics.outer_radius_mm - unknown[4] - oval_mm)
 
@@ -300,7 +300,7 @@ def _slopes(function: Callable[[Array], Array], at: Array, scale: Array) -> Arra
     return np.stack([(function(at + step) - function(at - step)) / (2.0 * step.max()) for step in steps], axis=1)
 
 
-def _from_axis(start: Array, along: Array) -> tuple[Array, Array]:
+def _distance_from_axis(start: Array, along: Array) -> tuple[Array, Array]:
     """Return the distance (N,) of lines from the z axis, and the azimuth (N,) of the point nearest to the axis.
 
     The lines are given by points (N, 3) and directions (N, 3).
@@ -361,11 +361,11 @@ def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
     if not len(at):
         return np.empty((0, 2))
     profile = cv2.remap(image.astype(np.float32), px[..., 0], px[..., 1], cv2.INTER_LINEAR)
-    place, clear = _steepest(profile.astype(np.float64), offset)
+    place, clear = _find_steepest(profile.astype(np.float64), offset)
     return np.asarray(at[clear] + place[clear, None] * outward[clear])
 
 
-def _steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _find_steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the offset (N,) at which each profile (N, S) rises most steeply, and whether the rise is distinct.
 
     The offset is the centroid of the rise around its steepest part.

@@ -94,28 +94,28 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
             if other is not None and abs(other) < abs(least):
                 best, least = known, other
     if abs(least) > MOST_BEND:
-        best, least = _gamma(stated, least, best, again)
+        best, least = _find_gamma(stated, least, best, again)
     return CurveFound(curve=best, stated=stated, bend=least, stated_bend=bend, markers=count)
 
 
-def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
+def _find_gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
     """Find the gamma that, applied after the stated curve, removes the bend; return the curve and its bend.
 
     If ``best`` has a smaller bend ``least``, these are returned instead.
     """
-    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_upon(stated, exponent)))[0]) is not None]
+    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_append_gamma(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T
     signs = np.flatnonzero(np.diff(np.sign(bends)))
     if not len(signs):
         return best, least
     k = int(signs[0])
     share = bends[k] / (bends[k] - bends[k + 1])
-    curve = _upon(stated, float(exponents[k] * (exponents[k + 1] / exponents[k]) ** share))
+    curve = _append_gamma(stated, float(exponents[k] * (exponents[k + 1] / exponents[k]) ** share))
     bend, _ = median_bend(again(curve))
     return (curve, bend) if bend is not None and abs(bend) < abs(least) else (best, least)
 
 
-def _upon(stated: Curve, exponent: float) -> Curve:
+def _append_gamma(stated: Curve, exponent: float) -> Curve:
     """Return the stated curve followed by a power function with the given exponent."""
     light = stated.of(np.linspace(0.0, 1.0, 4097)) ** exponent
     return Curve(f"a gamma of {exponent:.2f} after {stated.name}", tuple(light.tolist()))

@@ -146,7 +146,7 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
     sides: list[Sides | None] = [None] * len(images)
     for station in sorted(set(stations)):
         own = [k for k, one in enumerate(stations) if one == station]
-        beside = np.logical_and.reduce([_beside(views[k], optics, scene) for k in own])
+        beside = np.logical_and.reduce([_beside_mask(views[k], optics, scene) for k in own])
         light = np.stack([images[k][::_STEP, ::_STEP][beside] / np.float32(np.iinfo(images[k].dtype).max) for k in own])
         panel = np.zeros(light.shape[1], bool)
         if light.shape[1]:
@@ -167,18 +167,18 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         gain[own] = np.maximum(np.median(ratio, axis=1).astype(np.float64), _DARKEST)
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
-            sides[k], uneven[k] = _unevenness(one / gain[k], row, column, images[k].shape[1])
+            sides[k], uneven[k] = _measure_unevenness(one / gain[k], row, column, images[k].shape[1])
     return Exposures(gain=gain, measured=measured, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
 
 
-def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
+def _measure_unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
     """Return the relative brightness on both sides of a picture, and the unevenness that remains after correction.
 
     The unevenness is the standard deviation between patches of the panel pixels (N,), corrected for noise. A patch is
     as high as the smoothing, and covers the inner or the outer half of one side.
     """
     left = column < 0.5 * width
-    found = _sides(ratio, row, column, left)
+    found = _measure_sides(ratio, row, column, left)
     if found is not None and np.std(found.share) < UNEVEN:
         found = None
     if found is not None:
@@ -195,7 +195,7 @@ def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Si
     return found, float(np.sqrt(max(0.0, more)))
 
 
-def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
+def _measure_sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
     """Return the row-by-row brightness profiles of the panel (N,) on both sides; None if a side is hardly visible."""
     if min(left.sum(), (~left).sum()) < _LEAST_PIXELS:
         return None
@@ -210,7 +210,7 @@ def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
     return Sides(rows=rows, columns=columns, share=np.maximum(share, _DARKEST))
 
 
-def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
+def _beside_mask(view: View, optics: Optics, scene: Scene) -> Mask:
     """Return the mask of pixels, sampled every `_STEP` px, whose line of sight passes beside canister and net pot.
 
     Only heights between the net pot's skirt and the canister's floor are included.

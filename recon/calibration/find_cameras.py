@@ -67,13 +67,13 @@ def find_cameras(
         return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
         return _require_views(pictures, _calibrate_bare(pictures, monitor))
-    detected = _markers(pictures, measure, monitor)
+    detected = _detect_markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)
     left_out = tuple(f"{view.file} is excluded: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
-        canister = None if single_view else _canister(pictures, solved, lens, settings)
+        canister = None if single_view else _find_canister(pictures, solved, lens, settings)
     chain = StripToCanister.combine(solved, canister)
     found = tuple(chain.camera(k, view) for k, view in enumerate(solved.views))
     if scene.tank:
@@ -84,7 +84,7 @@ def find_cameras(
         all=found,
         order=_used_frames(found),
         uncertainty=chain.uncertainty(pictures.frames, focus=FOCUS_GIVEN if solved.focal_scale == 1.0 else 0.0),
-        markers=_calibration(pictures.frames, detected, solved, canister, chain),
+        markers=_collect_results(pictures.frames, detected, solved, canister, chain),
         warnings=(*solved.warnings, *left_out),
     )
     return _require_views(pictures, cameras)
@@ -112,7 +112,7 @@ def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
     return replace(camera, cam_from_tank=camera.cam_from_tank @ frames.rotation_z(turn))
 
 
-def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
+def _detect_markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
     """Detect the markers of every picture; reuse markers that were already measured."""
     known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
 
@@ -178,7 +178,7 @@ def _require_views(pictures: Pictures, cameras: Cameras) -> Cameras:
     return cameras
 
 
-def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
+def _find_canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
     """Estimate the canister's pose in the strip from the used views; None if its edges are not visible."""
     keys = [k for k, view in enumerate(solved.views) if view.used and (view.cam_from_tank is not None or not pictures.dataset.scene.tank)]
     if not keys:
@@ -189,7 +189,7 @@ def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, setti
     return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 
-def _calibration(
+def _collect_results(
     captured: Sequence[Frame],
     detected: Sequence[markers.Markers],
     solved: poses.Poses,

@@ -230,7 +230,7 @@ def _gauss_newton(
         step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
         warp = warp + step[:11]
         blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
-        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # diverged: corners are at 1
+        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # diverged: corners are near 1
             return None
         if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
             break

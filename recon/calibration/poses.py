@@ -103,7 +103,7 @@ def find_poses(
         )
     median_px = float(np.median([views[k].reprojection_px for k in sightings]))
     for k in list(sightings):
-        reason = _misfit(views[k].reprojection_px, median_px, settings)
+        reason = _misfit_reason(views[k].reprojection_px, median_px, settings)
         if reason:
             views[k] = replace(views[k], used=False, reason=reason)
             if not single_view and len(sightings) > 1:
@@ -168,7 +168,7 @@ def _add_pose(view: Camera, pose: Array, local: view_fit.Linearised, covariance:
     return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
 
 
-def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
+def _misfit_reason(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
     """Return the reason to exclude a view with a large reprojection error; None if the error is acceptable."""
     if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
@@ -208,7 +208,7 @@ def _fit_all_views(
         keys = [k for k in keys if k not in worst]
     refocused = fit_rig(sights, fit.rig, first.command_rad, first.known, settings)
     focal_scale = 1.0
-    # Otherwise the calibration is more accurate: focus is hard to separate from distance.
+    # Otherwise, the calibrated lens is more accurate, because focus is hard to separate from distance.
     if abs(refocused.rig.focal_scale - 1.0) > settings.focus_sure * refocused.focal_sigma:
         fit, focal_scale = refocused, refocused.rig.focal_scale
         for k in set(sightings) - set(keys):
@@ -218,14 +218,14 @@ def _fit_all_views(
         view = _add_pose(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         cam_from_rig = fit.rig.own[i] @ fit.rig.cam_from_rig[fit.rig.ring[i]]
-        reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
+        reason = _misfit_reason(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
         views[k] = replace(
             view,
             used=reason is None,
             reason=reason,
             single_view_px=views[k].single_view_px,
             table_deg=float(turn) if first.known[i] else None,
-            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
+            cam_from_tank=_tank_pose(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
         )
     _require_camera(views, captured)
     place = {k: i for i, k in enumerate(keys)}
@@ -235,7 +235,7 @@ def _fit_all_views(
         views=tuple(views),
         errors=fit.errors.reorder([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
         turn_sigma_rad=turn_sigma,
-        rings=_rings(fit, first.stations),
+        rings=_collect_rings(fit, first.stations),
         table_from_canister=fit.rig.table_from_canister,
         inset_px=fit.rig.inset_px,
         focal_scale=focal_scale,
@@ -247,7 +247,7 @@ def _fit_all_views(
     )
 
 
-def _tank(scene: Scene, cam_from_rig: Array) -> Array | None:
+def _tank_pose(scene: Scene, cam_from_rig: Array) -> Array | None:
     """Return the pose (4, 4) of the tank relative to a camera; None if there is no tank.
 
     The tank is fixed in the rig.
@@ -255,7 +255,7 @@ def _tank(scene: Scene, cam_from_rig: Array) -> Array | None:
     return None if scene.tank is None else cam_from_rig @ frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
 
 
-def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
+def _collect_rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
     """Return the static camera of each station, and the scatter of its views."""
     return tuple(
         Ring(
@@ -290,7 +290,7 @@ def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSet
             continue
         median_px = float(np.median(fit.rig_px[members]))
         for i in members:
-            reason = _misfit(float(fit.rig_px[i]), median_px, settings) if median_px < STILL_PX else None
+            reason = _misfit_reason(float(fit.rig_px[i]), median_px, settings) if median_px < STILL_PX else None
             if reason:
                 found[keys[i]] = reason
     return found

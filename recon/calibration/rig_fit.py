@@ -22,8 +22,8 @@ x and y. Height and rotation about the axis are part of the camera's pose."""
 CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
 """Prior standard deviations of the canister's misalignment: tilt about x and y, rad, and offset in x and y, mm."""
 FREE_PRIOR_RAD = 0.3
-"""Prior standard deviation of a table angle that was not commanded, rad. The mean is the camera's azimuth relative to
-the strip, which changes if the canister is misaligned."""
+"""Prior standard deviation of a table angle that was not commanded, rad. The prior mean is the camera's azimuth
+relative to the strip, which changes if the canister is misaligned."""
 TAIL = 4.0
 """Degrees of freedom of Student's t distribution for the camera's movement in single views. With these heavy tails, a
 view in which the camera moved does not affect the other views."""
@@ -137,7 +137,7 @@ def fit_rig(
     weight = np.ones(len(sightings))
     for _ in range(MOST_STEPS):
         views = _linearise_views(sightings, rig, scale)
-        scale = max(scale * _misfit(views), LEAST_SCALE)
+        scale = max(scale * _residual_ratio(views), LEAST_SCALE)
         system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
         spread, weight = system.find_spread(rig.spread, weight)
         shared, local = system.solve(spread, weight)[:2]
@@ -155,7 +155,7 @@ def _linearise_views(sightings: Sequence[Sightings], rig: Rig, scale: float) -> 
     return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(sightings))
 
 
-def _misfit(views: Sequence[Linearised]) -> float:
+def _residual_ratio(views: Sequence[Linearised]) -> float:
     """Return the ratio of the residuals to their standard deviations."""
     return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / _CHI2_MEDIAN))
 
@@ -286,7 +286,7 @@ class _System:
         rows, parts = np.concatenate(scores), np.concatenate(curvatures)
         known = np.diag(self._shared_prior())
         normal = parts.sum(axis=0) + known
-        meat = scatter(rows, np.concatenate(view), _places(sightings, self.rig), curvatures=parts, normal=normal)
+        meat = scatter(rows, np.concatenate(view), _picture_squares(sightings, self.rig), curvatures=parts, normal=normal)
         carry = self.by_shared[:, :6] - self.by_local[:, :6] @ gain
         own = self.by_local[:, :6] @ given @ self.by_local[:, :6].transpose(0, 2, 1)
         errors = PoseErrors(shared=sandwich(normal, meat + known, shared), carry=carry, own=own)
@@ -294,7 +294,7 @@ class _System:
         return RigFit(rig=self.rig, views=views, rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn), scale=scale)
 
 
-def _places(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
+def _picture_squares(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
     """Return the index (M,) of the picture square that contains each marker; the squares have the size of a marker.
 
     A static camera shows markers of different views on the same pixels, at the same angle to the strip's curvature.

@@ -73,7 +73,7 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
                 "The angles from the pictures are used."
             )
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
-    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
+    cam_from_rig = np.array([_medoid(turned[ring == r]) for r in range(len(stations))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
     rig = Rig(
         ring=ring,
@@ -94,7 +94,7 @@ def _scatter(angles: Array) -> float:
     return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
 
 
-def _middle(poses: Array) -> Array:
+def _medoid(poses: Array) -> Array:
     """Return the pose (4, 4) among (N, 4, 4) with the smallest total distance to the other poses.
 
     Rotations are converted to shifts of a point at a distance of sqrt(2) `_ARM_MM`.

@@ -34,11 +34,11 @@ _GLARE_PX = 1.0
 """Standard deviation of the Gaussian smoothing before glare detection, px. Beside roots, single pixels of a JPEG are 5
 % too bright in every fifth view, and without smoothing, the squares around these pixels hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
-"""Two parameters of the background estimate: the fraction of the brightest views that sets the reference brightness,
-and the relative tolerance within which other views also show the panel. Roots may cover a pixel in four of five views.
-The tolerance is three times the noise of a bench's panel (1.3 % with 6000 electrons). The resulting mean is too bright
-by 0.03 times the noise, or by a third of the noise at a quarter of the light (from the moments of a normal
-distribution)."""
+"""Two parameters of the background estimate. The first is the fraction of the views that are brighter than the
+reference brightness of a pixel. The second is the relative tolerance: views that differ less from the reference
+brightness also show the panel, and are averaged. Roots may cover a pixel in four of five views. The tolerance is three
+times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too bright by 0.03 times the noise, or
+by a third of the noise at a quarter of the light (from the moments of a normal distribution)."""
 _COVERED = 0.96
 """Ratio of the background to the smooth surface below which a pixel is treated as covered in every view. The tolerance
 is that of the comparison between views (`_ALIKE`)."""
@@ -195,7 +195,7 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
         background = background - added
     else:
         glare, added = around, np.zeros_like(added)
-    # Always covered: darker than its surroundings predict, away from the flanks, where the surface is steep.
+    # Pixels that are always covered are darker than the surface, away from the flanks, where the surface is steep.
     covered = often & (background < _COVERED * smooth)
     return Panel(np.where(covered, smooth, background).astype(np.float32), added, np.asarray(glare))
 
@@ -208,7 +208,7 @@ def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
     """
     views = len(part)
     number = views if inside is None else inside.sum(axis=0)
-    # Sorted by brightness with excluded pixels last; the quintile is over the views that show the water.
+    # Excluded pixels are sorted last; the quintile is that of the views that show the water.
     part = part if inside is None else np.where(inside, part, 0.0)
     rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
     ranks = np.unique(rank)

@@ -206,7 +206,7 @@ def generous_outline(silhouette: Silhouette) -> Image:
 
 def core_outline(silhouette: Silhouette) -> Image:
     """Return a signed distance (2 H, 2 W), px, that is positive only deep inside full coverage."""
-    # Unusable pixels may be root, up to their rim.
+    # Pixels that are not usable may be root, up to their rim.
     return _distance(silhouette, np.where(silhouette.usable, silhouette.coverage, np.float32(1.0)), _FULL) - np.float32(CORE_PX)
 
 

@@ -32,8 +32,8 @@ def level_distance(value: Image) -> Image:
         return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
     near = _edge_distance(value, inside)
     within, beside = np.flatnonzero(inside), np.flatnonzero(near)
-    # Outside, the distance is only used as a bound and a chamfer's error of 2 % is acceptable; inside, it would be 1.7
-    # % of a sphere's radius.
+    # Outside, the distance is only used as a bound, so a chamfer error of 2 % is acceptable. Inside, the error would be
+    # 1.7 % of a sphere's radius.
     far, labels = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     signed, label = np.asarray(far, np.float32).ravel(), labels.ravel()
     beyond = np.zeros(len(within) + 1, np.float32)
@@ -121,7 +121,7 @@ def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
     """
     width, cost = inside.shape[1], np.float32(-0.5) * near
     cost[within] = np.inf
-    for step, way in ((-width, _below_outside(inside)), (width, _below_outside(inside[::-1])[::-1])):
+    for step, way in ((-width, _distance_above(inside)), (width, _distance_above(inside[::-1])[::-1])):
         samples = way.ravel()[within].astype(np.int32)
         some = np.flatnonzero(samples < _WIDEST)
         samples, here = samples[some], within[some]
@@ -130,7 +130,7 @@ def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
     return cost
 
 
-def _below_outside(inside: Mask) -> NDArray[np.int16]:
+def _distance_above(inside: Mask) -> NDArray[np.int16]:
     """Return the distance (H, W) from each sample to the last outside sample above it, at most `_WIDEST` samples."""
     ways = np.empty(inside.shape, np.int16)
     way = np.full(inside.shape[1], _WIDEST, np.int16)

@@ -126,7 +126,7 @@ def _measure_all(pictures: Pictures, cameras: Cameras, settings: CoverageSetting
         return _read_masks(pictures, cameras, monitor)
     if outline is None:
         return _measure_views(pictures, cameras, settings, monitor)
-    return _draw_silhouettes(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
+    return _draw_silhouettes(pictures, _estimate_backlight(pictures, cameras, settings, monitor), outline, monitor)
 
 
 def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
@@ -161,7 +161,7 @@ class _Backlight:
         return pictures.images[frame].astype(np.float32) - self.added[frame]
 
 
-def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
+def _estimate_backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
     """Estimate the empty backlight of every view."""
     with monitor.stage("background"):
         views = cameras.by_frame
@@ -170,7 +170,7 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
         stations = [pictures.frames[k].station for k in order]
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
         gain = {k: exposures.light(i, views[k].camera.image_wh) for i, k in enumerate(order)}
-        empty, glare, added = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
+        empty, glare, added = _estimate_backgrounds(pictures, cameras, inside, gain, settings, monitor)
         lit = {k: background.bright_pixels(empty[k], inside[k], settings) for k in views}
         return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
 
@@ -185,7 +185,7 @@ def _draw_silhouettes(pictures: Pictures, light: _Backlight, outline: Outline, m
 
 def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
     """Measure the coverage of all views relative to the empty backlight."""
-    keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
+    keys, light = cameras.order, _estimate_backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in keys}
     lit, exposures, usable = light.lit, light.exposures, light.usable
     del light  # it needs as much memory as all pictures
@@ -235,7 +235,7 @@ def remeasure_coverage(
         New coverage. The previous coverage is returned if both attenuations agree, or if the pictures were masks.
     """
     before = coverage.attenuation
-    if before is None or _agree(before.mu_per_mm, mu_per_mm):
+    if before is None or _attenuations_agree(before.mu_per_mm, mu_per_mm):
         return coverage
     attenuation, px_a_mm, drawn = replace(before, mu_per_mm=mu_per_mm), _px_a_mm(cameras), coverage.silhouettes
 
@@ -254,7 +254,7 @@ def remeasure_coverage(
         )
 
 
-def _agree(one: float | None, other: float | None) -> bool:
+def _attenuations_agree(one: float | None, other: float | None) -> bool:
     """Return whether two attenuations, 1/mm, are so close that they yield the same coverage."""
     if one is None or other is None:
         return one is other
@@ -311,7 +311,7 @@ def _scale(view: View, optics: Optics) -> float:
     return float(np.linalg.norm(px[0, 0] - px[1, 0]))
 
 
-def _backgrounds(
+def _estimate_backgrounds(
     pictures: Pictures,
     cameras: Cameras,
     inside: dict[int, Mask],

@@ -99,7 +99,7 @@ def detect_dirt(
     likely = (share[True] > _ALWAYS) & (share[True] > inside + _SHARPER)
     label, _ = ndimage.label(likely, structure=np.ones((3, 3), bool))
     sure = np.unique(label[likely & ~_chance_texels(share[True], counted[True])])
-    dirty = likely & np.isin(label, sure)  # a seam continues in front of a cluster
+    dirty = likely & np.isin(label, sure)  # includes the parts of a seam in front of a cluster
     ringed = np.concatenate([dirty[:, -1:], dirty, dirty[:, :1]], axis=1)
     return np.asarray(ndimage.binary_dilation(ringed, np.ones((3, 3), bool))[:, 1:-1])
 

@@ -134,7 +134,7 @@ def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageS
     own : float
         Brightness of roots relative to the backlight, used if no root is wide enough for its brightness to be measured.
     """
-    # Front light makes roots brighter than black: the opacity inside resolved roots is full coverage there and nearby.
+    # Front light makes roots brighter than black, so the opacity inside resolved roots is that of full coverage nearby.
     core = cv2.erode((opacity > _CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & usable
     full = np.float32(np.median(opacity[core])) if core.sum() >= _LEAST_CORE else np.float32(1.0 - own)
     weight = cv2.boxFilter(core.astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))

@@ -65,7 +65,7 @@ _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
 """Standard deviations of the blur in the search, px, from that of the square pixel to that of a defocused camera."""
 _DARK, _STRAIGHT = 0.3, 0.8
 """Two limits for the positions at which profiles are sampled: the minimum blurred opacity, and the minimum coherence of
-the structure tensor. They select the axes of roots, away from crossings."""
+the structure tensor. Positions within these limits lie on the axes of roots, away from crossings."""
 _CORE = 0.6
 """Minimum opacity inside a root that is wide enough for its own brightness, which is below 0.4, to be measured."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
@@ -129,10 +129,10 @@ def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenua
     """
     own, found = [np.zeros(0)], []
     for opacity, here in zip(opacities, usable, strict=True):
-        large = _large(opacity, here)
+        large = _large_objects(opacity, here)
         core = cv2.erode(((opacity > _CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         own.append(1.0 - opacity[core])
-        found.append(_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
+        found.append(_sample_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
     cores = np.concatenate(own)
     bright = float(np.clip(np.quantile(cores, _DARKEST_CORES), 0.0, _MOST_OWN)) if len(cores) else 0.0
     profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
@@ -140,7 +140,7 @@ def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenua
     return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
 
 
-def _large(opacity: Image, usable: Mask) -> Mask:
+def _large_objects(opacity: Image, usable: Mask) -> Mask:
     """Return the mask (H, W) of pixels in and beside large connected objects."""
     dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & usable).astype(np.uint8)
     _, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
@@ -149,7 +149,7 @@ def _large(opacity: Image, usable: Mask) -> Mask:
     return np.asarray(cv2.dilate(large[label].astype(np.uint8), np.ones((7, 7), np.uint8)) > 0)
 
 
-def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
+def _sample_profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     """Sample profiles of the opacity across straight, lone roots.
 
     Return the profiles (N, `_OFFSETS`), centred on the roots, and their full widths at half maximum (N,), px.
@@ -168,7 +168,7 @@ def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     profile = sections.mean(axis=0)
     middle = len(_OFFSETS) // 2
     half = 0.5 * profile[:, middle - 1 : middle + 2].mean(axis=1)
-    right, left = _fall(profile[:, middle:], half), _fall(profile[:, middle::-1], half)
+    right, left = _find_fall(profile[:, middle:], half), _find_fall(profile[:, middle::-1], half)
     bounded = np.isfinite(right) & np.isfinite(left)
     right, left = np.where(bounded, right, 0.0), np.where(bounded, left, 0.0)
     width, shift = right + left, 0.5 * (right - left)
@@ -182,7 +182,7 @@ def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     return centred[lone], width[use][lone]
 
 
-def _fall(profile: Array, level: Array) -> Array:
+def _find_fall(profile: Array, level: Array) -> Array:
     """Return the distance (N,) from its start at which each profile (N, M) falls below a level (N,), px.
 
     The distance is infinite if the profile does not fall below the level.
@@ -203,7 +203,7 @@ def _balance_widths(width: Array) -> NDArray[np.int64]:
     return np.concatenate([order[:0]] + [order[bins == one][:_A_BIN] for one in np.unique(bins)])
 
 
-def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
+def _model_profiles(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
     """Return sample offsets (M,) and the opacity (N, M) across round roots of the given radii, blurred.
 
     The roots' own brightness is not included.
@@ -227,7 +227,7 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
     own_2, count = (profiles**2 * window).sum(axis=1)[:, None], window.sum(axis=1)[:, None]
     for i, mu in enumerate(_MU_PER_MM):
         for j, blur_px in enumerate(_BLUR_PX):
-            band = _bands(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
+            band = _model_profiles(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
             cross, band_2 = (profiles * window) @ band.T, window @ (band**2).T
             for k, full in enumerate(1.0 - own):
                 cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * band_2) / count).min(axis=1)
@@ -238,12 +238,12 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
         return opaque
     typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
     i, k = divmod(int(np.argmin(typical)), len(own))
-    mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
+    mu = _parabola_minimum(_MU_PER_MM, typical.min(axis=1), i)
     is_translucent = typical[-1].min() > CLEARLY * typical.min()
     return Attenuation(float(own[k]), mu, int(good.sum())) if is_translucent else Attenuation(bright, None, int(good.sum()))
 
 
-def _vertex(at: Array, cost: Array, best: int) -> float:
+def _parabola_minimum(at: Array, cost: Array, best: int) -> float:
     """Return the position of the minimum of a parabola in log ``at`` through the smallest cost and its neighbours.
 
     ``cost`` has the shape (N,).
@@ -263,21 +263,21 @@ def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: floa
     """
     if attenuation.mu_per_mm is None:
         raise ValueError(f"{attenuation=} must be that of translucent roots")
-    peaks, gains = _gains(attenuation.mu_per_mm, px_a_mm)
+    peaks, gains = _tabulate_gains(attenuation.mu_per_mm, px_a_mm)
     clear = np.clip(opacity / np.float32(1.0 - attenuation.own), 0.0, 1.0).astype(np.float32)
     peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
     return np.minimum(clear * np.interp(peak, peaks, gains), 1.0).astype(np.float32)
 
 
-def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
+def _tabulate_gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
     """Tabulate the peaks (N,) of the blurred opacity of round roots, and the corresponding gains (N,).
 
     Multiplied by the gain, the opacity across a root sums to its diameter.
     """
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]
-    x, sharp = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
-    _, smooth = _bands(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
+    x, sharp = _model_profiles(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
+    _, smooth = _model_profiles(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
     low, high = np.ones(len(radii)), np.full(len(radii), _MOST_GAIN)
     for _ in range(40):  # bisection
         gain = 0.5 * (low + high)

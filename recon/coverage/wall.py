@@ -128,7 +128,7 @@ def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
     if face.outside:
         at_mm = np.sqrt(optics.outer_radius_mm**2 - outer.b_mm**2)
         near, near_z = outer.b_mm[:, None] * outer.nu - at_mm[:, None] * outer.t, line.outer_z_mm
-    # The way out mirrors the way in, about the middle of the path in the water.
+    # The path out of the canister mirrors the path in, about the middle of the path in the water.
     far = near - 2.0 * (near * line.t).sum(axis=1, keepdims=True) * line.t
     far_z = 2.0 * (line.entry_z_mm + line.slope * half) - near_z
     found = []
@@ -192,7 +192,7 @@ def detect_fouling(
     for _ in range(_ROUNDS):
         views = np.concatenate(monitor.each(partial(_mean_depth, places, depth, film), "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
-        # Roots on the wall are not film, nor is the remainder of their fringe after the opening.
+        # Roots on the wall are not film, and neither are their fringes that remain after the opening.
         faint = np.where(dark > settings.film_most, 0.0, dark)
         broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
         broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening makes the edges square

@@ -184,7 +184,7 @@ def length_behind_canister(view: View, optics: Optics, near: Approach, line: ref
     """
     at = tank_view(view, optics)
     tank_from_azimuth = frames.invert(at.azimuth_from_tank)
-    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out mirrors the way in
+    heading = 2.0 * line.heading_rad - near.heading_rad  # the path out mirrors the path in
     t = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     nu = np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
     leave = near.b_mm[..., None] * nu + np.sqrt(optics.outer_radius_mm**2 - near.b_mm**2)[..., None] * t
@@ -271,7 +271,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     )
     slopes = tank.slopes(lambda trial: tank.miss(at, points, trial), q)
     line, _ = tank.trace(at, q[:, 0], q[:, 1])
-    # f1 = P . nu - b and f2 = entry + slope (P . t + ...) - P_z: their derivatives by P
+    # f1 = P . nu - b and f2 = entry + slope (P . t + ...) - P_z, with their derivatives with respect to P
     by_point = np.zeros((len(q), 2, 3))
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)

@@ -26,7 +26,7 @@ class Near:
     """
 
     turn: tuple[Float, Float]
-    """Complex number (real and imaginary part) whose argument is the heading of the ray at the outer wall, minus pi.
+    """Heading of the ray at the outer wall, minus pi, as the argument of a complex number (real and imaginary part).
     The modulus is a product of radii."""
     per_radii: Float
     """Inverse of the product of all radii, including those of the wall and the water, by which complex headings are
@@ -158,8 +158,8 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
     delta_b = near.turn_b + k_g * (ic_ig - ic_og) - k_w * ic_w
     delta_p = b_g_p * (ic_ig - ic_og) - b_w_p * ic_w
     along, beside = -x * cos_d - y * sin_d, -x * sin_d + y * cos_d  # P . t, P . nu
-    # f and its Jacobian by (b, p)
-    m_g, m_w = p * ih_g, p * ih_w  # climbs
+    # f and its Jacobian with respect to (b, p)
+    m_g, m_w = p * ih_g, p * ih_w  # slopes
     s_g, s_w = c_og - c_ig, along + c_w
     f1_b, f1_p = along * delta_b - k_w, along * delta_p - b_w_p
     s_g_bg, s_w_bw = b_g * (ic_ig - ic_og), b_w * ic_w
@@ -185,7 +185,7 @@ def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
         Kernel parameters of a view, as packed by `projection.ViewBank`.
     """
     rho, h_a = parameter[9], ray.h_a
-    # direction in air, and its derivatives by (b, p)
+    # direction in air, and its derivatives with respect to (b, p)
     d_y = b * h_a / rho
     q = dr.sqrt(ray.h_a2 - d_y * d_y)
     d_y_b, d_y_p = h_a / rho, -b * p / (h_a * rho)

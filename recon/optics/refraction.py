@@ -270,7 +270,7 @@ def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Arr
     return p_z
 
 
-def _side(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
+def _horizontal_miss(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
     """Return f1 = P . nu - b, the horizontal distance of points from lines of impact w, and the p_z of the lines."""
     p_z = _p_z_through(optics, rho, z_cam, w, points)
     line = trace(optics, rho, z_cam, w, p_z)
@@ -295,7 +295,7 @@ def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> 
     n = len(points_mm)
     grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, _SCANNED + 1)) * optics.w_limit
     at = np.repeat(points_mm[:, None, :], len(grid), axis=1)
-    f = _side(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, len(grid))), at)[0]
+    f = _horizontal_miss(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, len(grid))), at)[0]
     row, cell = np.nonzero(np.signbit(f[:, :-1]) != np.signbit(f[:, 1:]))
     low, high = grid[cell], grid[cell + 1]
     f_low = f[row, cell]
@@ -307,7 +307,7 @@ def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> 
     p_z = np.zeros_like(low)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        f_mid, p_z = _side(optics, rho_mm, z_cam_mm, middle, points_mm[row])
+        f_mid, p_z = _horizontal_miss(optics, rho_mm, z_cam_mm, middle, points_mm[row])
         same = np.signbit(f_mid) == np.signbit(f_low)
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     found_w = np.full((n, _MOST_IMAGES), np.nan)
@@ -343,8 +343,8 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
     w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -_START * optics.w_limit, _START * optics.w_limit)
     step = 1e-6
     for _ in range(_NEWTON_STEPS):
-        f, p_z = _side(optics, rho_mm, z_cam_mm, w, points_mm)
-        slope = (_side(optics, rho_mm, z_cam_mm, w + step, points_mm)[0] - f) / step
+        f, p_z = _horizontal_miss(optics, rho_mm, z_cam_mm, w, points_mm)
+        slope = (_horizontal_miss(optics, rho_mm, z_cam_mm, w + step, points_mm)[0] - f) / step
         w = np.clip(w - f / slope, -0.999 * optics.w_limit, 0.999 * optics.w_limit)
         if np.abs(f).max(initial=0.0) < _CLOSE_MM:
             break
@@ -372,10 +372,10 @@ def _near_fold(
     low, high = left.copy(), right.copy()
     for _ in range(45):
         a, b = high - golden * (high - low), low + golden * (high - low)
-        f_a, f_b = (sign * _side(optics, rho, z_cam, w, points_mm[row])[0] for w in (a, b))
+        f_a, f_b = (sign * _horizontal_miss(optics, rho, z_cam, w, points_mm[row])[0] for w in (a, b))
         low, high = np.where(f_a < f_b, low, a), np.where(f_a < f_b, b, high)
     middle = 0.5 * (low + high)
-    f_mid = _side(optics, rho, z_cam, middle, points_mm[row])[0]
+    f_mid = _horizontal_miss(optics, rho, z_cam, middle, points_mm[row])[0]
     pair = np.signbit(f_mid) != same[row, cell]
     row, left, right, middle, f_left, f_mid = row[pair], left[pair], right[pair], middle[pair], f[row[pair], cell[pair]], f_mid[pair]
     return np.concatenate([row, row]), np.concatenate([left, middle]), np.concatenate([middle, right]), np.concatenate([f_left, f_mid])

@@ -69,28 +69,28 @@ def find_blades(mesh: trimesh.Trimesh) -> Blades:
     points = surface_sample.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
     each_mm2 = 0.5 * float(mesh.area) / len(points)  # area of one side
     tree = cKDTree(points)
-    spread = _spread(points, tree)
+    spread = _local_variances(points, tree)
     likely = (spread[:, 0] < _FLAT * spread[:, 1]) & (spread[:, 1] > _WIDE * spread[:, 2])
-    a, b = _both_ways(tree, _VOTE_MM)
+    a, b = _find_pairs(tree, _VOTE_MM)
     is_blade = np.bincount(a, weights=likely[b], minlength=len(points)) > 0.5 * np.bincount(a, minlength=len(points))
     blades = np.flatnonzero(is_blade)
     if not len(blades):
         return Blades(points_mm=points, is_blade=is_blade, areas_mm2=(), area_mm2=0.0)
-    a, b = _both_ways(cKDTree(points[blades]), _APART_MM)
+    a, b = _find_pairs(cKDTree(points[blades]), _APART_MM)
     pieces = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(len(blades),) * 2), directed=False)[1]
     areas = sorted((float(area) for area in each_mm2 * np.bincount(pieces) if area >= _LEAST_MM2), reverse=True)
     return Blades(points_mm=points, is_blade=is_blade, areas_mm2=tuple(areas), area_mm2=each_mm2 * len(blades))
 
 
-def _both_ways(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _find_pairs(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return all ordered pairs of points within a distance, including pairs of a point with itself."""
     pairs, own = tree.query_pairs(within_mm, output_type="ndarray"), np.arange(tree.n)
     return np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
 
 
-def _spread(points: Array, tree: cKDTree) -> Array:
+def _local_variances(points: Array, tree: cKDTree) -> Array:
     """Return the variances (N, 3) along the principal axes of each point's neighbourhood, in increasing order, mm2."""
-    a, b = _both_ways(tree, NEAR_MM)
+    a, b = _find_pairs(tree, NEAR_MM)
     count = np.bincount(a, minlength=len(points)).astype(np.float64)
     away = points[b] - points[a]
     mean = np.stack([np.bincount(a, weights=away[:, k], minlength=len(points)) for k in range(3)], axis=1) / count[:, None]

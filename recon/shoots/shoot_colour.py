@@ -124,7 +124,7 @@ def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View)
     curve = pictures.curve
     picture = read_image(pictures.dataset, frame, curve=None if curve is None or curve.warning is None else curve.curve)
     image = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
-    leaves = _inside(silhouette)
+    leaves = _interior_mask(silhouette)
     paper = _paper_pixels(view, pictures.dataset.scene, image.shape)
     if not leaves.any() or not len(paper):
         return None
@@ -132,7 +132,7 @@ def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View)
     return float(image[leaves].mean()) / white if _LEAST_LIGHT <= white <= _FULL else None
 
 
-def _inside(silhouette: Silhouette) -> Mask:
+def _interior_mask(silhouette: Silhouette) -> Mask:
     """Return the mask (H, W) of pixels inside the shoot, at least `_INSIDE_PX` from its outline."""
     covered = ((silhouette.coverage > 0.99) & silhouette.usable).astype(np.uint8)
     return cv2.erode(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _INSIDE_PX + 1,) * 2)) > 0

@@ -69,17 +69,17 @@ def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene
         the nearest pixels is used. In front of the strip and the canister, the coverage is unknown.
     """
     stack = np.stack([image.astype(np.float32) for image in images])
-    pot = [_pot(view, scene, stack.shape[1:]) for view in views]
+    pot = [_pot_masks(view, scene, stack.shape[1:]) for view in views]
     below, top = (np.stack([part[k] for part in pot]) for k in (0, 1))
-    panel, lit = _panel(stack, below | top)
+    panel, lit = _fit_panel(stack, below | top)
     gain = np.array([np.median((image / panel)[lit & ~hidden]) for image, hidden in zip(stack, below | top, strict=True)])
     return [
-        _silhouette(image / np.float32(g), panel, lit & ~hidden & ~before, before & ~hidden)
+        _measure_silhouette(image / np.float32(g), panel, lit & ~hidden & ~before, before & ~hidden)
         for image, g, hidden, before in zip(stack, gain, below, top, strict=True)
     ]
 
 
-def _pot(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
+def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
     """Return the masks (H, W) of the strip with the canister, and of the net pot's top."""
     pot = scene.net_pot
     rim, foot = _outline(view, pot, pot.top_mm), _outline(view, pot, -scene.canister.height_mm)
@@ -101,14 +101,14 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
     )
 
 
-def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
+def _fit_panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
     """Return the brightness of the bare panel (H, W), fitted by a smooth surface, and the mask of the panel."""
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
     height, width = usual.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
+    terms = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
     fitted = bright
     for _ in range(4):  # the plant's middle hides the panel in most of a turn, and is excluded step by step
         some = np.flatnonzero(fitted)[:: max(1, int(fitted.sum()) // 20_000)]
@@ -119,34 +119,34 @@ def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, M
     return np.maximum(np.where(fitted, usual, smooth), 1e-6).astype(np.float32), lit & (smooth > 0.5 * float(np.median(usual[fitted])))
 
 
-def _terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+def _polynomial_terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)])
 
 
-def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
+def _measure_silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
     """Measure the coverage in one picture, relative to the plant's interior.
 
     The coverage is the absorption in front of the panel, and the reflection in front of the net pot's top.
     """
     dark = silhouettes.opacity(image, panel, before_panel)
     wide = cv2.erode((dark > _OPAQUE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    felt = _felt(image, before_pot)
+    felt = _fit_felt(image, before_pot)
     green = np.float32(np.median(image[wide])) if wide.any() else np.float32(0.0)
     told = before_pot & (green > 2.0 * felt)  # plants as dark as the pot cannot be distinguished from it
-    inside = _inside(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
+    inside = _interior_mask(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
     before_light = np.where(inside, np.float32(1.0), silhouettes.measure(dark, before_panel).coverage)
-    coverage = np.maximum(before_light, _before_felt(image, felt, green, told))
+    coverage = np.maximum(before_light, _felt_coverage(image, felt, green, told))
     away_px, (row, column) = ndimage.distance_transform_edt(~(before_panel | told), return_indices=True)
     coverage = np.where(away_px <= _EDGE_PX + 0.5, coverage[row, column], 0.0)
-    rim = _near(before_panel) & _near(told) & ~before_panel & ~told
-    return Silhouette(np.where(rim, _at_rim(image, panel, felt, green), coverage).astype(np.float32), before_panel)
+    rim = _near_mask(before_panel) & _near_mask(told) & ~before_panel & ~told
+    return Silhouette(np.where(rim, _rim_mask(image, panel, felt, green), coverage).astype(np.float32), before_panel)
 
 
-def _felt(image: Image, before_pot: Mask) -> Image:
+def _fit_felt(image: Image, before_pot: Mask) -> Image:
     """Return the brightness (H, W) of the net pot's bare top, from a smooth fit to pixels without a plant."""
     height, width = image.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms, bare = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
+    terms, bare = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
     smooth = np.full(image.shape, np.median(image[before_pot]) if before_pot.any() else 0.0, np.float32)
     for _ in range(_FELT_ROUNDS):
         away = np.abs(image - smooth)
@@ -158,7 +158,7 @@ def _felt(image: Image, before_pot: Mask) -> Image:
     return np.maximum(smooth, 0.0)
 
 
-def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
+def _felt_coverage(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
     """Return the coverage (H, W) in front of the net pot's top.
 
     The coverage is the brightness above the felt, relative to that of the plant's interior nearby. At the same
@@ -166,7 +166,7 @@ def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Im
     """
     rise = np.where(told, image - felt, 0.0).astype(np.float32)
     plant = rise > _FAINT * (green - felt)
-    inside = _inside(np.where(plant, rise, 0.0).astype(np.float32))
+    inside = _interior_mask(np.where(plant, rise, 0.0).astype(np.float32))
     whole = green - felt
     if inside.any():
         away_px, (row, column) = ndimage.distance_transform_edt(~inside, return_indices=True)
@@ -174,7 +174,7 @@ def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Im
     return np.where(plant, np.clip(rise / np.maximum(whole, 1e-6), 0.0, 1.0), 0.0).astype(np.float32)
 
 
-def _inside(signal: Image) -> Mask:
+def _interior_mask(signal: Image) -> Mask:
     """Return the mask (H, W) of pixels whose neighbours are all inside the plant.
 
     ``signal`` is the darkening relative to the panel, or the brightening relative to the felt, and 0 for the
@@ -185,12 +185,12 @@ def _inside(signal: Image) -> Mask:
     return cv2.erode(((signal > 0.5 * most) & (signal > 0.0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
-def _near(told: Mask) -> Mask:
+def _near_mask(told: Mask) -> Mask:
     """Return the mask (H, W) of pixels near a pixel with known coverage, within the width of the rim."""
     return cv2.dilate(told.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * _EDGE_PX + 3,) * 2)) > 0
 
 
-def _at_rim(image: Image, panel: Image, felt: Image, green: np.float32) -> Image:
+def _rim_mask(image: Image, panel: Image, felt: Image, green: np.float32) -> Image:
     """Return the mask (H, W) of plant pixels at the lower edge of the panel, behind the far rim of the net pot.
 
     These pixels are darker than the mean brightness of panel and plant, and brighter than the mean brightness of felt
