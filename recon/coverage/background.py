@@ -43,9 +43,9 @@ _COVERED = 0.96
 """Ratio of the background to the smooth surface below which a pixel is treated as covered in every view. The tolerance
 is that of the comparison between views (`_ALIKE`)."""
 _CORE = 0.85
-"""Fraction of the canister's width in which the smooth surface is fitted. In noise-free pictures, the residual of the
-surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98, where small camera errors leave some of
-the variation of the wall's transmittance."""
+"""Fraction of the canister's width in which the smooth surface is fitted. In pictures simulated without noise, the
+residual of the surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98, where small camera
+errors leave some of the variation of the wall's transmittance."""
 _SAMPLES = 40_000
 """Approximate number of pixels to which the smooth surface is fitted, almost a thousand for each of its 45
 coefficients."""

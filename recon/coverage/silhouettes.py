@@ -44,8 +44,8 @@ _NEAR_PX, _LEAST_NEAR = 13, 0.02
 in which resolved roots are averaged, px, and the minimum fraction of the square that resolved roots cover (three
 pixels)."""
 _LEAST_NOISE = 1e-4
-"""Minimum noise of the opacity. The value is ten times the measured noise of noise-free pictures (1e-5), and a fiftieth
-of the noise on a bench."""
+"""Minimum noise of the opacity. The value is ten times the noise measured in pictures that were simulated without noise
+(1e-5), and a fiftieth of the noise on a bench."""
 _FLOOR = 0.1
 """Minimum coverage of pixels that show a root."""
 _LEAST_PARTIAL = 0.01
