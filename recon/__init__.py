@@ -1,1 +1,1 @@
-"""Reconstruction: a dataset of pictures becomes poses, silhouettes, a shape, its volume and a score."""
+"""Reconstruction of roots from a dataset of pictures: camera poses, silhouettes, shape, volume and its interval."""

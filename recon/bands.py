@@ -1,4 +1,4 @@
-"""Signal-to-noise ratio of roots, or of a shoot, in each band of the camera, used to select the band."""
+"""Signal-to-noise ratio of the roots or the shoot in each band of the camera, from which the band is selected."""
 
 from __future__ import annotations
 
@@ -14,37 +14,40 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 
 _VIEWS = 6
-"""Number of views compared, distributed evenly over the scan."""
+"""Number of views in which the bands are compared, evenly spaced over the scan."""
 _WIDEST = 20
-"""Inverse of the maximum width of structures that are counted, relative to the picture's width."""
+"""Ratio of the picture's width to the maximum width of structures that contribute to the signal."""
 _SIGMAS = 4.0
-"""Minimum strength of structures in standard deviations of the noise, as for silhouettes."""
+"""Minimum darkening that contributes to the signal, in standard deviations of the noise. The default threshold for
+silhouettes is the same (`CoverageSettings.noise_sigmas`)."""
 
 
 def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str, float]:
-    """Return the signal-to-noise ratio of each band in which all views of a kind were taken with both lights on.
+    """Measure the signal-to-noise ratio in each band of the camera.
 
-    The signal is the Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in
-    white noise (Kay 1998, Detection Theory, section 4.3).
+    Bands are compared only if the panel and the front light are on and a picture of every view was taken. The signal is
+    the Euclidean norm, over all pixels, of the darkening by narrow structures, as for a matched filter in white noise
+    (Kay 1998, Detection Theory, section 4.3).
 
     Parameters
     ----------
     dataset : Dataset
         Dataset with scene and frames.
     kind : {"root", "shoot"}
-        Subject of the pictures.
+        Whether the pictures show the roots or the shoot.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
 
     Returns
     -------
     dict of float
-        Signal-to-noise ratio by the band's name, in decreasing order; empty if the camera has no bands.
+        Signal-to-noise ratio of each band, keyed by the band's name, in decreasing order. The dict is empty if the
+        camera has no bands or the dataset has no pictures of this kind.
 
     Raises
     ------
     UserError
-        If the camera has bands, but none of them is usable.
+        If the camera has bands, but none of them has a picture of every view with both lights on.
     """
     scene, listed = dataset.scene, [frame for frame in dataset.frames if frame.kind == kind]
     if not scene.camera.bands or not listed:
@@ -54,8 +57,8 @@ def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str,
     complete = {name: taken for name, taken in by_band.items() if len(taken) == len(views)}
     if not complete:
         raise UserError(
-            f"{dataset.folder / 'dataset.json'}: no band with panel and front light on has a picture of every view of the {kind}: add the "
-            "missing pictures, or correct panel_level and front_level of [[camera.bands]]"
+            f"{dataset.folder / 'dataset.json'}: no band in which the panel and the front light are on has a picture of every {kind} view. "
+            "Add the missing pictures, or correct panel_level and front_level of [[camera.bands]]."
         )
     chosen = views[:: max(1, len(views) // _VIEWS)]
     with monitor.stage("bands"):
@@ -64,7 +67,10 @@ def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str,
 
 
 def _ratio(dataset: Dataset, frame: Frame) -> float:
-    """Return the signal-to-noise ratio of one picture; 0 if it cannot be read, which `read_pictures` reports."""
+    """Return the signal-to-noise ratio of one picture.
+
+    The ratio of an unreadable picture is 0. `read_pictures` reports such pictures later.
+    """
     try:
         picture = read_image(dataset, frame)
     except UserError:
@@ -80,7 +86,7 @@ def _ratio(dataset: Dataset, frame: Frame) -> float:
 
 
 def _rows(scene: Scene, frame: Frame) -> slice:
-    """Return the rows of a picture of the roots below the net pot, or of the shoot above it, by the planned camera."""
+    """Return the picture rows below the net pot (roots) or above it (shoot), predicted from the planned camera."""
     ring, pot = scene.plan.rings[frame.ring], scene.net_pot
     z_mm = pot.skirt_bottom_mm if frame.kind == "root" else pot.top_mm
     rim = np.array([[pot.outer_radius_mm, 0.0, z_mm], [-pot.outer_radius_mm, 0.0, z_mm]])

@@ -1,8 +1,8 @@
-"""Conversion of numbers for Dr.Jit kernels, and type names for static checkers.
+"""Conversion of NumPy arrays to Dr.Jit arrays, and names of Mitsuba's types for static type checkers.
 
-Dr.Jit uses NumPy arrays in place, and compiles a kernel for every combination of inputs that are aligned to 64 bytes
-and inputs that are not. Small arrays have arbitrary alignment, so that a kernel with twenty inputs would be compiled
-many times (a second each). Arrays are therefore copied to aligned memory.
+Dr.Jit uses NumPy arrays without copying them. It compiles a separate kernel for every combination of inputs that are
+aligned to 64 bytes and inputs that are not. Small NumPy arrays have arbitrary alignment, so a kernel with twenty inputs
+would be compiled many times, at one second each. This module therefore copies arrays to aligned memory.
 """
 
 import ctypes
@@ -17,56 +17,60 @@ from numpy.typing import NDArray
 
 from rhizotwin import engine
 
-# Mitsuba's types exist only once a variant is set, so that a static checker does not know them; these names document
-# the intended types.
+# Mitsuba's types exist only after a variant is set, so static checkers do not know them. These names document the
+# intended types.
 Float: TypeAlias = Any
-"""mi.Float"""
+"""Array of type mi.Float."""
 UInt32: TypeAlias = Any
-"""mi.UInt32"""
+"""Array of type mi.UInt32."""
 Int32: TypeAlias = Any
-"""mi.Int32"""
+"""Array of type mi.Int32."""
 Bool: TypeAlias = Any
-"""mi.Bool"""
+"""Array of type mi.Bool."""
 Vector2f: TypeAlias = Any
-"""mi.Vector2f"""
+"""Array of type mi.Vector2f."""
 Vector2u: TypeAlias = Any
-"""mi.Vector2u"""
+"""Array of type mi.Vector2u."""
 Vector3f: TypeAlias = Any
-"""mi.Vector3f"""
+"""Array of type mi.Vector3f."""
 Point3f: TypeAlias = Any
-"""mi.Point3f"""
+"""Array of type mi.Point3f."""
 Kernel: TypeAlias = Any
-"""Any of the above."""
+"""Dr.Jit array of any type."""
 
 engine.choose_on_first_use()
 
 _ALIGNED = 64
-"""Alignment in bytes of the widest vector that Dr.Jit loads."""
+"""Memory alignment of the widest vector that Dr.Jit loads, bytes."""
 
 
 TO_LAST = 1.01
-"""Minimum distance of look-ups from a picture's width and height: within the last sample, with a margin for float32
-rounding."""
+"""Minimum distance of interpolated positions from the right and lower border of the picture, px. Interpolation then
+stays within the last sample, with a margin for float32 rounding."""
 
 
 _BELOW_HALF = 1e-9
-"""Threshold below the smallest positive half, 6e-8, and not representable as a half."""
+"""Threshold above which a half-precision number counts as positive. The threshold is less than the smallest positive
+half-precision number, 6e-8, and cannot itself be represented in half precision."""
 
 
 def readable(px: Vector2f, width: int, height: int) -> Bool:
-    """Return which pixels can be read with bilinear interpolation in a picture."""
+    """Return whether each position lies within a picture, so that it can be interpolated bilinearly.
+
+    The result is mi.Bool, with one element per position.
+    """
     return (px.x > 0) & (px.x < width - TO_LAST) & (px.y > 0) & (px.y < height - TO_LAST)
 
 
 def numbers(values: NDArray[np.generic]) -> Float:
-    """Return an array (...) as mi.Float, flattened."""
+    """Convert an array (...) to a flat mi.Float."""
     return mi.Float(_align(values, np.dtype(np.float32)))
 
 
 def halves(pictures: Sequence[NDArray[np.generic]]) -> Kernel:
-    """Return pictures (H, W) as mi.Float16, flattened and concatenated.
+    """Convert pictures (H, W) to one flat mi.Float16, concatenated in the given order.
 
-    Half precision stores a coverage to 1/4096, a twentieth of the noise of a picture.
+    Half precision resolves coverage to 1/4096, which is a twentieth of a picture's noise.
     """
     size = pictures[0].size
     placed = aligned_empty(len(pictures) * size, np.dtype(np.float16))
@@ -76,17 +80,17 @@ def halves(pictures: Sequence[NDArray[np.generic]]) -> Kernel:
 
 
 def vectors(values: NDArray[np.generic]) -> Vector3f:
-    """Return (N, 3) as mi.Vector3f."""
+    """Convert an array (N, 3) to mi.Vector3f."""
     return mi.Vector3f(*(numbers(part) for part in values.T))
 
 
 def points(values: NDArray[np.generic]) -> Point3f:
-    """Return (N, 3) as mi.Point3f."""
+    """Convert an array (N, 3) to mi.Point3f."""
     return mi.Point3f(*(numbers(part) for part in values.T))
 
 
 def wholes(values: NDArray[np.generic]) -> UInt32:
-    """Return an array (...) of integers as mi.UInt32, flattened."""
+    """Convert an array (...) of non-negative integers to a flat mi.UInt32."""
     return mi.UInt32(_align(values, np.dtype(np.uint32)))
 
 
@@ -97,17 +101,17 @@ def _align(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[n
 
 
 def aligned_empty(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
-    """Return an aligned array (count,) to be filled, which Dr.Jit uses in place."""
+    """Allocate an uninitialised array (count,) in aligned memory, which Dr.Jit uses without copying."""
     buffer = np.empty(count * kind.itemsize + _ALIGNED, np.uint8)
     begin = -buffer.ctypes.data % _ALIGNED
     return buffer[begin : begin + count * kind.itemsize].view(kind)
 
 
 def release() -> None:
-    """Release unused memory.
+    """Release cached memory to the operating system.
 
-    Dr.Jit and the C library (glibc) cache freed memory for reuse, but later stages need other sizes. Memory referenced
-    by loops of Dr.Jit is only freed by Python's cyclic garbage collector.
+    Dr.Jit and the C library (glibc) cache freed memory for reuse, but later stages need blocks of other sizes. Arrays
+    that are referenced by Dr.Jit loops are only freed by Python's cyclic garbage collector, so it is run first.
     """
     gc.collect()
     dr.flush_malloc_cache()
@@ -117,7 +121,7 @@ def release() -> None:
 
 
 def select_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
-    """Return some of the consecutive parts, of ``size`` elements each, of an array."""
+    """Concatenate selected parts of a flat array that consists of consecutive parts with ``size`` elements each."""
     lane, length = dr.arange(mi.UInt32, len(which) * size), dr.opaque(mi.UInt32, size)
     part = lane // length
     found = dr.gather(type(source), source, dr.gather(mi.UInt32, wholes(np.asarray(which)), part) * length + (lane - part * length))
@@ -126,11 +130,11 @@ def select_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
 
 
 def is_positive(half: Kernel) -> Bool:
-    """Return which elements (mi.Float16) are positive.
+    """Return whether each element of a half-precision array (mi.Float16) is positive, as mi.Bool.
 
-    They are converted to mi.Float and compared with a number that is not a half. Below version 22, LLVM swaps the
-    operands of a masked comparison of halves on processors with AVX512-FP16 (llvm-project issue 159723), and it narrows
-    a comparison of floats to one of halves if the constant is a half.
+    The elements are converted to mi.Float and compared with a number that half precision cannot represent. Before
+    version 22, LLVM swaps the operands of a masked comparison of halves on processors with AVX512-FP16 (llvm-project
+    issue 159723). It also converts a comparison of floats to one of halves if the constant is a half.
     """
     return mi.Float(half) > _BELOW_HALF
 
@@ -145,22 +149,22 @@ def bilinear(
     kind: type | None = None,
     most: float | None = None,
 ) -> Kernel:
-    """Interpolate bilinearly in a picture.
+    """Interpolate bilinearly in one of several concatenated pictures.
 
     Parameters
     ----------
     source : mi.Float or mi.Float16
-        Pictures, flattened.
+        Concatenated pictures, flattened row by row.
     base : mi.UInt32
-        Offset of the picture, in elements of ``kind``.
+        Index of the picture's first element in ``source``, counted in elements of ``kind``.
     width : mi.UInt32 or int
         Number of columns of the picture.
     u, v : mi.Float
-        Column and row, between the first and the last.
+        Column and row of the positions, px; both must lie between the first and the last sample.
     kind : type, optional
-        Type of an element; by default that of the source. Halves are converted to mi.Float.
+        Type of an element; by default, the type of ``source``. Half-precision elements are converted to mi.Float.
     most : float, optional
-        Upper bound of an element.
+        Upper bound to which elements are clipped before interpolation; by default, they are not clipped.
     """
     kind = kind or type(source)
     column, row = mi.UInt32(u), mi.UInt32(v)

@@ -1,4 +1,4 @@
-"""Reading of the pictures for a reconstruction."""
+"""Reading of a dataset's pictures for the reconstruction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 LeftOut = tuple[Frame, str]
-"""A frame whose picture is excluded, and the reason."""
+"""Excluded frame, and the reason for the exclusion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,17 +25,21 @@ class CurveFound:
     """Transfer curve with which pictures are decoded, and its agreement with the edges of the markers."""
 
     curve: Curve
+    """Transfer curve with which the pictures are decoded."""
     stated: Curve
+    """Transfer curve stated in the picture files or in the scene."""
     bend: float | None
-    """Excess brightness of medium greys at the markers' edges, relative to the contrast, decoded by ``curve``; None if
-    too few were measured."""
+    """Excess brightness of medium greys at the markers' edges, relative to the contrast, after decoding with ``curve``.
+    None if too few markers were measured."""
     stated_bend: float | None
-    """The same, decoded by ``stated``."""
+    """Excess brightness of medium greys at the markers' edges, relative to the contrast, after decoding with
+    ``stated``. None if too few markers were measured."""
     markers: int
+    """Number of markers whose edges were measured."""
 
     @property
     def is_known(self) -> bool:
-        """Return whether the curve in use was stated, or is one of the known curves."""
+        """Return whether the curve in use is the stated curve, linear, or sRGB."""
         return self.curve.same(self.stated) or any(self.curve.same(known) for known in (transfer.LINEAR, transfer.SRGB))
 
     @property
@@ -45,30 +49,33 @@ class CurveFound:
             return None
         off = 100.0 * (self.stated_bend or 0.0)
         return (
-            f"the markers' edges contradict the stated curve, {self.stated.name} (their greys deviate by {off:.0f} % of the contrast): "
-            f"{self.curve.name} is used instead"
+            f"the greys at the markers' edges do not match the stated transfer curve (gamma), {self.stated.name}: "
+            f"they deviate by {off:.0f} % of the contrast. The pictures are decoded with {self.curve.name} instead."
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pictures:
-    """Pictures of the roots in a dataset, or those of the shoot."""
+    """All usable pictures of one kind in a dataset, either of the roots or of the shoot."""
 
     dataset: Dataset
+    """Dataset from which the pictures were read."""
     frames: tuple[Frame, ...]
-    """(F,) frames, all of one kind."""
+    """(F,) frames of the pictures, all of one kind."""
     images: tuple[Grey, ...] = field(repr=False)
-    """(F,) pictures (H, W), linear in light."""
+    """(F,) pictures with shape (H, W), linear in light."""
     curve: CurveFound | None = None
-    """Transfer curve with which they were decoded; None if no edges were measured."""
+    """Transfer curve with which the pictures were decoded. None if no marker edges were measured."""
     bands: Mapping[str, float] = field(default_factory=dict)
-    """Signal-to-noise ratio in each band of the camera, the selected band first; empty if the camera has no bands, or
-    the settings state the band."""
+    """Signal-to-noise ratio of each band of the camera, keyed by the band's name, with the selected band first. Empty
+    if the camera has no bands, or if the band was specified in the settings."""
     warnings: tuple[str, ...] = ()
+    """Warnings for the user about excluded pictures and contradictory transfer curves."""
     left_out: tuple[LeftOut, ...] = ()
-    """Frames of the dataset whose pictures are excluded."""
+    """Frames whose pictures are excluded, each with the reason."""
     measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
-    """`Markers` of the images that were measured to determine the curve, by index."""
+    """`Markers` of the pictures that were measured to determine the transfer curve, keyed by the index of the picture.
+    """
 
 
 def read_pictures(
@@ -78,25 +85,25 @@ def read_pictures(
     settings: PictureSettings = PictureSettings(),
     monitor: Monitor,
 ) -> Pictures:
-    """Read a dataset's pictures of the roots, or of the shoot.
+    """Read all pictures of the roots, or all pictures of the shoot, from a dataset.
 
     Parameters
     ----------
     dataset : Dataset
         Dataset with scene and frames.
     kind : {"root", "shoot"}
-        Subject of the pictures.
+        Whether to read the pictures of the roots or those of the shoot.
     settings : PictureSettings
-        Pictures to exclude, and the band of those of the roots; by default the band with the largest signal-to-noise
-        ratio.
+        Pictures to exclude, and the band of the root pictures. By default, the band with the largest signal-to-noise
+        ratio is read.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
 
     Raises
     ------
     UserError
-        If there are no pictures, a picture to exclude is not in the dataset, or one is missing or damaged and the
-        settings are not tolerant.
+        If the dataset has no pictures of this kind, if a picture to exclude is not in the dataset, or if a picture is
+        missing or damaged and ``settings.tolerant`` is False.
     """
     given = settings.band if kind == "root" else ""
     ratios = {} if given else measure_bands(dataset, kind, monitor=monitor)
@@ -104,42 +111,42 @@ def read_pictures(
     listed = tuple(frame for frame in dataset.frames if frame.kind == kind and frame.band == band)
     if not listed:
         taken = f" in the band {band}" if band else ""
-        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}{taken}; take or import some.")
+        raise UserError(f"{dataset.folder / 'dataset.json'} lists no {kind} pictures{taken}. Take or import such pictures.")
     unwanted = _files_to_leave_out(dataset, settings.leave_out)
     with monitor.stage("read"):
         read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
     known = [(frame, image) for frame, image in read if not isinstance(image, str)]
-    left_out = [(frame, "as chosen") for frame in listed if frame.file in unwanted]
+    left_out = [(frame, "it is named in --leave-out or in the setting pictures.leave_out") for frame in listed if frame.file in unwanted]
     left_out += [(frame, reason) for frame, reason in read if isinstance(reason, str)]
     if not known:
-        raise UserError(f"{dataset.folder}: every picture of the {kind} is left out ({left_out[-1][1]})")
+        raise UserError(f"{dataset.folder}: all {kind} pictures are excluded. Reason for the last picture: {left_out[-1][1]}")
     frames = tuple(frame for frame, _ in known)
-    said = [f"{frame.file} is left out: {reason}" for frame, reason in left_out]
+    said = [f"{frame.file} is excluded: {reason}" for frame, reason in left_out]
     said += () if dataset.masks else _contradictions(dataset, frames)
     images = tuple(image for _, image in known)
     return Pictures(dataset=dataset, frames=frames, images=images, bands=ratios, warnings=tuple(said), left_out=tuple(left_out))
 
 
 def _files_to_leave_out(dataset: Dataset, names: Sequence[str]) -> set[str]:
-    """Return the files of the frames to exclude.
+    """Return the file names of all frames that match the given names or ends of names.
 
     Raises
     ------
     UserError
-        If a name matches no frame.
+        If a name matches no frame of the dataset.
     """
     found: set[str] = set()
     for name in names:
         end = PurePath(name).parts
         files = {frame.file for frame in dataset.frames if PurePath(frame.file).parts[-len(end) :] == end}
         if not files:
-            raise UserError(f"--leave-out {name}: {dataset.folder / 'dataset.json'} lists no such picture")
+            raise UserError(f"--leave-out {name}: {dataset.folder / 'dataset.json'} lists no picture with this name")
         found |= files
     return found
 
 
 def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | str]:
-    """Read a picture; if it cannot be read and this is tolerated, return the reason."""
+    """Read one picture; if it cannot be read and ``tolerant`` is True, return the error message instead."""
     try:
         return frame, read_image(dataset, frame)
     except UserError as error:
@@ -149,22 +156,24 @@ def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey |
 
 
 def picture_hash(dataset: Dataset, frame: Frame) -> str:
-    """Return the hash of a picture's file, from the dataset or else computed from the file."""
+    """Return the SHA-256 hash of a picture's file, as stated in the dataset or else computed from the file."""
     return frame.sha256.lower() or file_sha256(dataset.folder / frame.file)
 
 
 def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:
-    """Return the transfer curve stated in the first picture's file, or else by the scene."""
+    """Return the transfer curve stated in the first picture's file or, if there is none, in the scene."""
     return transfer.read_stated_curve(dataset.folder / frames[0].file) or transfer.camera_curve(dataset.scene.camera)
 
 
 def _contradictions(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, ...]:
-    """Return a warning if the curves stated in the files differ from each other or from the scene's."""
+    """Return a warning if the transfer curves stated in the files differ from each other or from the scene."""
     scene = transfer.camera_curve(dataset.scene.camera)
     words = [transfer.read_stated_curve(dataset.folder / frame.file) or scene for frame in frames]
     if not all(word.same(words[0]) for word in words):
         names = ", ".join(sorted({word.name for word in words}))
-        return (f"the picture files state different transfer curves ({names}); each is decoded by its own",)
+        return (f"the picture files state different transfer curves ({names}). Each file is decoded with its own curve.",)
     if words[0].same(scene):
         return ()
-    return (f"the picture files state the transfer curve {words[0].name}, the scene's camera {scene.name}; that of the files is used",)
+    return (
+        f"the picture files state the transfer curve {words[0].name}, but the scene states {scene.name}. The curve of the files is used.",
+    )

@@ -1,6 +1,6 @@
 """Complete reconstruction from a dataset to a result, in memory.
 
-Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result.
+The stages are called in this order: Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result.
 """
 
 from __future__ import annotations
@@ -38,13 +38,15 @@ from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
 
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
+"""Packages whose versions are recorded in the result."""
 _SWAYS = 3
-"""Maximum number of times that swaying roots are reconstructed again: half a millimetre at the tips hides a third of
-them at first."""
+"""Maximum number of times that hull and roots are reconstructed again because the roots sway. A sway of half a
+millimetre at the tips hides a third of the roots in the first reconstruction."""
 _WIDTH_VIEWS = 6
-"""Number of views in which the width of roots is measured."""
+"""Number of views in which the width of thin roots is measured."""
 _ON_DEVICE = ("evidence", "bank", "maps", "silhouettes")
-"""Fields of hull and roots that hold device data of coverage and cameras."""
+"""Names of the fields of hull and roots that contain pictures or Dr.Jit arrays. These fields are not written to the
+stage folder."""
 
 
 def reconstruct(
@@ -55,20 +57,20 @@ def reconstruct(
     keep_stages: Path | str | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Result:
-    """Reconstruct a dataset, in memory; `Result.save` writes the result.
+    """Reconstruct a dataset in memory; `Result.save` writes the result to a folder.
 
     Parameters
     ----------
     dataset : Dataset or path
         Dataset from `scenes.dataset.load_dataset`, or its folder.
     settings : Settings, optional
-        Settings, with a group for each stage.
+        Settings of all stages; by default, `Settings()`.
     mass_g : float, optional
-        Mass of the roots, if weighed; used for the traits only.
+        Measured mass of the roots, g; used only to compute traits.
     keep_stages : path, optional
-        Folder for the results of each stage (`recon.stages`).
+        Folder for the results of the individual stages (`recon.stages`); by default, they are not written.
     monitor : Monitor, type of tqdm, callable or None
-        Receives the progress, and may cancel the reconstruction.
+        Receives progress messages, and can cancel the reconstruction.
 
     Returns
     -------
@@ -78,9 +80,9 @@ def reconstruct(
     Raises
     ------
     UserError
-        If the pictures cannot be used; the message names the file and gives advice.
+        If the pictures cannot be used. The message names the file and suggests a correction.
     Cancelled
-        After `Monitor.cancel`.
+        If `Monitor.cancel` was called.
     """
     dataset, settings = dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings or Settings()
     stages, monitor = StageFolder.begin(keep_stages), _start_monitor(monitor)
@@ -110,13 +112,13 @@ def reconstruct(
 
 
 def _finish_roots(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
-    """Return the cameras calibrated with the roots, and the refined roots."""
+    """Calibrate the cameras with the roots and refine the roots; return both."""
     tree = rooting.calibrate(tree, monitor=monitor)
     return tree.cameras, crown.mark_hidden(rooting.finish_tree(tree, monitor=monitor), top_mm)
 
 
 def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
-    """Return a monitor that releases unused memory after each stage, and reset the pass counters."""
+    """Reset the pass counters, and return a monitor that releases unused memory after each stage."""
     passes.begin()
     made = Monitor.of(monitor)
     made.after_stage = release
@@ -124,11 +126,11 @@ def _start_monitor(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
 
 
 def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult, ...], tuple[str, ...]]:
-    """Return a solid with roots assigned to plants, the results of each plant, and warnings."""
+    """Assign roots to plants; return the solid with assigned roots, the results per plant, and warnings."""
     if not scene.plants:
         return solid, (), ()
     if not solid.roots:
-        return solid, (), ("no roots were found, so that nothing can be assigned to the plants",)
+        return solid, (), ("no roots were found, so there are no roots to assign to the plants",)
     planted = plants.assign(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
     shape = divide_by_plant.Shape(
         leaves=solid.voxels,
@@ -143,23 +145,23 @@ def _divide_plants(solid: Solid, scene: Scene) -> tuple[Solid, tuple[PlantResult
 
 
 def _apply_checks(solid: Solid, checked: tuple[Check, ...]) -> Solid:
-    """Return a solid whose volume is not trusted if a check failed."""
+    """Mark the volume of a solid as not trusted if a check failed."""
     failed = checks.failure_reasons(checked)
     return replace(solid, volume=solid.volume.distrust(failed)) if failed else solid
 
 
 def _root_warnings(solid: Solid, roots: RootSystem | None) -> tuple[str, ...]:
-    """Return the warnings about roots and solid."""
+    """Return the warnings about the roots, the solid and the trust in the volume."""
     return (*(() if roots is None else roots.attenuation.warnings()), *solid.warnings, *_volume_objections(solid))
 
 
 def _volume_objections(solid: Solid) -> tuple[str, ...]:
-    """Return the reasons for which the volume is not trusted."""
+    """Return the reasons why the volume is not trusted; empty if it is trusted."""
     return () if solid.volume.trusted else (solid.volume.verdict,)
 
 
 def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
-    """Estimate length, tips and mean diameter, with intervals and verdicts."""
+    """Estimate total length, number of tips and mean diameter of the roots, with intervals and verdicts."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(
             solid.roots,
@@ -174,7 +176,7 @@ def _estimates(carved: shaping.CarvedHull, solid: Solid, monitor: Monitor) -> tu
 def _hull_and_tree(
     pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
 ) -> tuple[shaping.CarvedHull, RootTree | None]:
-    """Reconstruct hull and root tree, and repeat both if the roots sway from picture to picture."""
+    """Reconstruct the hull and the root tree, and repeat both if the roots sway between pictures."""
     dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     for _ in range(_SWAYS):
@@ -190,7 +192,8 @@ def _hull_and_tree(
 def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.CarvedHull:
     """Carve the hull, and carve it again without the views that contradict all others.
 
-    If the hull is empty, the failed checks of the pictures are added to the error, as they are usually the cause.
+    If the hull is empty, the reasons of failed picture checks are appended to the error message, because they are
+    usually the cause.
     """
     dataset = pictures.dataset
     hull: shaping.CarvedHull | UserError
@@ -211,7 +214,10 @@ def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settin
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
-    """Check the pictures that are used; masks, and pictures with given cameras, allow only some of the checks."""
+    """Check the quality of the pictures.
+
+    Some checks are skipped for masks and for pictures with given cameras.
+    """
     dataset, found, order = pictures.dataset, cameras.markers, sorted(cameras.order)
     drawn = [coverage.silhouettes[k] for k in order]
     azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
@@ -246,25 +252,25 @@ def gather(
     settings: Json,
     monitor: Monitor,
 ) -> Result:
-    """Assemble a result.
+    """Assemble the result from the output of the stages.
 
     Parameters
     ----------
     pictures : Pictures
-        Their dataset, and the band they were taken in.
+        Pictures of the roots, with their dataset and band.
     cameras, coverage, solid : Cameras, Coverage, Solid
-        Results of the stages.
+        Output of the stages.
     warnings, checked : tuple of str, tuple of Check
         Warnings for the user, and results of the checks.
     settings : Json
-        The settings used, for the record.
+        Settings of the reconstruction, which are recorded in the result.
     monitor : Monitor
-        Provides the times of the stages.
+        Provides the run times of the stages.
 
     Returns
     -------
     Result
-        The result, not saved.
+        The result, not yet written to a folder.
     """
     dataset, files = pictures.dataset, [camera.file for camera in cameras.all]
     used = {camera.file for camera in cameras.all if camera.used}  # other cameras may have no readable file

@@ -1,11 +1,14 @@
 """Robust statistics, and covariances of fits with correlated residuals.
 
-Residuals of a picture share its pose, its light and its pixel grid; treating them as independent is far too optimistic.
-Correlated residuals form a cluster, and the covariance follows from the scatter of whole clusters: with scores s_g (the
-gradient of a cluster's residuals at the solution) and the normal matrix H, the solution's covariance is H^-1 M H^-1
-with M = sum s_g s_g^T (the sandwich; Cameron and Miller 2015, Journal of Human Resources 50:317). With few clusters,
-each one's influence on the solution biases this. Leaving out each in turn, s_g becomes H (H - H_g)^-1 s_g, which
-corrects the bias (cluster jackknife CV3; MacKinnon, Nielsen and Webb 2023, Journal of Econometrics 232:272).
+The residuals of one picture share its pose, its illumination and its pixel grid. Treating them as independent
+underestimates the uncertainty severely. Correlated residuals are therefore grouped into clusters, and the covariance is
+computed from the scatter between clusters. With scores s_g (the gradient of the residuals of cluster g at the solution)
+and the normal matrix H, the covariance of the solution is H^-1 M H^-1 with M = sum s_g s_g^T. This is the sandwich
+estimator (Cameron and Miller 2015, Journal of Human Resources 50:317).
+
+With few clusters, this estimate is biased because every cluster influences the solution. The cluster jackknife CV3
+corrects the bias: each cluster is omitted in turn, which replaces s_g by H (H - H_g)^-1 s_g (MacKinnon, Nielsen and
+Webb 2023, Journal of Econometrics 232:272).
 """
 
 from __future__ import annotations
@@ -17,42 +20,43 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 MAD = 1.4826
-"""Ratio of the standard deviation of a normal distribution to its median absolute deviation: the inverse of its 75 %
-quantile, 0.6745."""
+"""Ratio of the standard deviation of a normal distribution to its median absolute deviation. The ratio is the inverse
+of the 75 % quantile of the standard normal distribution, 0.6745."""
 
 
 def inverse(normal: Array) -> Array:
-    """Invert symmetric matrices (..., K, K) of unknowns with different units, after scaling to a unit diagonal."""
+    """Invert symmetric matrices (..., K, K), each scaled to a unit diagonal to allow for different units."""
     size = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
     outer = size[..., :, None] * size[..., None, :]
     return np.asarray(np.linalg.inv(normal / outer) / outer, np.float64)
 
 
 def scatter(scores: Array, *clusters: Numbers, curvatures: Array | None = None, normal: Array | None = None) -> Array:
-    """Return the covariance of a sum of scores that are correlated within clusters.
+    """Estimate the covariance of a sum of scores that are correlated within clusters.
 
     Parameters
     ----------
     scores : (N, K) float64 array
-        Gradient of each residual, or group of residuals, at the solution.
+        Gradient of each residual, or of each group of residuals, at the solution.
     *clusters : (N,) int64 array
-        Cluster index of each score; with two ways of clustering, scores that share either are correlated (Cameron,
-        Gelbach and Miller 2011, Journal of Business and Economic Statistics 29:238, equation 2.11).
+        Cluster index of each score. If two arrays are given, scores are treated as correlated when they share a cluster
+        in either array (Cameron, Gelbach and Miller 2011, Journal of Business and Economic Statistics 29:238, equation
+        2.11).
     curvatures : (N, K, K) float64 array, optional
-        Contribution of each score to the normal matrix. With it, clusters are left out in turn; without, the scatter is
-        multiplied by G / (G - 1) for G clusters.
+        Contribution of each score to the normal matrix, for the cluster jackknife. By default, the scatter is
+        multiplied by G / (G - 1) for G clusters instead.
     normal : (K, K) float64 array, optional
         Normal matrix, including the prior; required with ``curvatures``.
 
     Returns
     -------
     (K, K) float64 array
-        Positive semidefinite.
+        Covariance of the sum, positive semidefinite.
     """
     if len(clusters) == 2:
         both = clusters[0] * (int(clusters[1].max(initial=0)) + 1) + clusters[1]
         one, other, common = (scatter(scores, cluster, curvatures=curvatures, normal=normal) for cluster in (*clusters, both))
-        return _positive(one + other - common, np.diag(np.diag(one + other)) if normal is None else normal)
+        return _clip_eigenvalues(one + other - common, np.diag(np.diag(one + other)) if normal is None else normal)
     (cluster,) = clusters
     _, number = np.unique(cluster, return_inverse=True)
     count = int(number.max(initial=-1)) + 1
@@ -67,10 +71,11 @@ def scatter(scores: Array, *clusters: Numbers, curvatures: Array | None = None, 
 
 
 def sandwich(normal: Array, meat: Array, least: Array) -> Array:
-    """Return the covariance (K, K) of a solution with a normal matrix, whose gradient has the covariance ``meat``.
+    """Return the covariance (K, K) of a least-squares solution from its normal matrix and gradient covariance.
 
-    ``least`` is the covariance for independent residuals: chance must not make a variance smaller (MacKinnon, Nielsen
-    and Webb 2024 use the largest of several estimates for the same reason).
+    ``meat`` is the covariance of the gradient, and ``least`` the covariance of the solution for independent residuals.
+    The variances are at least those in ``least``, because random scatter must not reduce them. MacKinnon, Nielsen and
+    Webb (2024) use the largest of several estimates for the same reason.
     """
     bread = inverse(normal)
     found = bread @ meat @ bread
@@ -78,11 +83,10 @@ def sandwich(normal: Array, meat: Array, least: Array) -> Array:
     return np.asarray(found * larger[:, None] * larger)
 
 
-def _positive(matrix: Array, measure: Array) -> Array:
-    """Return a symmetric matrix with negative eigenvalues set to zero, in units of another matrix.
+def _clip_eigenvalues(matrix: Array, measure: Array) -> Array:
+    """Set the negative eigenvalues of a symmetric matrix to zero, in the metric of ``measure``.
 
-    If the measure is proportional to the gradient's covariance for independent residuals, all unknowns have equal
-    weight.
+    If ``measure`` is proportional to the gradient covariance for independent residuals, all unknowns have equal weight.
     """
     size = np.sqrt(np.maximum(np.diag(measure), 1e-300))
     root = size[:, None] * np.linalg.cholesky(measure / np.outer(size, size) + 1e-12 * np.eye(len(size)))

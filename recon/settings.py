@@ -1,4 +1,7 @@
-"""User settings of the reconstruction; other values are derived, or constants in the code."""
+"""User settings of the reconstruction.
+
+All other parameters are derived from data, or are constants in the modules that use them.
+"""
 
 from __future__ import annotations
 
@@ -14,74 +17,83 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationSettings:
-    """Calibration of the cameras from markers and the canister's edges."""
+    """Settings for the calibration of the cameras from the markers and the canister's edges."""
 
     worst_px: float = bounded(1.0, 0.05, 100.0)
-    """Reprojection error (px) beyond which a view is excluded, if it is also `worst_factor` times the median. Typical
-    errors are 0.03 to 0.06, and 0.1 to 0.4 with OpenCV's corners. An error of one pixel in one view reduces the width
-    of every root by a pixel: 0.23 mm on a bench, where second-order laterals have 0.14 to 0.28 mm."""
+    """Reprojection error above which a view is excluded, px, if the error also exceeds `worst_factor` times the median
+    of all views. Typical errors are 0.03 to 0.06 px, or 0.1 to 0.4 px with OpenCV's corners. An error of one pixel in
+    one view reduces the width of every root by one pixel. On a bench, this is 0.23 mm, whereas second-order laterals
+    are 0.14 to 0.28 mm wide."""
     worst_factor: float = bounded(6.0, 1.0, 1000.0)
-    """Ratio of a view's reprojection error to the median beyond which it is excluded, see `worst_px`. Errors are means
-    over tens of corners, so that those of the views of one scan differ by tens of per cent, not by factors."""
+    """Ratio of a view's reprojection error to the median of all views above which the view is excluded, if the error
+    also exceeds `worst_px`. Reprojection errors are means over tens of corners, so they differ between the views of one
+    scan by tens of per cent, not by factors."""
     hopeless_px: float = bounded(5.0, 0.05, 1000.0)
-    """Reprojection error (px) beyond which a view is always excluded: the width of every root is reduced by the error
-    of one view, and 5 px (1.2 mm on a bench) exceed the width of any lateral, and of a taproot up to its fifteenth day.
-    """
+    """Reprojection error above which a view is always excluded, px. The error of one view reduces the width of every
+    root by the same amount. An error of 5 px (1.2 mm on a bench) exceeds the width of any lateral, and of a taproot up
+    to its fifteenth day."""
     focus_sure: float = bounded(5.0, 0.0, 100.0)
-    """Number of standard deviations beyond which a change of focus since the calibration of the lens is accepted: its
-    effect resembles that of distance, whose uncertainty increases two to three times while the focus is free
-    (`docs/log/self-calibration.md`)."""
+    """Minimum estimated change of the focal length, in standard deviations, at which the estimate replaces the
+    calibrated focal length. A change of focus resembles a change of distance: the uncertainty of the distance increases
+    two to three times while the focus is estimated (`docs/log/self-calibration.md`)."""
     focus_prior: float = bounded(0.005, 1e-6, 0.1)
-    """Standard deviation of the ratio of focal lengths to the calibrated ones; focusing changes them by fractions of a
-    per cent."""
+    """Prior standard deviation of the ratio of the focal lengths to their calibrated values. Focusing changes focal
+    lengths by fractions of a per cent."""
     table_prior_deg: float = bounded(0.1, 1e-4, 30.0)
-    """Standard deviation (degrees) of the table's angles from the commanded ones; the pictures determine them a hundred
-    times more precisely."""
+    """Prior standard deviation of the table angles about the commanded angles, degrees. The pictures determine the
+    table angles a hundred times more precisely."""
     inset_prior_px: float = bounded(0.05, 1e-4, 2.0)
-    """Standard deviation of the apparent enlargement of markers on each side (px); in the twin it is 0.11 for sRGB and
-    0.002 for linear light."""
+    """Prior standard deviation of the apparent enlargement of the markers on each side, px. In the twin, the
+    enlargement is 0.11 px for sRGB pictures and 0.002 px for pictures linear in light."""
     edge_mm: float = bounded(0.1, 0.001, 5.0)
-    """Scale (mm) of the Cauchy loss for the canister's edges: about a third of a pixel on a bench, and ten times the
-    noise of the edges."""
+    """Scale of the Cauchy loss for the residuals of the canister's edges, mm. The default is about a third of a pixel
+    on a bench, and ten times the noise of the edges."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSettings:
-    """Measurement of the coverage of each pixel by roots."""
+    """Settings for the measurement of the coverage of each pixel by roots."""
 
     noise_sigmas: float = bounded(4.0, 0.0, 20.0)
-    """Minimum darkening (smoothed by a Gaussian of one pixel) that counts as coverage, in standard deviations of the
-    noise of the empty backlight; 15 of 480 000 empty pixels exceed the default by chance."""
+    """Minimum darkening that counts as coverage, in standard deviations of the noise of the empty backlight. The
+    picture is first smoothed by a Gaussian of one pixel. With the default, 15 of 480 000 empty pixels count as covered
+    by chance."""
     dim: float = bounded(0.25, 0.0, 1.0)
-    """Brightness of the background, relative to the ring's bright one (its 90 % quantile), below which pixels are not
-    usable, as at flanks and in shadows."""
+    """Minimum brightness of the background for a pixel to be usable, relative to the 90 % quantile of the background's
+    brightness in the ring. Darker pixels occur at the canister's flanks and in shadows."""
     glare: float = bounded(0.05, 0.001, 1.0)
-    """Brightness above the smooth panel, relative to it, beyond which a pixel shows a reflection. A reflection is
-    subtracted if roots in front of it confirm that its light is not the panel's; otherwise its pixels are not usable.
-    """
+    """Excess brightness over the smoothed panel, relative to the panel, above which a pixel is classified as a
+    reflection. The reflected light is subtracted if roots in front of the reflection confirm that the excess light does
+    not come from the panel. Otherwise, the pixels are not usable."""
     film_depth: float = bounded(0.03, 0.001, 2.0)
-    """Minimum optical depth of a detected film on the wall; those of the profile `harsh` are measured within 0.01
-    (`docs/log/silhouettes-from-coverage.md`)."""
+    """Minimum optical depth of films that are detected on the wall. Optical depths of films in the profile `harsh` are
+    measured to within 0.01 (`docs/log/silhouettes-from-coverage.md`)."""
     film_most: float = bounded(0.5, 0.01, 10.0)
-    """Maximum optical depth of a film; darker structures are objects."""
+    """Maximum optical depth of a film on the wall. Darker structures are treated as objects."""
     bubble_depth: float = bounded(0.06, 0.001, 2.0)
-    """Mean optical depth of one millimetre of wall with the smallest detected bubble: twice that of the faintest film.
-    """
+    """Minimum optical depth of a bubble, averaged over one millimetre of wall. The default is twice the optical depth
+    of the faintest film."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureSettings:
-    """Selection of pictures."""
+    """Settings for the selection of pictures and of the camera band."""
 
     leave_out: tuple[str, ...] = ()
-    """Pictures to exclude, by their file names in the dataset, or by the ends of these names."""
+    """Pictures to exclude, specified by their file names in the dataset or by the ends of these names."""
     tolerant: bool = False
-    """Exclude pictures that are missing or cannot be read, instead of stopping with an error."""
+    """Whether pictures that are missing or cannot be read are excluded. By default, such pictures stop the
+    reconstruction with an error."""
     band: str = ""
-    """Name of the camera's band used for the roots; by default the one with the largest signal-to-noise ratio."""
+    """Name of the camera band used for the roots. By default, the band with the largest signal-to-noise ratio is used.
+    """
 
     def joined(self, other: PictureSettings) -> PictureSettings:
-        """Return settings that exclude the pictures of both, and are tolerant if one of them is."""
+        """Return settings that combine these settings with others.
+
+        Pictures that either settings exclude are excluded, and unreadable pictures are tolerated if either settings
+        tolerate them. The band of these settings takes precedence.
+        """
         return PictureSettings(
             leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant, band=self.band or other.band
         )
@@ -89,98 +101,117 @@ class PictureSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class HullSettings:
-    """Carving of the hull from silhouettes."""
+    """Settings for the carving of the visual hull from the silhouettes."""
 
     finest_mm: float = bounded(0.14, 0.01, 5.0)
-    """Maximum edge of carved voxels; larger output voxels are assembled from these, so that their occupancy is
-    measured."""
+    """Maximum edge length of carved voxels, mm. Larger output voxels are assembled from carved voxels, so that their
+    occupancy is measured."""
     slack_px: float = bounded(0.3, 0.01, 5.0)
-    """Displacement of outlines inwards and outwards for the silhouette-consistent bounds."""
+    """Displacement of all outlines, inwards and outwards, from which the smallest and largest volume consistent with
+    the silhouettes are computed, px."""
     extrapolate_taproot: bool = False
-    """Add the volume of a taproot behind the net pot, extrapolated from its visible part; the shape does not change."""
+    """Whether the volume of the taproot behind the net pot is added. The hidden volume is extrapolated from the visible
+    part of the taproot. The shape does not change."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrustSettings:
-    """Limits of a trusted volume. Of two limits, values beyond the first are fair, and beyond the second bad."""
+    """Limits that a scan must satisfy for its volume to be trusted.
+
+    A setting with two values has a fair and a bad limit. A measured value beyond the fair limit is rated fair, and a
+    value beyond the bad limit is rated bad.
+    """
 
     widest: float = bounded(0.25, 0.0, 10.0)
-    """Maximum half-width of the 90 % interval relative to the volume: two scans a week apart with this half-width do
-    not resolve growth by a third."""
+    """Maximum half-width of the 90 % interval of a trusted volume, relative to the volume. With this half-width, two
+    scans one week apart do not resolve growth by a third."""
     least_views: int = bounded(8, 3, 1000)
-    """Minimum number of views; with fewer, no view may be left to contradict a ghost."""
+    """Minimum number of views of a trusted volume. With fewer views, there may be no view that contradicts a ghost,
+    which is a reconstructed root without a real one."""
     unexplained: tuple[float, float] = bounded((0.1, 0.2), 0.0, 1.0)
-    """Fraction of the covered area that the shape leaves unexplained; beyond the limit, too many roots were missed to
-    estimate their volume."""
+    """Fair and bad limits for the fraction of the covered area that the shape does not explain. Above the bad limit,
+    too many roots were missed to estimate their volume."""
     fill: tuple[float, float] = bounded((0.35, 0.5), 0.0, 1.0)
-    """Fraction of the root zone covered by thin roots in the pictures: above one half, silhouettes no longer
-    distinguish roots from gaps."""
+    """Fair and bad limits for the fraction of the root zone that thin roots cover in the pictures. Above one half,
+    silhouettes no longer distinguish roots from gaps."""
     missed: tuple[float, float] = bounded((0.05, 0.1), 0.0, 1.0)
-    """Fraction of the coverage outside the hull of all views: views with inconsistent geometry carve roots away. It is
-    up to 0.03 for plants and printed phantoms of the ladder, and 0.06 for correct mixtures; for wrong ones (24 to 37 %
-    of the volume lost) it is 0.20 or more. The limit is the geometric mean of the two
+    """Fair and bad limits for the fraction of the coverage that lies outside the hull of all views. Views with
+    inconsistent geometry carve roots away. The fraction is at most 0.03 for simulated plants and printed phantoms. In
+    simulated scans with random combinations of disturbances, it is at most 0.06 if the volume is correct, and at least
+    0.20 if 24 to 37 % of the volume are lost. The bad limit is the geometric mean of 0.06 and 0.20
     (`docs/log/2026-11-22-mixtures.md`)."""
     sway_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
-    """Root mean square displacement (mm) of the roots in a picture from their position in all pictures. It is 0.023 to
-    0.059 for static plants in the twin. Motion widens the common shape by its square, and a sway of 0.3 mm lost 10 % of
-    the volume: the limits correspond to 0.4 and 2.5 %. Wrong cameras have 0.48 (a cropped picture) and 0.89 (one of
-    half the size)."""
+    """Fair and bad limits for the root mean square displacement of the roots in single pictures from their common
+    position, mm. The displacement is 0.023 to 0.059 mm for static plants in the twin. The volume lost by motion grows
+    with the square of the displacement, and a sway of 0.3 mm lost 10 % of the volume. The limits therefore correspond
+    to 0.4 and 2.5 %. Scans with wrong cameras have 0.48 mm (a cropped picture) and 0.89 mm (a picture of half the
+    size)."""
     dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
-    """Fraction of the wall in front of the roots that films, bubbles and glare cover."""
+    """Fair and bad limits for the fraction of the wall in front of the roots that films, bubbles and glare cover."""
     spread: tuple[float, float] = bounded((0.02, 0.04), 0.0, 1.0)
-    """Scattered light: light missing beside roots, relative to the light they absorb
-    (`recon.uncertainty.scattered_light`). It is 0.000 to 0.007 for printed phantoms and plants in `clean`, `bench` and
-    `camera`. A quarter of the light scattered over 20 px gives 0.19, and made a printed phantom 5.9 % too large: the
-    limits correspond to 0.6 and 1.2 % of volume (`docs/log/2026-11-22-damages.md`)."""
+    """Fair and bad limits for the scattered light, which is the light missing beside roots relative to the light that
+    the roots absorb (`recon.uncertainty.scattered_light`). The ratio is 0.000 to 0.007 for printed phantoms and plants
+    in the profiles `clean`, `bench` and `camera`. When a quarter of the light was scattered over 20 px, the ratio was
+    0.19, and the volume of a printed phantom was 5.9 % too large. The limits therefore correspond to volume errors of
+    0.6 and 1.2 % (`docs/log/2026-11-22-damages.md`)."""
     clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
-    """Fraction of the panel's pixels at full scale: where the panel is clipped, the absorption by roots is unknown."""
+    """Fair and bad limits for the fraction of the panel's pixels at full scale. Where the panel is clipped, the
+    absorption by roots is unknown."""
     dim: tuple[float, float] = bounded((0.2, 0.05), 0.0, 1.0)
-    """Minimum brightness of the panel: at a twentieth of full scale, eight bits have 13 levels, and a root half a pixel
-    wide three of them."""
+    """Fair and bad lower limits for the brightness of the panel, relative to full scale. At a twentieth of full scale,
+    an 8-bit picture resolves 13 levels, and a root half a pixel wide spans three of these levels."""
     wander: tuple[float, float] = bounded((0.05, 0.3), 0.0, 10.0)
-    """Standard deviation of the exposure, which is normalised; a variation by a third moves the panel out of the
-    camera's range."""
+    """Fair and bad limits for the standard deviation of the exposure over the pictures. The exposure is normalised, but
+    a variation by a third moves the panel out of the camera's range."""
     uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
-    """Standard deviation of the panel beside the canister relative to that of all pictures, after normalisation of the
-    exposure row by row. Bands of 7 % without this normalisation made a printed phantom 6.8 % too large, which is about
-    the same (`docs/log/2026-11-22-damages.md`)."""
+    """Fair and bad limits for the brightness variation of the panel beside the canister that remains after row-by-row
+    normalisation of the exposure. The variation is the standard deviation relative to the same panel in all pictures.
+    Without the normalisation, brightness bands of 7 % made a printed phantom 6.8 % too large: the relative error of the
+    volume is about that of the brightness (`docs/log/2026-11-22-damages.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
-    """Standard deviation (px) of the blur, including the pixel's own 0.29. A root of 0.3 mm is one pixel wide at 800
-    pixels across 250 mm; blurred by 2.5 px, it darkens the panel by a sixth."""
+    """Fair and bad limits for the standard deviation of the blur, px, including 0.29 px of the pixel itself. At 800
+    pixels across 250 mm, a root of 0.3 mm is one pixel wide. Blurred by 2.5 px, the root darkens the panel by a sixth.
+    """
     refocus_px: tuple[float, float] = bounded((0.5, 1.0), 0.0, 100.0)
-    """Additional blur (px) of the least sharp picture relative to the sharpest, as a difference of variances. All
-    pictures are fitted with one blur: with half of a printed phantom's pictures blurred by an additional 1.5 px, 9.3 %
-    of its volume was lost; the loss grows with the square, so that 1 px corresponds to 4 % and 0.5 px to 1 %. It is 0.1
-    for plants and printed phantoms in `bench`, `camera` and mixtures."""
+    """Fair and bad limits for the additional blur of the least sharp picture relative to the sharpest, px, computed
+    from the difference of the variances. All pictures are fitted with the same blur. When half of a printed phantom's
+    pictures were blurred by an additional 1.5 px, 9.3 % of its volume was lost. The loss grows with the square of the
+    blur, so the limits correspond to 1 % and 4 %. The additional blur is 0.1 px for simulated plants and printed
+    phantoms."""
     inset_px: tuple[float, float] = bounded((0.03, 0.045), 0.0, 10.0)
-    """Apparent enlargement of the markers on each side (px): in linear light, blur does not move their edges. It is
-    0.001 to 0.005 for correct scans of the twin, and 0.028 for an uncalibrated lens of k1 = -0.15, with a volume
-    correct to 1.1 %. It is 0.077 for a table that turns by 4 px during the exposure, with a volume 6.9 % too large, and
-    0.11 for sRGB interpreted as light. The second limit is the geometric mean of the largest value of a correct scan
-    and the smallest value of a wrong one."""
+    """Fair and bad limits for the apparent enlargement of the markers on each side, px. In linear light, blur does not
+    move the markers' edges. The enlargement is 0.001 to 0.005 px for correct scans of the twin, and 0.028 px for an
+    uncalibrated lens with k1 = -0.15, whose volume was correct to 1.1 %. It is 0.077 px for a table that turns by 4 px
+    during the exposure, with a volume 6.9 % too large, and 0.11 px for sRGB values interpreted as light. The bad limit
+    is the geometric mean of the largest value of an acceptable scan and the smallest value of a wrong scan."""
     corners_px: tuple[float, float] = bounded((0.3, 1.0), 0.0, 100.0)
-    """Distance (px) of the markers' corners from their projections by the cameras; fitted corners are within 0.06, and
-    OpenCV's corners within 0.2 at 800 pixels and 0.4 at 400 (measured)."""
+    """Fair and bad limits for the distance of the markers' corners from their projections by the estimated cameras, px.
+    The measured distance is at most 0.06 px for fitted corners. For OpenCV's corners, the distance is at most 0.2 px in
+    pictures 800 pixels wide, and 0.4 px in pictures 400 pixels wide."""
     radius_share: tuple[float, float] = bounded((0.002, 0.006), 0.0, 1.0)
-    """Relative deviation of the canister's outer radius from its nominal value that remains after correction, which
-    changes the strength of the canister as a lens by the same fraction."""
+    """Fair and bad limits for the relative deviation of the canister's outer radius from its nominal value that remains
+    after correction. The refractive power of the canister changes by the same fraction."""
     edge_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
-    """Deviation of the canister's edges from an oval (mm, median)."""
+    """Fair and bad limits for the median deviation of the canister's edges from the fitted oval, mm."""
     oval_mm: tuple[float, float] = bounded((0.12, 0.3), 0.0, 10.0)
-    """Half the difference between the canister's radii (mm). A wall inclined by 2 e / R deflects a ray by a quarter of
-    that (index 1.33), which displaces a root on the axis by e / 2, as much as ``sway_mm`` permits."""
+    """Fair and bad limits for half the difference e between the largest and the smallest outer radius of the canister,
+    mm. A wall inclined by 2 e / R deflects a ray by a quarter of this angle (index 1.33), which displaces a root on the
+    axis by e / 2. The limits permit the same displacement as ``sway_mm``."""
     resolution_px: tuple[float, float] = bounded((0.7, 0.0), 0.0, 100.0)
-    """Minimum width of thin roots in the pictures (px). The views of a radish of five days are inconsistent at 0.61,
-    but not at 0.75 and 0.95; the first limit is the geometric mean. No width alone is bad: if the views are consistent,
-    the volume is correct."""
+    """Fair and bad lower limits for the width of thin roots in the pictures, px. The views of a five-day-old radish are
+    inconsistent at a width of 0.61 px, but consistent at 0.75 and 0.95 px. The fair limit is the geometric mean of 0.61
+    and 0.75. The bad limit is zero, because the volume is correct at any width if the views are consistent."""
     left_out: tuple[float, float] = bounded((0.1, 0.34), 0.0, 1.0)
-    """Fraction of the pictures that could not be used."""
+    """Fair and bad limits for the fraction of the pictures that could not be used."""
     gap_deg: tuple[float, float] = bounded((30.0, 75.0), 0.0, 360.0)
-    """Maximum step (degrees) between neighbouring views around the canister; between them, the shape is only
-    constrained by these two views."""
+    """Fair and bad limits for the largest angular step between neighbouring views around the canister, degrees. Between
+    two neighbouring views, the shape is constrained only by these views."""
 
     def __post_init__(self) -> None:
-        """Check the order of the limits; only low brightness of the panel and small widths of roots are bad."""
+        """Check the order of the two limits of each setting.
+
+        The bad limit must be the larger one, except for the brightness of the panel and the width of roots.
+        """
         for each in fields(self):
             value = getattr(self, each.name)
             is_small_bad = each.name in ("dim", "resolution_px")
@@ -191,39 +222,46 @@ class TrustSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ShootSettings:
-    """Measurement of the shoot."""
+    """Settings for the measurement of the shoot."""
 
     leaf_thickness_mm: float = bounded(0.0, 0.0, 10.0)
-    """Thickness of a blade (mm), measured with a caliper or from the mass of a punched disc; 0 if unknown, in which
-    case the volume of the shoot is not computed. Blades are about one pixel thick (0.3 mm), which silhouettes do not
-    resolve."""
+    """Thickness of a leaf blade, mm, measured with a calliper or from the mass of a punched disc. Set 0 if the
+    thickness is unknown, in which case the volume of the shoot is not computed. Blades are about one pixel thick (0.3
+    mm), which silhouettes do not resolve."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of a reconstruction, with a group for each stage."""
+    """Settings of a reconstruction, in one group per stage."""
 
     voxel_mm: float = bounded(0.27, 0.01, 20.0)
-    """Edge of the voxels in the output (0.27 as in the thesis); volumes are measured on a finer grid."""
+    """Edge length of the output voxels, mm. The default of 0.27 mm is the value used in the thesis. Volumes are
+    measured on a finer grid."""
     pictures: PictureSettings = field(default_factory=PictureSettings)
+    """Settings for the selection of pictures."""
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
+    """Settings for the calibration of the cameras."""
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
+    """Settings for the measurement of coverage."""
     hull: HullSettings = field(default_factory=HullSettings)
+    """Settings for the carving of the visual hull."""
     trust: TrustSettings = field(default_factory=TrustSettings)
+    """Limits that a scan must satisfy for its volume to be trusted."""
     shoot: ShootSettings = field(default_factory=ShootSettings)
+    """Settings for the measurement of the shoot."""
 
 
 def load_settings(file: Path | str) -> Settings:
-    """Load settings from a TOML file; missing keys take their defaults.
+    """Load settings from a TOML file; keys that are missing from the file keep their default values.
 
     Raises
     ------
     UserError
-        If the file is missing or damaged, or contains an unknown key or a value beyond its limits.
+        If the file is missing or is not valid TOML, or contains an unknown key or a value outside its limits.
     """
     path = Path(file)
     if not path.is_file():
-        raise UserError(f"{path}: there is no such file; settings are a TOML file such as `voxel_mm = 0.2`")
+        raise UserError(f"{path} does not exist. The settings must be a TOML file with lines such as `voxel_mm = 0.2`.")
     try:
         text = read_file(path).decode()
         mapping = tomllib.loads(text)

@@ -1,4 +1,4 @@
-"""From silhouettes to a shape: outlines, hull, trimming, surface and extents."""
+"""Stages from silhouettes to a solid: outlines, hull, trimming, surface and extents."""
 
 import math
 from collections.abc import Sequence
@@ -42,28 +42,33 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 _MISSED_VIEWS = 8
-"""Number of views that are used; their order spreads neighbours over the turn."""
+"""Number of views in which the coverage missed by the hull is measured. These are the first views in processing order,
+which are spread over the turn."""
 _MISSED_LEAVES = 100_000
-"""Number of leaves above which only a subset is used: those of a solid are closer in a picture than a pixel, and hide
-each other."""
+"""Maximum number of leaves with which the coverage missed by the hull is measured. Larger hulls are subsampled: in a
+picture, the leaves of a solid are less than one pixel apart, and hide each other."""
 _SURFACE_LEAVES = 1_000_000
-"""Number of finest leaves above which they are merged before the surface is computed."""
+"""Maximum number of finest leaves from which the surface is computed. Larger numbers of leaves are merged first."""
 _MUCH_KEPT = 0.2
-"""Fraction of untrimmed hull in the volume above which a warning is given."""
+"""Maximum fraction of untrimmed hull in the volume without a warning."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CarvedHull:
-    """A hull with its input."""
+    """Carved hull with the silhouettes and cameras from which it was carved."""
 
     hull: Hull
+    """The carved visual hull."""
     bank: projection.ViewBank
+    """Views of the silhouettes, packed for projection on the device."""
     maps: DistanceMaps
+    """Distance maps of the silhouettes' outlines."""
     silhouettes: tuple[Silhouette, ...]
-    """In the order of the bank's views."""
+    """Silhouettes of the views, in the order of ``bank``."""
     cameras: Cameras
-    """In the order of the bank's views."""
+    """Cameras of the views, in the order of ``bank``."""
     water: Water
+    """Space in which the hull was carved."""
 
 
 def carve_hull(
@@ -81,7 +86,7 @@ def carve_hull(
     Parameters
     ----------
     finest_mm : float
-        Edge of the finest nodes.
+        Edge length of the finest octree nodes.
     slack_px, ignore_blindness : float, bool
         See `carve.carve`.
 
@@ -104,45 +109,45 @@ def carve_hull(
             hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
-            f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
-            "the poses or the scene file do not match the pictures."
+            f"{dataset.folder}: the silhouettes have no volume in common, so no shape can be reconstructed. "
+            "The camera poses or the scene file do not match the pictures."
         )
     return CarvedHull(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
 
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
-    """Return the frames of views that contradict all others, with the reason.
+    """Find the views that contradict all others; return the reason for each, keyed by frame number.
 
     Parameters
     ----------
     dataset, cameras, coverage : Dataset, Cameras, Coverage
-        Scene, cameras and silhouettes.
+        Dataset with the scene, cameras, and silhouettes of the views.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
     """
     with monitor.stage("wrong views"):
         bank = projection.ViewBank.pack(cameras.views, cameras.optics)
         silhouettes = [coverage.silhouettes[k] for k in cameras.order]
         found = agreement.find_wrong_views(bank, silhouettes, water_space(dataset.scene, cameras))
-    return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or truncated" for view in found}
+    return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or cropped" for view in found}
 
 
 def water_space(scene: Scene, cameras: Cameras) -> Water:
-    """Return the space between the floor and the net pot, or the surface of the water."""
+    """Return the space between the floor and the net pot's grid or, if lower, the surface of the water."""
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
 def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> CarvedHull:
-    """Carve the visual hull of the silhouettes.
+    """Carve the visual hull of the silhouettes with the voxel size of the settings.
 
     Parameters
     ----------
     dataset, cameras, coverage : Dataset, Cameras, Coverage
-        Scene, cameras and silhouettes.
+        Dataset with the scene, cameras, and silhouettes of the views.
     settings : Settings
-        Voxel size and slack.
+        Voxel size, and slack of the outlines.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
     """
     halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
     finest_mm = settings.voxel_mm / 2**halvings
@@ -150,7 +155,7 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
 
 
 def missed_share(carved: CarvedHull) -> float:
-    """Return the fraction of the coverage that no part of the hull explains."""
+    """Return the fraction of the coverage that the projected hull does not explain."""
     leaves = carved.hull.leaves
     leaves = leaves.select(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
     views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
@@ -161,50 +166,50 @@ def missed_share(carved: CarvedHull) -> float:
 def find_roots(
     carved: CarvedHull, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
 ) -> RootTree | None:
-    """Reconstruct the roots as a tree of tubes; return None if there are none.
+    """Reconstruct the roots as a tree of tubes.
 
     Parameters
     ----------
     carved : Carved
-        Views and silhouettes.
+        Carved hull with its views and silhouettes.
     coverage : Coverage
-        Attenuation of the roots.
+        Coverage with the attenuation of the roots.
     scene : Scene
-        Positions of the plants.
+        Scene with the positions of the plants.
     known : TubeAttenuation, optional
         See `rooting.find_tree`.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
 
     Returns
     -------
     RootTree or None
-        Tubes and solids, not yet divided into roots.
+        Tubes and solids, not yet divided into roots; None if there are no roots.
     """
     evidence = replace(Evidence.from_silhouettes(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
     return rooting.find_tree(evidence, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 
 def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the tubes with the trimmed hull of solids, and measure the result.
+    """Unite the tubes with the trimmed hull of the solids, and measure the united shape.
 
     Parameters
     ----------
     carved : Carved
-        The hull.
+        Carved hull with its views and silhouettes.
     system : RootSystem or None
-        The roots; None if there are none.
+        Fitted roots; None if there are none.
     coverage : Coverage
         Coverage, with the attenuation of the roots.
     settings : Settings
-        Voxel size and limits of trust.
+        Voxel size, slack of the outlines, and limits of trust.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
 
     Returns
     -------
     Solid
-        Voxels, surface, volume and its interval.
+        Voxels, surface, and volume with its interval.
     """
     hull = carved.hull
     with monitor.stage("trim"):
@@ -216,8 +221,8 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
             tubes = tube_volume.combine(solids.leaves, system, hull.widest)
         leaves = tubes.leaves
     volume = leaves.volume_mm3()
-    # Upper bound: the hull with outlines moved out. Lower bound: the shape, minus the effect on solids of moving them
-    # in.
+    # Upper bound: the hull with outlines moved outwards. Lower bound: the shape, minus the volume that solids lose when
+    # outlines are moved inwards.
     moved_in_mm3 = part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
     thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
@@ -245,7 +250,7 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
 
 
 def _hidden_top(roots: Sequence[Root], carved: CarvedHull) -> hidden_top.HiddenTop | None:
-    """Estimate the parts of roots without a parent that the net pot hides."""
+    """Estimate the parts of main roots (roots without a parent) that the net pot hides; None if there are none."""
     main = [root for root in roots if root.parent < 0]
     if not main:
         return None
@@ -264,14 +269,14 @@ def _budget(
     missed: float,
     settings: Settings,
 ) -> Budget:
-    """Collect the terms of every part of the shape.
+    """Assemble the error budget of the volume from the terms of tubes, solids and cameras.
 
     Parameters
     ----------
     leaves, wide, part : Leaves
-        Leaves of the shape, of thick roots and solids only, and of the hull about solids.
+        Leaves of the whole shape, of thick roots and solids only, and of the hull around the solids.
     missed : float
-        See `missed_share`.
+        Fraction of the coverage that the hull does not explain, see `missed_share`.
     """
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
@@ -319,7 +324,7 @@ def _calibration(carved: CarvedHull, budget: Budget, missed: float) -> Calibrati
 
 
 def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[Check, ...]:
-    """Check the agreement of views and shape."""
+    """Check the motion of the roots, and the agreement between the silhouettes and the shape."""
     calibration = None if system is None else system.cameras.roots
     sway_mm = None if system is None or calibration is None else calibration.after_px / system.px_a_mm
     return shape_checks.check_motion(sway_mm, budget.trust), _agreement(budget, missed)
@@ -340,24 +345,24 @@ def measure(
     untrimmed_mm3: float,
     monitor: Monitor,
 ) -> Solid:
-    """Merge leaves into voxels, compute the surface, and determine the extents.
+    """Merge leaves into voxels, compute the surface, and measure the extents.
 
     Parameters
     ----------
     hull : Hull
-        The carved hull with its lattice.
+        Carved hull with its grid.
     leaves : Leaves
         Leaves of the solid.
     voxel_mm : float
-        Edge of the output voxels.
+        Edge length of the output voxels.
     budget : Budget
         Error budget of the volume.
     bounds_mm3 : tuple of float
         Smallest and largest volume that the silhouettes allow.
     untrimmed_mm3 : float
-        Volume of the solid that was not trimmed.
+        Volume of untrimmed hull within the solid.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
     """
     warnings: tuple[str, ...] = ()
     with monitor.stage("surface"):
@@ -371,7 +376,7 @@ def measure(
         if len(mesh.vertices):
             low, high = np.asarray(mesh.bounds, np.float64)
         else:
-            warnings = ("the shape is thinner than the voxels everywhere: the surface is empty; choose a smaller --voxel-mm",)
+            warnings = ("the shape is thinner than the voxels everywhere, so its surface is empty. Choose a smaller --voxel-mm.",)
             corners = origin_mm + voxel_mm * voxels.low
             low, high = corners.min(axis=0), (corners + voxel_mm * voxels.size[:, None]).max(axis=0)
         return Solid(
@@ -390,18 +395,18 @@ def measure(
 
 
 def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:
-    """Merge leaves into voxels."""
+    """Merge leaves into voxels with the given edge length."""
     low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
     origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
     return parts.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
-    """Return warnings about parts of the shape that are untrimmed hull."""
+    """Return a warning if much of the volume is untrimmed hull."""
     kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
         found.append(
-            f"{100.0 * kept:.0f} % of the volume is untrimmed hull: parts other than roots, or roots too thin or too "
-            "dense for this resolution, whose volume is mostly overestimated; use a higher resolution or a second ring"
+            f"{100.0 * kept:.0f} % of the volume is untrimmed hull, which is usually too large. These parts are not roots, or they are "
+            "roots too thin or too dense for the resolution. Use a higher picture resolution or a second ring."
         )
     return found

@@ -1,7 +1,7 @@
-"""Results that are passed from stage to stage, written in open formats for inspection.
+"""Storage of the results of individual stages in open formats, for inspection.
 
-Each stage has two files: NAME.json contains its fields, named as in Python, and NAME.npz the arrays. An array is
-represented in the JSON by ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
+Each stage is written to two files: NAME.json contains the fields of the result under their Python names, and NAME.npz
+contains the arrays. The JSON file refers to an array by ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from rhizotwin.scenes import atomic
 
 T = TypeVar("T")
 STAGES = ("cameras", "coverage", "hull", "roots", "hull_again", "solid")
-"""Names of the stages, in order. The hull is carved again if the roots sway (the last one is kept as "hull"), and once
-more if the roots change the calibration or the attenuation ("hull_again")."""
+"""Names of the stages, in processing order. If the roots sway, the hull is carved again, and the last hull is stored as
+"hull". If the roots change the calibration or the attenuation, the hull is carved once more and stored as "hull_again".
+"""
 
 
 @dataclass(frozen=True)
 class StageFolder:
-    """Folder for the results of the stages of a reconstruction."""
+    """Folder to which the results of the stages of a reconstruction are written."""
 
     folder: Path | None
-    """None: nothing is written."""
+    """Path of the folder. If it is None, nothing is written."""
 
     @staticmethod
     def begin(folder: Path | str | None) -> StageFolder:
-        """Return a folder for stages, after removing those of an earlier reconstruction."""
+        """Create a stage folder, and remove the files of an earlier reconstruction from it."""
         kept = StageFolder(None if folder is None else Path(folder))
         if kept.folder is not None:
             for name in STAGES:
@@ -43,22 +44,24 @@ class StageFolder:
         return kept
 
     def keep(self, stage: str, value: T, *, leave: tuple[str, ...] = ()) -> T:
-        """Write a stage's value and return it; the ``.json`` is written last, so that a stage with one is complete.
+        """Write the result of a stage, and return it unchanged.
+
+        The JSON file is written last. A stage with a JSON file is therefore complete.
 
         Parameters
         ----------
         stage : str
-            One of `STAGES`.
+            Name of the stage, an element of `STAGES`.
         value : dataclass
             Result of the stage.
         leave : tuple of str
-            Names of fields that are omitted at any depth: results of an earlier stage, and device data derived from
-            them.
+            Names of fields that are omitted at any depth, such as results of an earlier stage and device arrays that
+            are derived from them.
 
         Returns
         -------
         dataclass
-            The value, unchanged.
+            The argument ``value``.
 
         Raises
         ------
@@ -66,7 +69,7 @@ class StageFolder:
             If the folder cannot be written.
         """
         if stage not in STAGES:
-            raise ValueError(f"{stage=} is none of {STAGES}")
+            raise ValueError(f"{stage=} must be one of {STAGES}")
         if self.folder is None:
             return value
         arrays: dict[str, NDArray[Any]] = {}
@@ -79,9 +82,9 @@ class StageFolder:
 
 
 def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDArray[Any]]) -> object:
-    """Return a value in JSON form, and add its arrays to ``arrays``.
+    """Convert a value to types that the json module can write, and add its arrays to ``arrays``.
 
-    Numbers that are not finite become null.
+    Numbers that are not finite are converted to null.
     """
     if value is None or isinstance(value, bool | int | str):
         return value
@@ -100,7 +103,7 @@ def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDAr
         return [_plain(item, f"{at}/{place}", leave, arrays) for place, item in enumerate(value)]
     array = np.asarray(value)  # also for Dr.Jit arrays
     if array.dtype.hasobject:
-        raise TypeError(f"{at}: {type(value).__name__} has no open format")
+        raise TypeError(f"{at}: {type(value).__name__} cannot be written to the files of a stage")
     if not array.shape:
         return _plain(array.item(), at, leave, arrays)
     key = at.partition("/")[2] or at

@@ -1,1 +1,1 @@
-"""Calibration of cameras and canister, from the markers of all pictures together and the edges of the canister."""
+"""Calibration of the cameras and the canister from the markers and the canister's edges in all pictures."""

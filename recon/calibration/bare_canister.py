@@ -1,20 +1,21 @@
-"""Cameras of a telecentric scan without markers, from the canister's edges and the consistency of the views.
+"""Calibration of a telecentric scan without markers, from the canister's edges and the consistency of the views.
 
-With parallel straight rays, a point (X, Y, Z) of the canister is projected, from the azimuth alpha and the elevation
-eps, to
+With parallel straight rays, a camera at the azimuth alpha and the elevation eps projects a point (X, Y, Z) of the
+canister to
 
     u = u_axis + (-X sin alpha + Y cos alpha) / s            column
     v = v_0 - (Z cos eps - (X cos alpha + Y sin alpha) sin eps) / s    row, s in mm per pixel.
 
-The canister's two outer edges give its axis u_axis and tilt in every view and, with the measured diameter, the scale s.
-The table angles follow from the roots without detecting any of them: the total coverage of a row is the same in every
-view (zeroth moment), its centre of mass rotates with the table like a point (first moment), and its mean square (second
-moment) varies like an ellipse. These are the Helgason-Ludwig conditions of parallel projections (Ludwig 1966,
-Communications on Pure and Applied Mathematics 19:49). The zeroth moments also give the elevation: nearer points appear
-lower in the picture.
+The canister's two outer edges determine its axis u_axis and its tilt in every view. Together with the measured
+diameter, they also determine the scale s. The table angles follow from three properties of the roots' coverage, without
+detecting any root. The total coverage of a row is the same in every view (zeroth moment). The centre of mass of a row
+moves like a point that rotates with the table (first moment). The mean square of a row varies like an ellipse (second
+moment). These properties are the Helgason-Ludwig conditions of parallel projections (Ludwig 1966, Communications on
+Pure and Applied Mathematics 19:49). The zeroth moments also determine the elevation, because nearer points appear lower
+in the picture.
 
-Under parallel straight rays, a shape and its mirror image rotated in the opposite direction give the same pictures: the
-direction of the table must be given.
+Under parallel straight rays, a shape and its mirror image that rotates in the opposite direction produce the same
+pictures. The rotation direction of the table must therefore be known.
 """
 
 from __future__ import annotations
@@ -35,75 +36,78 @@ from rhizotwin.scenes.picture_codec import Grey
 Array = NDArray[np.float64]
 
 LEAST_VIEWS = 12
-"""Minimum number of views of a turn: each row has three unknowns for its centre of mass and each view has an angle,
-which leaves little redundancy with fewer views."""
+"""Minimum number of views in a turn. The centre of mass of each row has three unknowns, and each view adds an unknown
+angle, so fewer views leave little redundancy."""
 MOST_AGREEMENT_PX = 3.0
-"""Maximum deviation of centres of mass from those of a rotating point; larger values indicate refraction, another
-canister, or no turn."""
+"""Maximum scatter of the rows' centres of mass about the motion of rotating points, px. Larger values indicate
+refraction, a wrong canister, or a table that did not turn."""
 HEIGHTS_AGREE_MM = 1.0
-"""Tolerance of heights, above the thickness of a meniscus."""
+"""Maximum difference between the floor's height in the pictures and in the scene that causes no warning, mm. The limit
+exceeds the height of a meniscus."""
 CALLIPER_MM = 0.1
-"""Standard deviation of a diameter measured with callipers: a tube's wall yields by a tenth of a millimetre (the
-resolution is a fifth of that)."""
+"""Standard deviation of a diameter measured with callipers, mm. The resolution of callipers is 0.02 mm, but the wall of
+a tube yields by a tenth of a millimetre."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BareCanister:
-    """Cameras estimated from pictures without markers."""
+    """Camera poses estimated from pictures without markers."""
 
     cam_from_canister: tuple[Array, ...]
-    """4x4 per view, mm, OpenCV axes; the distance along the optical axis is not observable and is that of the scene's
-    plan."""
+    """Pose (4, 4) of each view's camera, mm, OpenCV axes. The distance along the optical axis cannot be observed. It is
+    set to the planned distance of the scene."""
     mm_per_px: float
+    """Scale of the pictures, mm per pixel."""
     azimuth_deg: Array
-    """(V,) azimuth of the camera in the canister frame; 0 for the first view."""
+    """(V,) azimuth of each view's camera in the canister frame, degrees, relative to the first view."""
     elevation_deg: float
-    """Elevation of the optical axis below the horizon."""
+    """Angle of the optical axis below the horizon, degrees."""
     floor_z_mm: float | None
-    """Height of the floor, if visible in the pictures."""
+    """Height of the canister's floor in the pictures, mm; None if the floor is not visible."""
     inner_radius_mm: float
-    """Half the width over which the panel is visible through the canister."""
+    """Half the width over which the panel is visible through the canister, mm."""
     uncertainty: BareUncertainty
+    """Standard deviations of the estimated cameras."""
 
     def notes(self, scene: Scene) -> tuple[str, ...]:
-        """Return notes for the user on the estimated cameras.
-
-        They include contradictions between the pictures and the scene.
-        """
+        """Return notes for the user about the estimated cameras and contradictions between pictures and scene."""
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
         found = [
-            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel from its diameter of "
-            f"{2.0 * can.outer_radius_mm:g} mm, steps of {step.mean():.2f} +- {step.std():.2f} degrees, elevation "
-            f"{self.elevation_deg:.2f} degrees; under parallel rays, the opposite direction of the table gives the mirror image; check "
-            "turntable.direction"
+            f"the cameras were estimated from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel for a diameter of "
+            f"{2.0 * can.outer_radius_mm:g} mm, table steps of {step.mean():.2f} +- {step.std():.2f} degrees, and an elevation of "
+            f"{self.elevation_deg:.2f} degrees",
+            "pictures without markers do not show in which direction the table turned. Check turntable.direction in the scene: "
+            "if it is wrong, the result is a mirror image.",
         ]
         if self.floor_z_mm is not None and abs(self.floor_z_mm - can.floor_z_mm) > HEIGHTS_AGREE_MM:
-            found.append(f"the floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene")
+            found.append(
+                f"the canister's floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene"
+            )
         return tuple(found)
 
 
 def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[float]) -> BareCanister:
-    """Estimate the camera of every picture of one turn.
+    """Estimate the camera pose of every picture of one turn.
 
     Parameters
     ----------
     pictures : sequence of (H, W) uint8 or uint16 array
-        Pictures of a static telecentric camera in front of a rotating canister.
+        Pictures of a rotating canister, taken by a static telecentric camera.
     scene : Scene
-        Canister with its outer radius, water level, direction of the table, and planned distance.
+        Scene with the canister's outer radius, the water level, the table's direction, and the planned distance.
     table_deg : sequence of float
-        Commanded table angles.
+        Commanded table angles of the pictures, degrees.
 
     Raises
     ------
     UserError
-        If the camera is not telecentric, the views are too few, the canister's edges or the water's surface are not
-        visible, or the views are inconsistent.
+        If the camera is not telecentric, if there are too few views, if the canister's edges or the water surface are
+        not visible, or if the views are inconsistent.
     """
     if scene.camera.kind != "telecentric":
-        raise UserError('calibration without markers requires a telecentric camera; set camera.kind = "telecentric" in the scene')
+        raise UserError('calibration without markers requires a telecentric camera. Set camera.kind = "telecentric" in the scene.')
     if len(pictures) < LEAST_VIEWS:
-        raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers; at least {LEAST_VIEWS} are required")
+        raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers, which requires at least {LEAST_VIEWS}")
     stack = np.stack(pictures)
     bare = bare_edges.empty_panel(stack)
     edges, width_sigma_px = bare_edges.find_edges(stack, bare)
@@ -113,8 +117,8 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     azimuth, azimuth_sigma, place, agreement = bare_turn.find_turn(moments, mass, start)
     if agreement > MOST_AGREEMENT_PX:
         raise UserError(
-            f"the rows of the pictures contradict a rigid rotation under parallel straight rays (by {agreement:.1f} px, limit "
-            f"{MOST_AGREEMENT_PX:g} px): the liquid around the canister may not match, the steps may be uneven, or the plan may be wrong"
+            f"the roots in the pictures do not rotate like a rigid body (deviation {agreement:.1f} px, limit {MOST_AGREEMENT_PX:g} px). "
+            "The liquid around the canister may have the wrong refractive index, the table's steps may be uneven, or the plan may be wrong."
         )
     lean = np.cos(azimuth)[:, None] * [0.0, 1.0] - np.sin(azimuth)[:, None] * [1.0, 0.0]  # horizontal axis of each view in (X, Y)
     slope = np.column_stack([np.ones(len(azimuth)), -lean])
@@ -145,9 +149,9 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
 
 
 def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, axis_px: Array, middle: float, zero_row: float) -> Array:
-    """Return a view's camera, which looks at the axis from an azimuth and elevation.
+    """Return the pose (4, 4) of a camera that points at the canister's axis from an azimuth and elevation.
 
-    Roll and shift are those of the canister's edges.
+    The roll and the lateral shift are determined by the canister's edges.
     """
     away, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])

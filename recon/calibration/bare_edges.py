@@ -1,4 +1,4 @@
-"""Edges of the canister, surface of the water and the empty panel in telecentric pictures without markers."""
+"""Detection of the canister's edges, the water surface and the empty panel in pictures without markers."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ Array = NDArray[np.float64]
 Stack = NDArray[np.uint8 | np.uint16]
 
 BARE_QUANTILE = 0.85
-"""Quantile over the turn of a pixel's values for the empty panel; roots cover it in less than a seventh of the
-views."""
+"""Quantile of a pixel's values over the turn that estimates the empty panel. Roots cover a pixel in less than a seventh
+of the views."""
 EDGE_REACH_PX = 12
-"""Search range about the edge in the mean picture, for a canister a few pixels off the table's axis."""
+"""Half-width of the search range around each edge of the mean picture, px. The canister may be a few pixels off the
+table's axis."""
 EDGE_WIDTH_PX = 4
-"""Width over which an edge in focus falls from bright to dark."""
+"""Width over which the brightness falls from bright to dark at an edge in focus, px."""
 PANEL_SHARE = 0.85
-"""Minimum brightness of the empty panel, as a fraction of its typical brightness."""
+"""Minimum brightness of pixels that show the empty panel, relative to the panel's typical brightness."""
 WATER_QUANTILE = 0.25
-"""Quantile of a row's brightness across the canister; it is bright if three quarters of the row show the panel."""
+"""Quantile of a row's brightness across the canister from which rows with water are detected. A row is bright if three
+quarters of the row show the panel."""
 BAND = 0.06
-"""Fraction of the water's height excluded at its surface and floor, where there are reflections."""
+"""Fraction of the water's height that is excluded at the water surface and at the floor, where reflections occur."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +35,23 @@ class Edges:
     """Position of the canister in the pictures."""
 
     axis_px: Array
-    """(V, 2) column of the axis at ``middle`` and its change per row."""
+    """(V, 2) column of the canister's axis at the row ``middle``, px, and the change of the column per row."""
     width_px: float
+    """Median width between the outer edges of the canister, px."""
     inner_px: float
+    """Width over which the panel is visible through the canister, px."""
     middle: float
-    """Reference row of ``axis_px``."""
+    """Row at which the columns in ``axis_px`` are given."""
     rows: tuple[int, int]
-    """First row of the water, and the row after the last."""
+    """First row of the water, and the row after its last row."""
     columns: tuple[int, int]
-    """The same for the columns through which the panel is visible."""
+    """First column through which the panel is visible, and the column after the last one."""
     floor_seen: bool
+    """Whether the floor of the canister is visible in the pictures."""
 
 
 def empty_panel(stack: Stack) -> NDArray[np.float32]:
-    """Return the empty panel (H, W), computed in blocks of rows."""
+    """Estimate the picture (H, W) of the empty panel, in blocks of rows to limit memory."""
     bare = np.empty(stack.shape[1:], np.float32)
     for first in range(0, len(bare), 64):
         bare[first : first + 64] = np.quantile(stack[:, first : first + 64], BARE_QUANTILE, axis=0)
@@ -54,25 +59,25 @@ def empty_panel(stack: Stack) -> NDArray[np.float32]:
 
 
 def _runs(bright: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and past-the-last index of every run of true values."""
+    """Return the first index and the index after the last of every run of true values."""
     change = np.flatnonzero(np.diff(np.concatenate([[0], bright.astype(np.int8), [0]])))
     return list(zip(change[::2].tolist(), change[1::2].tolist(), strict=True))
 
 
 def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
-    """Find the canister's outer edges in every view, and the extent of the water.
+    """Find the outer edges of the canister in every view, and the extent of the water.
 
     Parameters
     ----------
     stack : (V, H, W) uint8 or uint16 array
-        Pictures.
+        Pictures of the views.
     bare : (H, W) float32 array
-        The empty panel.
+        Picture of the empty panel.
 
     Returns
     -------
     Edges, float
-        The edges, and the standard deviation of the width, px.
+        Edges of the canister, and the standard deviation of the width between them, px.
     """
     height, width = bare.shape
     panel = float(np.quantile(bare, 0.95))  # a high quantile, robust against lights and reflections
@@ -82,17 +87,21 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     bright = [run for run in _runs(profile > PANEL_SHARE * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
     left, right = [run for run in bright if run[1] <= inside[0]], [run for run in bright if run[0] >= inside[1]]
     if not left or not right:
-        raise UserError("the two outer edges of the canister are not visible; the panel must be visible on both sides of it and through it")
+        raise UserError(
+            "the two outer edges of the canister are not visible. The panel must be visible on both sides of the canister and through it."
+        )
     # A quantile below the median, as no panel is visible in the middle above the water.
     down = np.quantile(bare[:, inside[0] : inside[1]], WATER_QUANTILE, axis=1)
     water = max(_runs(down > 0.5 * panel), key=lambda run: run[1] - run[0], default=(0, 0))
     if water[0] == 0 or water[1] - water[0] < height // 8:
-        raise UserError("the water surface is not visible, so heights cannot be determined; it must lie within the pictures")
+        raise UserError(
+            "the water surface is not visible, so heights cannot be determined. The water surface must lie within the pictures."
+        )
     margin = round(BAND * (water[1] - water[0]))
     rows = np.arange(water[0] + margin, water[1] - margin)
     middle = float(rows.mean())
-    from_left = np.array([_edge_line(picture, rows, middle, left[-1][1], panel) for picture in stack])
-    from_right = np.array([_edge_line(picture[:, ::-1], rows, middle, width - right[0][0], panel) for picture in stack])
+    from_left = np.array([_fit_edge_line(picture, rows, middle, left[-1][1], panel) for picture in stack])
+    from_right = np.array([_fit_edge_line(picture[:, ::-1], rows, middle, width - right[0][0], panel) for picture in stack])
     from_right = np.array([width - 1.0, 0.0]) - from_right
     widths = from_right[:, 0] - from_left[:, 0]
     found = Edges(
@@ -107,13 +116,13 @@ def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
     return found, float(np.std(widths) / np.sqrt(len(widths)))
 
 
-def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
-    """Return the column at the middle row, and its change per row, of the edge of the panel.
+def _fit_edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
+    """Fit a line to the panel's edge; return its column at the row ``middle`` and the column's change per row.
 
-    The fit is robust, and starts at the column ``at``.
+    The search starts at the column ``at``, and the fit is robust against outliers.
 
-    The edge is at half the brightness between the panel and the darkest of the few pixels behind it, which may not be
-    black.
+    The edge lies at half the brightness between the panel and the darkest of the few pixels behind the edge, which may
+    not be black.
     """
     first = max(at - EDGE_REACH_PX, 0)
     part = picture[rows, first : at + 2 * EDGE_REACH_PX].astype(np.float64)
@@ -127,7 +136,7 @@ def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, 
     place = first + step - 1 + (a - level) / np.where(a > b, a - b, 1.0)
     y, x = rows[crossed] - middle, place[crossed]
     if len(x) < len(rows) // 2:
-        raise UserError("the outer edge of the canister was not found in a picture; keep the panel beside the canister free")
+        raise UserError("the outer edge of the canister was not found in a picture. Keep the panel beside the canister free of objects.")
     weight, line = np.ones(len(x)), np.zeros(2)
     for _ in range(8):
         line = np.polyfit(y, x, 1, w=weight)[::-1]

@@ -1,4 +1,4 @@
-"""Table angles from the rows of telecentric pictures, without detecting roots (`bare_canister`)."""
+"""Estimation of table angles from the rows of telecentric pictures, without detecting roots (`bare_canister`)."""
 
 from __future__ import annotations
 
@@ -16,31 +16,36 @@ from rhizotwin.scenes.errors import UserError
 Array = NDArray[np.float64]
 
 LEAST_COVERAGE = 0.08
-"""Minimum coverage; lower values are noise, compression artefacts and dirt on the panel."""
+"""Minimum coverage that contributes to the moments. Lower values are noise, compression artefacts, and dirt on the
+panel."""
 TENSOR_PX = 2.0
-"""Standard deviation over which gradients are averaged for a root's direction: both its sides, but not its
-neighbours."""
+"""Standard deviation of the Gaussian by which the structure tensor is averaged to determine a root's direction, px. The
+average includes both sides of a root, but not neighbouring roots."""
 ANGLE_SIGMA_RAD = np.deg2rad(1.5)
-"""Initial standard deviation of a table's angles about equal steps (0.8 degrees for a real table with 72 steps)."""
+"""Initial standard deviation of the table angles about equal steps, rad. The standard deviation of a real table with 72
+steps was 0.8 degrees."""
 LEAST_ANGLE_SIGMA_RAD = np.deg2rad(0.01)
-"""Minimum standard deviation of a table: a tenth of a sixteenth step of a plain motor of 200 steps."""
+"""Minimum standard deviation of the table angles, rad. The value is a tenth of a sixteenth step of a plain motor with
+200 steps."""
 SHIFT_SIGMA_PX = 1.0
-"""Initial standard deviation of the vertical displacement of the canister between views."""
+"""Initial standard deviation of the canister's vertical displacement between views, px."""
 LEAST_SHIFT_PX = 0.02
-"""Minimum standard deviation of an edge position in a picture."""
+"""Minimum standard deviation of the canister's vertical displacement between views, px. The position of an edge in a
+picture is not known more precisely."""
 ROWS_TOGETHER = 8.0
-"""Number of rows that share the error of one root and count as one."""
+"""Number of neighbouring rows that share the error of one root, and therefore count as one independent row."""
 STEPS_AGREE = 0.15
-"""Maximum relative deviation of the total turn from the commanded one (a real table: 0.01 to 0.02); one view in six
-more or less is another plan."""
+"""Maximum relative deviation of the total turn from the commanded turn. The deviation of a real table was 0.01 to 0.02.
+A deviation of one view in six or more indicates a plan with the wrong number of views."""
 _ROUNDS = 200
-"""Number of relaxation steps; the first quarter only estimates the scale of the whole turn."""
+"""Number of relaxation steps. The first quarter of the steps estimates only the scale of the whole turn."""
 
 
 def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[Array, Array]:
-    """Return each row's mass (V, R), px, and its moments about the axis (2, V, R).
+    """Return the mass (V, R), px, and the first two moments (2, V, R) of the coverage of each row.
 
-    The moments are the centre of mass, px, and the mean square, px^2.
+    The mass is the total coverage of a row. The moments are the centre of mass, px, and the mean square, px^2, of the
+    distance from the canister's axis.
     """
     margin = round(BAND * (edges.rows[1] - edges.rows[0]))
     rows = np.arange(edges.rows[0] + margin, edges.rows[1] - margin)
@@ -60,10 +65,10 @@ def row_moments(stack: Stack, bare: NDArray[np.float32], edges: Edges) -> tuple[
 
 
 def _vertical_cosine(covered: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the cosine (R, C) of the angle of roots from the vertical in a picture, from the structure tensor.
+    """Return the cosine (R, C) of the angle between roots and the vertical in a picture, from the structure tensor.
 
-    A row cuts an opaque root of diameter d over d / cos(angle), and the angle changes from view to view; times the
-    cosine, the length is d in every view.
+    A row cuts an opaque root of diameter d over the length d / cos(angle), and the angle changes from view to view.
+    Multiplied by the cosine, the length is d in every view.
     """
     across, down = (cv2.Sobel(covered, cv2.CV_32F, dx, 1 - dx) for dx in (1, 0))
     horizontal, vertical = (cv2.GaussianBlur(part * part, (0, 0), TENSOR_PX) for part in (across, down))
@@ -72,19 +77,23 @@ def _vertical_cosine(covered: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass
 class _Moment:
-    """Moments of one order of all rows, and their variation with the turn."""
+    """Moments of one order of all rows, and the model of their variation over the turn."""
 
     order: int
+    """Order of the moment, 1 or 2."""
     value: Array
-    """(V, R)"""
+    """(V, R) measured moments."""
     known: NDArray[np.bool_]
+    """(V, R) whether a row has enough coverage for its moment to be used."""
     weight: Array
+    """(V, R) robust weights of the moments."""
     scatter: float = 1.0
+    """Robust standard deviation of the residuals."""
 
     def basis(self, azimuth: Array) -> tuple[Array, Array]:
-        """Return the basis functions (V, order + 1) of a moment in the azimuth, and their derivatives.
+        """Return the basis functions (V, order + 1) of the moment at each azimuth, and their derivatives.
 
-        They are the terms of (-X sin + Y cos)^order.
+        The basis functions are the terms of (-X sin + Y cos)^order. The derivatives are with respect to the azimuth.
         """
         s, c = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
         power = np.arange(self.order + 1)[None, :]
@@ -94,9 +103,10 @@ class _Moment:
         return shape, by_s * c - by_c * s
 
     def improve(self, azimuth: Array) -> tuple[Array, Array, Array]:
-        """Fit the coefficients (order + 1, R) of every row, and return them with the residuals; update the weights.
+        """Fit the coefficients of each row, and update the weights.
 
-        The residuals (V, R) come with their derivatives by the angle.
+        Return the coefficients (order + 1, R), the residuals (V, R), and the derivatives (V, R) of the model with
+        respect to the table angle.
         """
         shape, by_angle = self.basis(azimuth)
         normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)
@@ -108,15 +118,17 @@ class _Moment:
 
 
 def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, Array, float]:
-    """Estimate azimuths (V,), their standard deviations, each row's centre of mass (2, R), px, and the scatter, px.
+    """Estimate the table angles from the first and second moments of the rows.
 
-    The estimate uses the rows' first and second moments. Azimuths and moments are improved alternately, first with
-    equal steps of any size, then with a free angle per view. The second moments contribute where a view looks along the
-    line from the axis to the centres of mass.
+    Angles and moments are improved alternately, first with equal steps of unknown size, then with an independent angle
+    per view. The second moments contribute where the camera views the centres of mass along a line through the axis.
+
+    Return the azimuths (V,), rad, their standard deviations (V,), rad, the centre of mass of each row (2, R), px, and
+    the scatter of the centres, px.
     """
     shown = np.median(mass, axis=0) > 1.0
     if shown.sum() < ROWS_TOGETHER * 4:
-        raise UserError("the canister is almost empty in the pictures, so that the table angles cannot be determined")
+        raise UserError("the canister is almost empty in the pictures, so the table angles cannot be determined")
     known = (mass > 0.5 * np.median(mass, axis=0))[:, shown]
     orders = [_Moment(n + 1, np.where(known, moments[n][:, shown], 0.0), known, known.astype(np.float64)) for n in range(len(moments))]
     azimuth, ideal, table_sigma = start.copy(), start.copy(), ANGLE_SIGMA_RAD
@@ -136,13 +148,12 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
             steps = float(ideal @ start / max(float(start @ start), 1e-9))
             if abs(steps - 1.0) > STEPS_AGREE:
                 raise UserError(
-                    f"the roots rotate by {100.0 * steps:.0f} % of the commanded steps: the table slips or does not move, "
-                    "or the plan has another number of views per turn"
+                    f"the roots rotate by {100.0 * steps:.0f} % of the commanded table angles. The table slips or does not move, "
+                    "or the plan in the scene has the wrong number of views per turn."
                 )
             off = azimuth - ideal
             azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)
-            # Estimate how uneven the table is by expectation maximisation: from each angle's deviation and its
-            # variance.
+            # Expectation maximisation: estimate the table's unevenness from the deviation and variance of each angle.
             sigma = 1.0 / np.sqrt(curvature + table_sigma**-2)
             table_sigma = max(float(np.sqrt(np.mean(off**2 + sigma**2))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))
@@ -152,12 +163,12 @@ def find_turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, 
 
 
 def find_lift(mass: Array, nearer: Array) -> tuple[Array, Array, float]:
-    """Estimate the vertical shift of each view (V,), in rows, with standard deviations, and the elevation (rad).
+    """Estimate the vertical shifts (V,), px, their standard deviations (V,), px, and the elevation, rad.
 
-    The estimate uses the rows' masses.
+    The estimates are computed from the masses of the rows.
 
-    ``nearer`` (V, R) is the distance in pixels of a row's centre of mass in front of the axis. A point nearer by n
-    appears lower by elevation * n, so that the mass of a row changes by the outflow d(mass * nearer) / d row per unit
+    ``nearer`` (V, R) is the distance of a row's centre of mass in front of the axis, px. A point that is nearer by n
+    appears lower by elevation * n. The mass of a row therefore changes by the outflow d(mass * nearer) / d row per unit
     of elevation.
     """
     views, rows = mass.shape

@@ -1,4 +1,4 @@
-"""Cameras of a scan: poses, optics, uncertainties, and the source of the calibration."""
+"""Cameras of a scan: poses, lens, optics, uncertainties, and the calibration from which they were obtained."""
 
 from __future__ import annotations
 
@@ -19,39 +19,46 @@ from rhizotwin.scenes.frames import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """Camera of one picture."""
+    """Camera pose of one picture, with its quality and uncertainty."""
 
     file: str
-    """Name of the picture's file."""
+    """File name of the picture in the dataset."""
     ring: int
+    """Index of the ring to which the picture belongs."""
     used: bool
+    """Whether the view is used for the reconstruction."""
     reason: str | None = None
-    """Reason for which the view is left out."""
+    """Reason why the view is excluded; None for used views."""
     cam_from_canister: Array | None = None
-    """(4, 4), OpenCV axes; None if not found. A view that is left out may still have a pose."""
+    """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes; None if it could not be estimated. An excluded
+    view may have a pose."""
     cam_from_tank: Array | None = None
-    """(4, 4) pose of the tank; None if there is no tank, or if it is unknown."""
+    """(4, 4) pose of the camera in the tank's frame, mm; None if there is no tank or if the pose is unknown."""
     sway: Sway = STILL
     """Displacement of the roots in this picture, estimated from the roots."""
     reprojection_px: float | None = None
-    """Root mean square reprojection error of the measured corners for this pose, with outliers weighted down."""
+    """Root mean square reprojection error of the measured marker corners, px, with outliers down-weighted."""
     single_view_px: float | None = None
-    """The same for the pose from this picture alone."""
+    """Root mean square reprojection error of the pose estimated from this picture alone, px, with outliers
+    down-weighted."""
     markers: int = 0
+    """Number of markers measured in the picture."""
     outliers: int = 0
     """Number of markers with negligible weight due to large residuals."""
     table_deg: float | None = None
-    """Table angle estimated from the pictures."""
+    """Table angle estimated from the pictures, degrees; None if unknown."""
     covariance: Array | None = None
-    """(6, 6) of the left-hand twist of cam_from_canister: rotation vector (rad), shift (mm), in the camera's frame."""
+    """(6, 6) covariance of the left-hand twist of ``cam_from_canister``, in the camera's frame. The twist consists of a
+    rotation vector, rad, and a shift, mm."""
     position_sigma_mm: float | None = None
-    """Standard deviation of the camera's centre, all axes combined."""
+    """Standard deviation of the camera's position, mm, combined over the three axes."""
     rotation_sigma_deg: float | None = None
+    """Standard deviation of the camera's rotation, degrees, combined over the three axes."""
     sha256: str = ""
-    """Checksum of the picture's file; empty if not computed."""
+    """SHA-256 hash of the picture's file; empty if not computed."""
 
     def with_pose(self, cam_from_canister: Array, covariance: Array) -> Camera:
-        """Return the camera with a pose (4, 4) and covariance (6, 6)."""
+        """Return this camera with another pose (4, 4) and covariance (6, 6)."""
         return replace(
             self,
             cam_from_canister=cam_from_canister,
@@ -63,135 +70,154 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """Camera of one turn of the table, or of the part of a turn between two placements of the camera."""
+    """Static camera of one station: a turn of the table, or the part of a turn with one placement of the camera."""
 
     ring: int
+    """Index of the ring."""
     placement: int
+    """Index of the camera's placement within the ring."""
     cam_from_rig: Array
-    """(4, 4)"""
+    """(4, 4) pose of the static camera in the rig's frame, mm."""
     covariance: Array
-    """(6, 6) as in `Camera`."""
+    """(6, 6) covariance of the left-hand twist of ``cam_from_rig``: rotation vector, rad, and shift, mm."""
     own_deg: float
-    """Standard deviation (per axis) of the camera's movement between the views, estimated from the pictures; 0 for a
-    static camera."""
+    """Standard deviation of the camera's rotation between the views, degrees per axis, estimated from the pictures; 0
+    for a static camera."""
     own_mm: float
+    """Standard deviation of the camera's translation between the views, mm per axis, estimated from the pictures; 0 for
+    a static camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BareUncertainty:
-    """Uncertainty of cameras without markers: standard deviations, as root mean squares over the views."""
+    """Standard deviations of cameras calibrated without markers, as root mean squares over the views."""
 
     scale: float
-    """Relative standard deviation of the scale, from the measured diameter of the canister and its edges."""
+    """Relative standard deviation of the scale, due to the measured diameter of the canister and the measured positions
+    of its edges."""
     azimuth_rad: float
-    """Standard deviation of a view's angle."""
+    """Standard deviation of a view's azimuth, rad."""
     lift_mm: float
-    """Standard deviation of a view's vertical shift."""
+    """Standard deviation of a view's vertical shift, mm."""
     mm_per_px: float
+    """Scale of the pictures, mm per pixel."""
 
 
 @dataclass(frozen=True)
 class RigUncertainty:
-    """Uncertainty of the rig from markers and edges."""
+    """Uncertainty of the rig parameters estimated from the markers and the canister's edges."""
 
     station: NDArray[np.int64]
-    """(F,) station of each frame."""
+    """(F,) index of each frame's station."""
     covariance: Array
-    """(5 + 6 R, 5 + 6 R) of the focal scale, the canister's tilt about x, y (rad) and offset x, y (mm) in its own
-    frame, and the left-hand twist (rad, mm) of each station's camera."""
+    """(5 + 6 R, 5 + 6 R) covariance of the rig parameters for R stations. The parameters are the focal scale, the
+    canister's tilt about x and y, rad, its offset in x and y, mm, in its own frame, and the left-hand twist of each
+    station's camera, rad and mm."""
     turn: Array
-    """(F,) standard deviation of each frame's table angle (rad)."""
+    """(F,) standard deviation of each frame's table angle, rad."""
 
     @property
     def stations(self) -> int:
-        """Number R of stations."""
+        """Return the number R of stations."""
         return (len(self.covariance) - 5) // 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class StripCalibration:
-    """Calibration from the markers of all pictures together."""
+    """Calibration of the cameras from the markers of all pictures together."""
 
     rings: tuple[Ring, ...] = ()
+    """Static cameras of the stations."""
     table_from_canister: Array | None = None
-    """(4, 4) pose of the canister on the table, or of the strip while that of the canister is unknown: tilt and
-    offset."""
+    """(4, 4) pose of the canister on the table, mm: tilt and offset. While the pose of the canister is unknown, this is
+    the pose of the strip."""
     inset_px: float = 0.0
-    """Amount by which the markers appear larger on each side (blur in pictures that are not linear in light)."""
+    """Apparent enlargement of the markers on each side, px. Blur enlarges markers in pictures that are not linear in
+    light."""
     focal_scale: float = 1.0
-    """Ratio of the focal lengths used to the given ones."""
+    """Ratio of the focal lengths in use to the focal lengths of the calibrated lens."""
     focal_found: float | None = None
-    """The estimated ratio, whether significant and used or not."""
+    """Estimated ratio of the focal lengths to those of the calibrated lens, even if it was not significant and not
+    used; None if not estimated."""
     focal_sigma: float | None = None
+    """Standard deviation of ``focal_found``; None if not estimated."""
     before_px: float | None = None
-    """Median reprojection error of the views with the commanded table angles and one nominal pose of the canister."""
+    """Median reprojection error of the views before the fit, px, with the commanded table angles and one nominal pose
+    of the canister."""
     after_px: float | None = None
-    """Median reprojection error of the views after the fit."""
+    """Median reprojection error of the views after the fit, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerCalibration(StripCalibration):
-    """The same with the pose of the canister from its edges, and the sharpness of the pictures."""
+    """Calibration from the markers, with the canister's pose from its edges, and the sharpness of the pictures."""
 
     table_sigma: Array | None
-    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm), of the strip from its markers and of
-    the canister in the strip from its edges combined."""
+    """(4,) standard deviations of the canister's tilt about x and y on the table, degrees, and its offset in x and y,
+    mm. The values combine the errors of the markers with those of the canister's edges."""
     table_correction_deg: float | None
-    """Standard deviation of the table angles about the commanded ones."""
+    """Standard deviation of the estimated table angles about the commanded angles, degrees; None if no angles were
+    commanded."""
     canister: CanisterPose | None
-    """None if the canister's edges were not visible."""
+    """Pose of the canister in the strip; None if the canister's edges were not visible."""
     blur_px: float | None = None
-    """Median blur of the markers, including the pixel's own (0.29); None if not measured."""
+    """Median standard deviation of the blur at the markers, px, including 0.29 px of the pixel itself; None if not
+    measured."""
     refocus_px: float | None = None
-    """Additional blur of the least sharp picture relative to the sharpest (root of the difference of squares); None if
-    too few markers were measured."""
+    """Additional blur of the least sharp picture relative to the sharpest, px, as the root of the difference of the
+    variances. None if too few markers were measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootCalibration:
-    """Calibration of the rig from the roots."""
+    """Calibration of the rig from the reconstructed roots."""
 
     n_water: float
-    """Refractive index estimated from the roots."""
+    """Refractive index of the water estimated from the roots."""
     n_water_sigma: float
+    """Standard deviation of ``n_water``."""
     n_water_given: float
+    """Refractive index of the water stated in the scene."""
     focal_scale: float
-    """Ratio of the focal lengths to those from the markers."""
+    """Ratio of the focal lengths estimated from the roots to the focal lengths estimated from the markers."""
     believed: bool
-    """Whether the estimated index and cameras were used."""
+    """Whether the estimated refractive index and cameras are used."""
     nodes: int
+    """Number of root nodes used in the estimate."""
     before_px: float
-    """Root mean square lateral distance between roots and tubes in the pictures, with each node at its best
-    position."""
+    """Root mean square lateral distance between roots and fitted tubes in the pictures before the calibration, px, with
+    each node at its best-fitting position."""
     after_px: float
-    """The same with the corrected rig."""
+    """Root mean square lateral distance between roots and fitted tubes in the pictures after the calibration, px, with
+    each node at its best-fitting position."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cameras:
-    """Cameras of all pictures of the root."""
+    """Cameras of all pictures of the roots."""
 
     lens: model.Camera
-    """Shared by all views."""
+    """Lens shared by all views."""
     optics: Optics
-    """Optics between camera and roots."""
+    """Canister, water and tank as an optical system between the cameras and the roots."""
     all: tuple[Camera, ...]
-    """(F,) cameras of all frames, in their order, followed by those whose pictures were not read."""
+    """(F,) cameras of all frames, in the order of the frames, followed by the cameras of pictures that were not read.
+    """
     order: tuple[int, ...]
-    """(V,) numbers of the frames that are used, in the order of processing."""
+    """(V,) frame numbers of the used views, in processing order."""
     uncertainty: RigUncertainty | None = None
-    """None if the cameras were given and count as exact."""
+    """Uncertainty of the rig parameters. None if the cameras were given, in which case they are treated as exact."""
     bare: BareUncertainty | None = None
-    """For cameras without markers."""
+    """Uncertainty of cameras calibrated without markers; None for other cameras."""
     markers: MarkerCalibration | None = None
-    """None if the cameras were given."""
+    """Calibration from the markers; None if the cameras were given or calibrated without markers."""
     roots: RootCalibration | None = None
-    """None if there were too few roots."""
+    """Calibration from the roots; None if there were too few roots."""
     warnings: tuple[str, ...] = ()
 
     @staticmethod
     def from_views(views: Sequence[View], optics: Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
-        """Return cameras of views (V,) with one lens."""
+        """Create cameras from views (V,) that share one lens."""
         every = tuple(
             Camera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank) for view in views
         )
@@ -199,12 +225,12 @@ class Cameras:
 
     @cached_property
     def views(self) -> tuple[View, ...]:
-        """Lens and pose (V,) of the views that are used, in their order."""
+        """Return the lens and pose of each used view (V,), in processing order."""
         return tuple(self._view(k) for k in self.order)
 
     @cached_property
     def by_frame(self) -> dict[int, View]:
-        """The views that are used, by frame number."""
+        """Return the used views, keyed by frame number."""
         return dict(zip(self.order, self.views, strict=True))
 
     def _view(self, frame: int) -> View:
@@ -212,26 +238,29 @@ class Cameras:
         return View(camera=self.lens, cam_from_canister=self.pose(frame), cam_from_tank=one.cam_from_tank, sway=one.sway)
 
     def pose(self, frame: int) -> Array:
-        """Return ``cam_from_canister`` (4, 4) of a frame that has a pose."""
+        """Return the pose ``cam_from_canister`` (4, 4) of a frame; raise ValueError if the frame has no pose."""
         pose = self.all[frame].cam_from_canister
         if pose is None:
             raise ValueError(f"{self.all[frame].file} has no camera pose")
         return pose
 
     def reorder(self, order: Sequence[int]) -> Cameras:
-        """Return the same cameras with another order of frames (V,)."""
+        """Return the cameras with another processing order of the frame numbers (V,)."""
         return replace(self, order=tuple(order))
 
     def leave_out(self, reasons: Mapping[int, str], *, unread: Sequence[LeftOut] = ()) -> Cameras:
-        """Return the cameras with some frames left out, by number with the reason, and unread frames appended."""
+        """Exclude the frames in ``reasons``, and append unread frames.
+
+        ``reasons`` maps frame numbers to the reasons for the exclusion. Each excluded frame adds a warning.
+        """
         every = tuple(replace(camera, used=False, reason=reasons[k]) if k in reasons else camera for k, camera in enumerate(self.all))
-        notes = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
+        notes = tuple(f"{self.all[k].file} is excluded: {reason}" for k, reason in reasons.items())
         order = tuple(k for k in self.order if k not in reasons)
         every += tuple(Camera(file=frame.file, ring=frame.ring, used=False, reason=reason) for frame, reason in unread)
         return replace(self, all=every, order=order, warnings=(*self.warnings, *notes))
 
     def with_views(self, views: Sequence[View], optics: Optics) -> Cameras:
-        """Return cameras with other poses of the used views (V,), all of one lens, and other optics."""
+        """Replace the poses of the used views (V,), which share one lens, and the optics."""
         every = list(self.all)
         for k, view in zip(self.order, views, strict=True):
             every[k] = replace(every[k], cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank, sway=view.sway)

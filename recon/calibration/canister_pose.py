@@ -1,18 +1,21 @@
-"""Pose of the canister in the marker strip, from the edges of its outer wall in front of the backlight.
+"""Pose of the canister in the marker strip, estimated from the edges of the canister in front of the backlight.
 
-The cameras are calibrated with the strip, which is on a net pot that may be misaligned, while the light is refracted by
-the canister. A line of sight tangent to the outer wall passes the canister's axis at exactly the outer radius, whatever
-wall and water are (Bouguer's invariant at |b| = R_o): inside the edge the picture is black (grazing light is reflected
-away), outside it shows the empty panel. All edges of all views in one least-squares problem give the axis's offset and
-tilt. The distance of the edges outside R_o (blur, a canister of another size) is a common unknown, and so is the
-deviation of the wall from round: the support function of an oval with radii R + e and R - e is R + e cos 2(azimuth -
-its own) to first order in e / R.
+The cameras are calibrated in the frame of the strip, which is attached to a net pot that may be misaligned with the
+canister. The light, however, is refracted by the canister. A line of sight tangent to the outer wall passes the
+canister's axis at exactly the outer radius, independent of the wall and the water (Bouguer's invariant at |b| = R_o).
+Inside the edge, the picture is black, because grazing light is reflected away. Outside the edge, it shows the empty
+panel.
 
-In a tank, the same holds for the lines in the liquid: inside the edge, light that enters the wall is deflected far.
-However, light reflected by the wall continues nearly straight: in front of a wide panel the edge is as bright as the
-panel, and not detected (the twin's fast pictures, without reflections, show it dark). Rotation of a tank moves both
-edges of all views in the same direction, by refraction at its front (a quarter of a degree per degree, in water); it is
-a further unknown.
+The offset and tilt of the axis are estimated from the edges in all views by one least-squares fit. Two further unknowns
+are common to all edges: their distance outside R_o, due to blur or a canister of another size, and the ovality of the
+wall. The support function of an oval with the radii R + e and R - e is R + e cos 2(azimuth - azimuth of the largest
+radius), to first order in e / R.
+
+In a tank, the same relation holds for the lines of sight in the liquid, because light that enters the wall inside the
+edge is strongly deflected. However, light reflected by the wall continues nearly straight. In front of a wide panel,
+the edge is therefore as bright as the panel, and cannot be detected. (The twin's fast pictures omit reflections and
+show a dark edge.) The rotation of the tank is a further unknown: refraction at its front moves both edges of all views
+in the same direction, by a quarter of a degree per degree in water.
 """
 
 from __future__ import annotations
@@ -38,68 +41,76 @@ from rhizotwin.scenes.model import Scene, Tank
 from rhizotwin.scenes.picture_codec import Grey
 
 LEVELS_MM = 2.5
-"""Spacing of the heights at which the edges are measured."""
+"""Vertical spacing of the heights at which the edges are measured, mm."""
 MARGIN_MM = 8.0
-"""Edges this near to the net pot's skirt or the canister's base are not used."""
+"""Vertical distance from the net pot's skirt and the canister's base within which edges are not measured, mm."""
 REACH_MM = 4.0
-"""Search range about the edges of a canister without misalignment."""
+"""Half-width of the search range around the edges of an aligned canister, mm."""
 STEP_PX = 0.25
-"""Spacing of the samples across an edge: two for a blur of half a pixel."""
+"""Spacing of the brightness samples across an edge, px; two samples for a blur of half a pixel."""
 LEAST_RISE = 0.25
-"""Minimum rise of an edge within three pixels, as a fraction of the brightness outside."""
+"""Minimum rise of the brightness within three pixels for an edge to be accepted, relative to the brightness outside the
+edge."""
 LEAST_EDGES = 200
-"""Minimum number of edge points. Two views show about as many (52 heights, two sides); a single view does not determine
-the tilt towards it."""
+"""Minimum number of edge points from which the pose is estimated. Two views show about 200 points (52 heights, two
+sides), and a single view does not determine the tilt towards the camera."""
 _SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1, 4e-3])
-"""Steps (rad, mm) with a similar effect on an edge: a milliradian over half the canister's height is 0.08 mm, and for
-the rotation of a tank a quarter of that over its depth."""
+"""Steps of the unknowns (rad and mm) that have a similar effect on the edges. A tilt of one milliradian moves an edge
+by 0.08 mm at half the canister's height. A rotation of the tank has a quarter of this effect over its depth, so its
+step is four times as large."""
 _POSE_SCALE = np.array([1e-3] * 3 + [0.1] * 3)
-"""The same for a camera's twist."""
+"""Steps of a camera's twist (rad and mm) that have a similar effect on the edges."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25, np.deg2rad(2.0)])
-"""Prior standard deviations: misalignment of a net pot (rad, mm), distance of the edges from the nominal radius (mm),
-ovality of cast tube as sold (half a millimetre between largest and smallest diameter), and rotation of a tank placed by
-eye (rad)."""
+"""Prior standard deviations of the unknowns: tilt (2 values, rad) and offset (2 values, mm) of a net pot, distance of
+the edges from the nominal radius (mm), ovality of cast tube as sold (2 values, mm, from half a millimetre between the
+largest and smallest diameter), and rotation of a tank placed by eye (rad)."""
 _OPEN = 7
-"""Number of unknowns without a tank."""
+"""Number of unknowns of a scan without a tank."""
 
 TOGETHER_MM = 20.0
-"""Length along one side of a picture over which errors are correlated (0.7, 0.5, 0.3, 0.1 at 2.5, 5, 10, 20 mm; 400x300
-bench): the edge, almost vertical, lies between the same two columns of pixels there."""
+"""Length along an edge over which the errors of edge points are correlated, mm. The edge is almost vertical and lies
+between the same two pixel columns over this length. The correlation is 0.7, 0.5, 0.3 and 0.1 at distances of 2.5, 5, 10
+and 20 mm (bench, 400x300 pixels)."""
 LEAST_STIFFNESS = 0.1
-"""Minimum mean derivative of Cauchy's psi: it is 0.14 where the edges scatter by twice the loss's scale, and 0.03 at
-five times."""
+"""Minimum mean derivative of the psi function of the Cauchy loss. The mean derivative is 0.14 if the edges scatter by
+twice the scale of the loss, and 0.03 at five times the scale."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanisterPose:
-    """Pose of the canister's axis in the strip's frame."""
+    """Pose of the canister's axis in the frame of the strip."""
 
     canister_from_strip: Array
-    """(4, 4) without height and rotation about the axis, which edges do not determine."""
+    """(4, 4) transform, mm, without height and rotation about the axis, which the edges do not determine."""
     covariance: Array
-    """(4, 4) of tilt about x, y (rad) and offset x, y (mm), without the errors that the cameras share."""
+    """(4, 4) covariance of the tilt about x and y, rad, and the offset in x and y, mm, without the errors shared by all
+    cameras."""
     by_cameras: Array
-    """(4, S) derivatives of the same by the errors that the cameras share (`PoseErrors`)."""
+    """(4, S) derivatives of tilt, rad, and offset, mm, with respect to the S errors shared by all cameras
+    (`PoseErrors`)."""
     sigma: Array
-    """(4,) standard deviations, including those errors: tilt about x, y (deg), offset x, y (mm)."""
+    """(4,) standard deviations of the tilt about x and y, degrees, and of the offset in x and y, mm, including the
+    errors shared by all cameras."""
     radius_excess_mm: float
-    """Distance of the edges outside the nominal radius."""
+    """Mean distance of the edges outside the nominal outer radius, mm."""
     oval_mm: float
-    """Half the difference between the largest and the smallest outer radius."""
+    """Half the difference between the largest and the smallest outer radius, mm."""
     oval_deg: float
-    """Azimuth of the largest radius, 0 to 180."""
+    """Azimuth of the largest outer radius, degrees, from 0 to 180."""
     edges: int
+    """Number of edge points used in the fit."""
     tank_turn_deg: float
-    """Rotation of the tank relative to the scene; 0 without a tank."""
+    """Rotation of the tank relative to the scene, degrees; 0 without a tank."""
     tank_sigma_deg: float
-    """Its standard deviation."""
+    """Standard deviation of the tank's rotation, degrees; 0 without a tank."""
     before_mm: float
-    """Median distance of the edges from those of a canister without misalignment."""
+    """Median distance of the edge points from the edges of an aligned canister, mm."""
     after_mm: float
+    """Median distance of the edge points from the fitted edges, mm."""
 
 
 def _sigmas(covariance: Array, by_cameras: Array, errors: PoseErrors | None) -> Array:
-    """Return the standard deviations (N,) of the estimates, including the cameras' errors."""
+    """Return the standard deviations (N,) of the estimates, including the errors shared by all cameras."""
     shared = np.zeros((1, 1)) if errors is None else errors.shared
     return np.asarray(np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T)))
 
@@ -117,21 +128,21 @@ def find_canister(
     Parameters
     ----------
     views : sequence of View
-        Cameras in the strip's frame.
+        Cameras of the views, in the frame of the strip.
     images : callable
-        Function that returns the picture of a view by its index.
+        Function that returns the picture of a view from the index of the view.
     scene : Scene
-        Radius and height of the canister, and skirt of the net pot.
+        Scene with the radius and height of the canister, and the skirt of the net pot.
     errors : PoseErrors, optional
-        Errors of the cameras; without, they count as exact.
+        Errors of the camera poses; by default, the cameras are treated as exact.
     settings : CalibrationSettings
         Scale of the robust loss for the edges.
 
     Returns
     -------
     CanisterPose or None
-        None if the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
-        surroundings).
+        Estimated pose. None if the pictures do not show enough of the canister's edges, for example because the
+        backlight is no wider than the canister, or the surroundings are dark.
     """
     edges = _Edges.from_pixels([_edge_pixels(view, images(k), scene) for k, view in enumerate(views)], views, Optics.from_scene(scene))
     prior, scale = (part[: _OPEN if scene.tank is None else None] for part in (PRIOR, _SCALE))
@@ -171,20 +182,21 @@ class _Edges:
     """Lines of sight through the canister's edges."""
 
     views: Sequence[View]
-    """(V,) in the strip's frame."""
+    """(V,) cameras in the frame of the strip."""
     optics: Optics
     view: NDArray[np.int64]
-    """(N,) index of the view."""
+    """(N,) index of the view of each line."""
     side: NDArray[np.int64]
-    """(N,) 0 or 1."""
+    """(N,) side of the canister, 0 or 1."""
     ray: Array
-    """(N, 3) direction, camera's frame."""
+    """(N, 3) direction of each line in the camera's frame."""
     place: NDArray[np.int64]
-    """(N,) index of the pixel of the edge, merged with neighbours along the edge over `TOGETHER_MM`."""
+    """(N,) index of the pixel block that contains the edge point. A block is one pixel wide across the edge, and
+    `TOGETHER_MM` long along the edge."""
 
     @staticmethod
     def from_pixels(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
-        """Return the lines of sight through each view's pixels (M, 2)."""
+        """Return the lines of sight through the edge pixels (M, 2) of each view."""
         px = np.concatenate([pixels for pixels, _ in found])
         owner = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
         undone = [
@@ -208,7 +220,10 @@ class _Edges:
         )
 
     def lines(self, tank_turn_rad: float) -> tuple[Array, Array]:
-        """Return a point (N, 3) and the direction (N, 3) of each line where it meets the canister, strip's frame."""
+        """Return a point (N, 3) and the direction (N, 3) of each line outside the canister, in the strip's frame.
+
+        For a tank, these are the lines in the liquid.
+        """
         if self.optics.tank is None:
             turned = np.einsum("ni,nij->nj", self.ray, np.array([view.cam_from_canister[:3, :3] for view in self.views])[self.view])
             return np.array([view.centre_mm for view in self.views])[self.view], turned
@@ -222,35 +237,39 @@ class _Edges:
         return np.einsum("nij,nj->ni", here[:, :3, :3], point) + here[:, :3, 3], np.einsum("nij,nj->ni", here[:, :3, :3], p)
 
     def off(self, unknown: Array) -> Array:
-        """Return the distance (N,) of the lines outside a wall.
+        """Return the distance (N,) of the lines outside the wall, mm.
 
-        The unknowns of the wall are tilt (2), offset (2), excess of radius, oval (2), and rotation of the tank.
+        The unknowns of the wall are the tilt (2 values), the offset (2 values), the excess of the radius, the ovality
+        (2 values), and the rotation of the tank.
         """
         canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
         origin, direction = self.lines(float(unknown[_OPEN]) if len(unknown) > _OPEN else 0.0)
         start, along = frames.apply(canister_from_strip, origin), direction @ canister_from_strip[:3, :3].T
-        away_mm, azimuth = _from_axis(start, along)
+        away_mm, azimuth = _distance_from_axis(start, along)
         oval_mm = unknown[5] * np.cos(2.0 * azimuth) + unknown[6] * np.sin(2.0 * azimuth)
         return np.asarray(away_mm - self.optics.outer_radius_mm - unknown[4] - oval_mm)
 
     def select(self, some: NDArray[np.bool_]) -> _Edges:
-        """Return a subset of the lines."""
+        """Return the subset of the lines for which the mask (N,) is True."""
         rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "ray")}
         return replace(self, **rows)
 
     def displace(self, step: Array) -> _Edges:
-        """Return the same pixels' lines after every camera moved by a left-hand twist (6,) of ``cam_from_canister``."""
+        """Return the lines through the same pixels after a left-hand twist (6,) of every ``cam_from_canister``."""
         return replace(self, views=[view.move_camera(twist(step)) for view in self.views])
 
 
 def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
-    """Return the covariance of tilt and offset (K, K), and their derivatives by the cameras' shared errors (K, S).
+    """Return the covariance of tilt and offset, and their derivatives with respect to the shared camera errors.
 
-    K is 4, and 5 with a tank, whose rotation comes last.
+    The shapes are (K, K) and (K, S).
 
-    Edges of one side of one view are correlated, and so are those on the same pixels of a static camera in all views:
-    the position of an edge between two pixels determines its error. The two sides of a view are uncorrelated (below
-    0.1) except for the view's own pose, which is propagated with the others.
+    K is 4, or 5 with a tank, whose rotation comes last.
+
+    The errors of edge points on one side of a view are correlated. With a static camera, the errors of edge points on
+    the same pixels are also correlated between views, because the position of an edge between two pixels determines its
+    error. The errors on the two sides of a view are uncorrelated (below 0.1) except for the error of the camera pose,
+    which is propagated separately.
     """
     chosen = [0, 1, 2, 3, *range(_OPEN, len(found))]
     jacobian = _slopes(edges.off, found, _SCALE[: len(found)])
@@ -273,20 +292,26 @@ def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, setting
 
 
 def _slopes(function: Callable[[Array], Array], at: Array, scale: Array) -> Array:
-    """Return central differences (N, K) of a function with a thousandth of each unknown's scale (K,) as the step."""
+    """Return the derivatives (N, K) of a function with respect to K unknowns, from central differences.
+
+    The step is a thousandth of each unknown's ``scale`` (K,).
+    """
     steps = 1e-3 * np.diag(scale)
     return np.stack([(function(at + step) - function(at - step)) / (2.0 * step.max()) for step in steps], axis=1)
 
 
-def _from_axis(start: Array, along: Array) -> tuple[Array, Array]:
-    """Return the distance (N,) of lines (N, 3), (N, 3) from the z axis, and the azimuth (N,) of the nearest point."""
+def _distance_from_axis(start: Array, along: Array) -> tuple[Array, Array]:
+    """Return the distance (N,) of lines from the z axis, and the azimuth (N,) of the point nearest to the axis.
+
+    The lines are given by points (N, 3) and directions (N, 3).
+    """
     cross = start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]
     azimuth = np.arctan2(-along[:, 0] * cross, along[:, 1] * cross)
     return np.abs(cross) / np.hypot(along[:, 0], along[:, 1]), azimuth
 
 
 def _edge_pixels(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
-    """Return the pixels (M, 2) of both edges of one picture, and the side (M,) of each."""
+    """Return the pixels (M, 2) of the canister's two edges in one picture, and the side (M,) of each pixel."""
     canister = scene.canister
     low = -canister.height_mm + MARGIN_MM
     high = min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm, np.inf if scene.tank is None else scene.tank.level_mm) - MARGIN_MM
@@ -307,7 +332,7 @@ def _circle(angle_rad: float, radius_mm: float, z: Array) -> Array:
 
 
 def _pixels(view: View, scene: Scene, points_mm: Array) -> Array:
-    """Return the pixels (M, 2) of points beside the canister: in the open, or in a tank's liquid."""
+    """Return the pixels (M, 2) of points beside the canister, which are in air or in a tank's liquid."""
     if scene.tank is not None:
         return project_inner(view, _liquid(scene, scene.tank), points_mm)
     turn = cv2.Rodrigues(view.cam_from_canister[:3, :3])[0]
@@ -316,7 +341,7 @@ def _pixels(view: View, scene: Scene, points_mm: Array) -> Array:
 
 
 def _liquid(scene: Scene, around: Tank) -> Optics:
-    """Return the optics of a tank without a canister."""
+    """Return the optics of a tank that contains liquid, but no canister."""
     radius_mm = around.front_mm - around.wall_mm
     return replace(
         Optics.from_scene(scene), outer_radius_mm=radius_mm, inner_radius_mm=radius_mm, n_wall=around.n_liquid, n_water=around.n_liquid
@@ -324,7 +349,7 @@ def _liquid(scene: Scene, around: Tank) -> Optics:
 
 
 def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
-    """Return the pixels (M, 2) of the edge near the tangent points, one per height where the edge is clear."""
+    """Return the pixels (M, 2) of the edge near the tangent points, one per height at which the edge is distinct."""
     outward = at - inner
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     reach_px = max(REACH_MM * view.camera.focal_px[0] / view.rho_mm, 6.0)
@@ -336,14 +361,14 @@ def _measure_edge(view: View, image: Grey, at: Array, inner: Array) -> Array:
     if not len(at):
         return np.empty((0, 2))
     profile = cv2.remap(image.astype(np.float32), px[..., 0], px[..., 1], cv2.INTER_LINEAR)
-    place, clear = _steepest(profile.astype(np.float64), offset)
+    place, clear = _find_steepest(profile.astype(np.float64), offset)
     return np.asarray(at[clear] + place[clear, None] * outward[clear])
 
 
-def _steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the offset at which profiles (N, S) rise most steeply outward, and whether the rise is clear.
+def _find_steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the offset (N,) at which each profile (N, S) rises most steeply, and whether the rise is distinct.
 
-    The offset is the centroid of the rise about its peak.
+    The offset is the centroid of the rise around its steepest part.
     """
     span = round(3.0 / STEP_PX)
     rise = np.maximum(np.diff(profile, axis=1), 0.0)

@@ -1,8 +1,9 @@
-"""Test whether the pictures are linear in light, from the edges of the markers.
+"""Test of whether the pictures are linear in light, from the edges of the markers.
 
-A lens blurs light evenly: the middle of an edge between black and white is halfway between black and white. A camera's
-transfer curve violates this: if it was not inverted, or inverted although there was none, the greys of an edge are too
-bright or too dark. `MarkerFit.bend` measures this on all edges of all markers, independently of the blur.
+A lens blurs light symmetrically, so the middle of an edge between black and white has a brightness halfway between
+black and white. The greys of an edge are too bright or too dark if the camera's transfer curve was not inverted, or if
+a curve was inverted although the picture was already linear. `MarkerFit.bend` measures this deviation on all edges of
+all markers, independently of the blur.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,24 +20,28 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.transfer import Curve
 
 MOST_BEND = 0.02
-"""Maximum bend of linear pictures. sRGB read as linear has 0.18, linear light read as sRGB has -0.25, and the twin's
-correct pictures have 0.000 to 0.003.
+"""Maximum bend (excess brightness of medium greys at marker edges) of pictures that are accepted as linear. The bend is
+0.18 for sRGB values read as linear light, -0.25 for linear light read as sRGB, and 0.000 to 0.003 for correct pictures
+of the twin.
 
-A gamma error of 0.1 gives 0.02, and moves the outlines of roots (at half coverage) by less than 0.03 px."""
+An error of 0.1 in the gamma causes a bend of 0.02, and moves the outlines of roots (at half coverage) by less than 0.03
+px."""
 LEAST_MARKERS = 10
-"""Minimum number of markers: the median of ten has a standard error of 0.4 of their scatter."""
+"""Minimum number of markers from which the median bend is computed. The median of ten markers has a standard error of
+0.4 times their standard deviation."""
 _SOME = 8
 """Number of pictures that are tested, evenly spaced over the scan."""
 _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
-"""Gammas that are tried, in addition to the stated curve, if no known curve fits."""
+"""Gamma values that are tried after the stated curve if no known curve fits."""
 
 
 def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
-    """Test with the marker edges whether the pictures were read with the correct curve.
+    """Test with the marker edges whether the pictures were decoded with the correct transfer curve.
 
-    If they clearly were not, they are read again with the estimated curve.
+    If the edges clearly contradict the curve, the pictures are read again with the estimated curve.
 
-    Masks, and pictures with given cameras or of a rig without a strip, are not changed, as they show no markers.
+    Masks, pictures with given cameras, and pictures of a rig without a strip are returned unchanged, because they show
+    no markers.
     """
     dataset, captured = pictures.dataset, pictures.frames
     if dataset.masks or dataset.scene.strip.rows == 0 or all(frame.cam_from_canister is not None for frame in captured):
@@ -59,20 +64,23 @@ def verify_curve(pictures: Pictures, *, monitor: Monitor) -> Pictures:
 
 
 def median_bend(detected: Sequence[Markers]) -> tuple[float | None, int]:
-    """Return the median bend of all measured markers, and their number."""
+    """Return the median bend of all measured markers, and the number of markers.
+
+    The median is None if there are fewer than `LEAST_MARKERS` markers.
+    """
     bends = np.concatenate([np.zeros(0), *(markers.bend for markers in detected if markers.bend is not None)])
     return (float(np.median(bends)) if len(bends) >= LEAST_MARKERS else None), len(bends)
 
 
 def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Sequence[Markers]]) -> CurveFound:
-    """Estimate the transfer curve from the edges of the markers.
+    """Estimate the transfer curve of the pictures from the edges of the markers.
 
     Parameters
     ----------
     detected : sequence of Markers
-        Markers of the pictures, read with the stated curve.
+        Markers of the pictures, decoded with the stated curve.
     stated : Curve
-        Curve stated in the files, or in the scene.
+        Transfer curve stated in the files or in the scene.
     again : callable
         Function that reads some of the pictures with another curve and returns their markers.
     """
@@ -86,25 +94,28 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
             if other is not None and abs(other) < abs(least):
                 best, least = known, other
     if abs(least) > MOST_BEND:
-        best, least = _gamma(stated, least, best, again)
+        best, least = _find_gamma(stated, least, best, again)
     return CurveFound(curve=best, stated=stated, bend=least, stated_bend=bend, markers=count)
 
 
-def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
-    """Return the gamma, applied after the stated curve, without a bend; otherwise the best curve so far."""
-    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_upon(stated, exponent)))[0]) is not None]
+def _find_gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
+    """Find the gamma that, applied after the stated curve, removes the bend; return the curve and its bend.
+
+    If ``best`` has a smaller bend ``least``, these are returned instead.
+    """
+    tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := median_bend(again(_append_gamma(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T
     signs = np.flatnonzero(np.diff(np.sign(bends)))
     if not len(signs):
         return best, least
     k = int(signs[0])
     share = bends[k] / (bends[k] - bends[k + 1])
-    curve = _upon(stated, float(exponents[k] * (exponents[k + 1] / exponents[k]) ** share))
+    curve = _append_gamma(stated, float(exponents[k] * (exponents[k + 1] / exponents[k]) ** share))
     bend, _ = median_bend(again(curve))
     return (curve, bend) if bend is not None and abs(bend) < abs(least) else (best, least)
 
 
-def _upon(stated: Curve, exponent: float) -> Curve:
-    """Return the stated curve followed by a gamma."""
+def _append_gamma(stated: Curve, exponent: float) -> Curve:
+    """Return the stated curve followed by a power function with the given exponent."""
     light = stated.of(np.linspace(0.0, 1.0, 4097)) ** exponent
     return Curve(f"a gamma of {exponent:.2f} after {stated.name}", tuple(light.tolist()))

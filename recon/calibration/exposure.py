@@ -1,9 +1,10 @@
-"""Exposure of each picture, measured on static content: the empty panel beside the canister.
+"""Exposure of each picture, measured on the empty panel beside the canister.
 
-A line of sight beside the canister shows the panel directly, and the same part of it in every view of a static camera.
-The ratio of such pixels in one picture to those in all pictures of the station is the exposure of the picture. Lamps at
-mains frequency under a rolling shutter, panels of which one half fades, and passing people make a picture brighter in
-some places than in others; the ratio is therefore measured row by row, left and right of the canister.
+Lines of sight beside the canister show the panel directly. A static camera shows the same part of the panel in every
+view. The exposure of a picture is the ratio of these pixels to the same pixels in all pictures of the station.
+
+Lamps at mains frequency under a rolling shutter, panels that fade on one side, and passing people change the brightness
+of only parts of a picture. The ratio is therefore measured row by row, left and right of the canister.
 """
 
 from __future__ import annotations
@@ -27,23 +28,27 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEP = 4
-"""Pixels are sampled with this step in both directions."""
+"""Spacing of the sampled pixels in both directions, px."""
 _DARKEST = 1.0 / 255.0
-"""Minimum brightness of a panel relative to the station, one level of 8 bits: a picture that is half black has less."""
+"""Minimum brightness of the panel relative to the station, one level of 8 bits. Pictures that are half black have a
+lower brightness."""
 _MARGIN_MM = 2.0
-"""Margin beside canister and net pot."""
+"""Margin beside the canister and the net pot within which pixels are not sampled, mm."""
 _LIT, _BRIGHT = 0.5, 0.9
-"""Minimum brightness of the panel, relative to a quantile of the brightness beside the canister, and the quantile."""
+"""Two values: the minimum brightness of the panel relative to a quantile of the brightness beside the canister, and the
+level of this quantile."""
 _LEAST_PIXELS = 200
-"""Minimum number of pixels of the empty panel: noise of a few per cent per pixel then averages to a few per mille."""
+"""Minimum number of empty-panel pixels for an exposure to be measured. A noise of a few per cent per pixel then
+averages to a few per mille."""
 _LEAST_PATCH = 20
-"""Minimum number of pixels of a patch of the panel."""
+"""Minimum number of pixels of a panel patch whose mean brightness is evaluated."""
 _ROWS = 2.0
-"""Standard deviation, in sampled rows, over which the panel is smoothed: with 17 pixels beside the canister in each
-row, a tenth of a pixel's noise remains; three bands of a lamp in a picture of 300 rows keep 99 % of their amplitude."""
+"""Standard deviation of the Gaussian by which the panel's brightness is smoothed along the rows, in sampled rows. With
+17 pixels beside the canister in each row, a tenth of a pixel's noise remains. Three brightness bands of a lamp in a
+picture of 300 rows keep 99 % of their amplitude."""
 UNEVEN = 0.01
-"""Minimum relative deviation from the station's panel that is corrected: a third of the faintest film that is detected
-(`CoverageSettings.film_depth`)."""
+"""Minimum standard deviation of the panel's relative brightness within a picture that is corrected. The value is a
+third of the optical depth of the faintest detected film (`CoverageSettings.film_depth`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,22 +56,22 @@ class Exposures:
     """Exposures of the pictures of a scan."""
 
     gain: Array
-    """(V,) exposure relative to the station's median picture; 1 if unknown."""
+    """(V,) exposure of each picture relative to the station's median picture; 1 if unknown."""
     measured: bool
-    """Whether it was measured on the panel beside the canister in all pictures."""
+    """Whether the exposure could be measured on the panel beside the canister in all pictures."""
     clipped: Array
-    """(V,) fraction of the panel's pixels that are at full scale."""
+    """(V,) fraction of the panel's pixels at full scale."""
     level: Array
-    """(V,) brightness of the panel, relative to full scale."""
+    """(V,) median brightness of the panel, relative to full scale."""
     beside: tuple[Sides | None, ...] = ()
-    """(V,) relative brightness of the panel on both sides of the canister; None if it is uniform, or if one side is not
-    visible."""
+    """(V,) relative brightness of the panel on both sides of the canister. None if the brightness is uniform, or if one
+    side is not visible."""
     uneven: Array = field(default_factory=lambda: np.zeros(0))
-    """(V,) standard deviation of the panel beside the canister relative to the station, after division by gain and
-    ``beside``."""
+    """(V,) standard deviation of the panel's brightness beside the canister, relative to the station, after division by
+    ``gain`` and ``beside``."""
 
     def select(self, places: Sequence[int]) -> Exposures:
-        """Return the exposures of a subset of the pictures, by index."""
+        """Return the exposures of the pictures with the given indices."""
         return replace(
             self,
             beside=tuple(self.beside[k] for k in places) if self.beside else (),
@@ -75,21 +80,27 @@ class Exposures:
 
     @property
     def dark(self) -> NDArray[np.bool_]:
-        """Return the pictures (V,) with a dark panel, such as those that are half black or were taken without light."""
+        """Return whether the panel of each picture (V,) is dark.
+
+        The panel is dark in pictures that are half black or were taken without light.
+        """
         return np.asarray(self.gain <= _DARKEST)
 
     @property
     def wander(self) -> float:
-        """Return the standard deviation of the gain."""
+        """Return the standard deviation of the gain over the pictures."""
         return float(np.std(self.gain))
 
     @property
     def bands(self) -> float:
-        """Return the largest standard deviation within a picture that was corrected; 0 if none was."""
+        """Return the largest brightness variation within a picture that was corrected; 0 if none was.
+
+        The variation is the standard deviation of the panel's relative brightness.
+        """
         return max((float(np.std(sides.share)) for sides in self.beside if sides is not None), default=0.0)
 
     def light(self, k: int, image_wh: tuple[int, int]) -> NDArray[np.float32] | np.float32:
-        """Return the exposure of picture k: one number, or (H, W) if it varies over the picture."""
+        """Return the exposure of picture k, either one number, or an array (H, W) if it varies over the picture."""
         sides = self.beside[k] if self.beside else None
         gain = np.float32(self.gain[k])
         return gain if sides is None else gain * sides.over(image_wh)
@@ -97,17 +108,21 @@ class Exposures:
 
 @dataclass(frozen=True, kw_only=True)
 class Sides:
-    """Relative brightness of the panel left and right of the canister, row by row."""
+    """Relative brightness of the panel to the left and right of the canister, row by row."""
 
     rows: Array
-    """(R,) rows of the picture."""
+    """(R,) picture rows at which the brightness is given."""
     columns: tuple[float, float]
-    """Mean columns of the panel left and right of the canister."""
+    """Mean picture columns of the panel to the left and right of the canister."""
     share: Array
-    """(2, R) brightness left and right relative to the station, divided by the gain."""
+    """(2, R) brightness on the left and right, relative to the station and divided by the gain."""
 
     def over(self, image_wh: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the brightness (H, W), interpolated linearly from left to right in each row, and extrapolated."""
+        """Return the relative brightness (H, W) of all pixels.
+
+        In each row, the brightness is interpolated linearly between the left and the right side, and extrapolated
+        beyond.
+        """
         width, height = image_wh
         left, right = (np.interp(np.arange(height), self.rows, side)[:, None] for side in self.share)
         across = (np.arange(width)[None] - self.columns[0]) / (self.columns[1] - self.columns[0])
@@ -115,7 +130,7 @@ class Sides:
 
 
 def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tuple[int, int]], optics: Optics, scene: Scene) -> Exposures:
-    """Measure the exposures of pictures.
+    """Measure the exposure of each picture on the empty panel beside the canister.
 
     Parameters
     ----------
@@ -124,14 +139,14 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
     views : sequence of View
         Cameras of the pictures.
     stations : sequence of tuple of int
-        Station of each picture.
+        Station of each picture, as ring and placement.
     """
     gain, clipped, level = np.ones(len(images)), np.zeros(len(images)), np.full(len(images), np.nan)
     measured, uneven = True, np.zeros(len(images))
     sides: list[Sides | None] = [None] * len(images)
     for station in sorted(set(stations)):
         own = [k for k, one in enumerate(stations) if one == station]
-        beside = np.logical_and.reduce([_beside(views[k], optics, scene) for k in own])
+        beside = np.logical_and.reduce([_beside_mask(views[k], optics, scene) for k in own])
         light = np.stack([images[k][::_STEP, ::_STEP][beside] / np.float32(np.iinfo(images[k].dtype).max) for k in own])
         panel = np.zeros(light.shape[1], bool)
         if light.shape[1]:
@@ -152,17 +167,18 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         gain[own] = np.maximum(np.median(ratio, axis=1).astype(np.float64), _DARKEST)
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
-            sides[k], uneven[k] = _unevenness(one / gain[k], row, column, images[k].shape[1])
+            sides[k], uneven[k] = _measure_unevenness(one / gain[k], row, column, images[k].shape[1])
     return Exposures(gain=gain, measured=measured, clipped=clipped, level=level, beside=tuple(sides), uneven=uneven)
 
 
-def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
-    """Return the relative brightness of a picture's panel (N,), and the unevenness that remains after its correction.
+def _measure_unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Sides | None, float]:
+    """Return the relative brightness on both sides of a picture, and the unevenness that remains after correction.
 
-    It is evaluated in patches as high as the smoothing, over the inner and the outer half of each side.
+    The unevenness is the standard deviation between patches of the panel pixels (N,), corrected for noise. A patch is
+    as high as the smoothing, and covers the inner or the outer half of one side.
     """
     left = column < 0.5 * width
-    found = _sides(ratio, row, column, left)
+    found = _measure_sides(ratio, row, column, left)
     if found is not None and np.std(found.share) < UNEVEN:
         found = None
     if found is not None:
@@ -179,8 +195,8 @@ def _unevenness(ratio: Array, row: Array, column: Array, width: int) -> tuple[Si
     return found, float(np.sqrt(max(0.0, more)))
 
 
-def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
-    """Return the panel's ratio (N,) row by row on both sides; None if one of them is hardly visible."""
+def _measure_sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
+    """Return the row-by-row brightness profiles of the panel (N,) on both sides; None if a side is hardly visible."""
     if min(left.sum(), (~left).sum()) < _LEAST_PIXELS:
         return None
     rows = np.unique(row)
@@ -194,10 +210,10 @@ def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
     return Sides(rows=rows, columns=columns, share=np.maximum(share, _DARKEST))
 
 
-def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
-    """Return the pixels, sampled with `_STEP`, whose line of sight passes beside canister and net pot.
+def _beside_mask(view: View, optics: Optics, scene: Scene) -> Mask:
+    """Return the mask of pixels, sampled every `_STEP` px, whose line of sight passes beside canister and net pot.
 
-    Only heights between skirt and base are included.
+    Only heights between the net pot's skirt and the canister's floor are included.
     """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0, width, _STEP), np.arange(0, height, _STEP))

@@ -1,4 +1,4 @@
-"""The camera stage: use the given cameras, or estimate them from the markers and the canister's edges."""
+"""Camera stage: use given cameras, or estimate cameras from the markers and the canister's edges."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 LEAST_VIEWS = 3
-"""Minimum number of views: two silhouettes do not bound a shape."""
+"""Minimum number of views for a reconstruction. Two silhouettes do not bound a shape."""
 FOCUS_GIVEN = 1e-4
 """Relative standard deviation of a calibrated focal length (`docs/calibration.md`: 0.009 %)."""
 
 _LEAST_BLURS = 3
-"""Minimum number of markers for the blur of a picture: a single one may contain a highlight."""
+"""Minimum number of markers from which the blur of a picture is computed. A single marker may contain a highlight."""
 
 
 def find_cameras(
@@ -37,43 +37,43 @@ def find_cameras(
     measure: bool = True,
     single_view: bool = False,
 ) -> Cameras:
-    """Use the given cameras, or estimate every camera from the markers.
+    """Use the cameras given in the dataset, or estimate the camera of every picture from markers or edges.
 
     Parameters
     ----------
     settings : CalibrationSettings
-        Thresholds for leaving out views, and priors of the rig.
+        Thresholds for the exclusion of views, and priors of the rig.
     measure, single_view : bool
         See `markers.detect_markers` and `poses.find_poses`; ``single_view`` also assumes an aligned strip.
 
     Returns
     -------
     Cameras
-        In the order of the frames.
+        Cameras in the order of the frames.
 
     Raises
     ------
     UserError
-        If too few pictures have a camera.
+        If fewer than `LEAST_VIEWS` pictures have a camera pose, or if the scene has a tank but no marker strip.
     """
     scene, optics = pictures.dataset.scene, Optics.from_scene(pictures.dataset.scene)
     if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
         raise UserError(
-            f"{pictures.dataset.folder}: the pose of the tank is estimated from the markers of all views together: "
-            "this requires the strip, and neither given cameras nor single views"
+            f"{pictures.dataset.folder}: the position of the tank can only be estimated from the markers of all pictures together. "
+            "The scene must have a marker strip, and the dataset must not contain camera poses."
         )
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
         return _require_views(pictures, _exact_cameras(pictures, scene.camera, poses_given))
     if scene.strip.rows == 0:
         return _require_views(pictures, _calibrate_bare(pictures, monitor))
-    detected = _markers(pictures, measure, monitor)
+    detected = _detect_markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)
-    left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
+    left_out = tuple(f"{view.file} is excluded: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
-        canister = None if single_view else _canister(pictures, solved, lens, settings)
+        canister = None if single_view else _find_canister(pictures, solved, lens, settings)
     chain = StripToCanister.combine(solved, canister)
     found = tuple(chain.camera(k, view) for k, view in enumerate(solved.views))
     if scene.tank:
@@ -84,7 +84,7 @@ def find_cameras(
         all=found,
         order=_used_frames(found),
         uncertainty=chain.uncertainty(pictures.frames, focus=FOCUS_GIVEN if solved.focal_scale == 1.0 else 0.0),
-        markers=_calibration(pictures.frames, detected, solved, canister, chain),
+        markers=_collect_results(pictures.frames, detected, solved, canister, chain),
         warnings=(*solved.warnings, *left_out),
     )
     return _require_views(pictures, cameras)
@@ -100,15 +100,20 @@ def _calibrate_bare(pictures: Pictures, monitor: Monitor) -> Cameras:
 
 
 def _rotate_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
-    """Rotate a view's tank by the estimate from the canister's edges; leave the view out if its tank is unknown."""
+    """Rotate a view's tank by the angle estimated from the canister's edges.
+
+    The view is excluded if the pose of its tank is unknown.
+    """
     if camera.cam_from_tank is None:
-        return replace(camera, used=False, reason=camera.reason or "its table angle is unknown, and therefore the pose of its tank")
+        return replace(
+            camera, used=False, reason=camera.reason or "its table angle could not be determined, so the position of the tank is unknown"
+        )
     turn = 0.0 if canister is None else float(np.deg2rad(canister.tank_turn_deg))
     return replace(camera, cam_from_tank=camera.cam_from_tank @ frames.rotation_z(turn))
 
 
-def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
-    """Detect the markers of every picture, except those already measured."""
+def _detect_markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
+    """Detect the markers of every picture; reuse markers that were already measured."""
     known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
 
     def find(k: int) -> markers.Markers:
@@ -120,7 +125,7 @@ def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[marker
 
 
 def _exact_cameras(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
-    """Return cameras of one lens with exact poses (F, 4, 4)."""
+    """Return cameras with exact poses (F, 4, 4) that share one lens."""
     every = tuple(
         Camera(file=frame.file, ring=frame.ring, used=True, cam_from_canister=lens.pinhole_pose(pose), table_deg=frame.table_deg)
         for frame, pose in zip(pictures.frames, poses, strict=True)
@@ -132,9 +137,10 @@ def _exact_cameras(pictures: Pictures, lens: model.Camera, poses: Sequence[frame
 
 
 def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
-    """Return straight optics without rim and floor, which masks rendered in air do not have.
+    """Return straight optics without rim and floor, for masks that were rendered in air.
 
-    A line of sight enters the wall between the height of the camera and that of the point.
+    The height limits are extended to the cameras: a line of sight enters the wall at a height between the camera and
+    the point.
     """
     heights = [float(frames.invert(pose)[2, 3]) for pose in poses]
     low, high = min(heights), max(heights)
@@ -147,12 +153,12 @@ def _unobstructed_optics(optics: Optics, poses: Sequence[frames.Array]) -> Optic
 
 
 def _table_deg(pictures: Pictures) -> list[float]:
-    """Return the commanded table angles, the initial values for cameras without markers."""
+    """Return the commanded table angles, which are the initial values for cameras without markers, degrees."""
     angles = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
     if len(angles) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
-            f"{pictures.dataset.folder}: without markers, pictures of one ring with table angles are required; "
-            "the plan of the scene must have as many views as there are pictures"
+            f"{pictures.dataset.folder}: calibration without markers requires pictures of exactly one ring, each with a table angle. "
+            "The plan in the scene must have as many views as there are pictures."
         )
     return angles
 
@@ -162,18 +168,18 @@ def _used_frames(found: Sequence[Camera]) -> tuple[int, ...]:
 
 
 def _require_views(pictures: Pictures, cameras: Cameras) -> Cameras:
-    """Return the cameras; raise a UserError if too few views have one."""
+    """Return the cameras; raise a UserError if too few views have a pose."""
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(
-            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures of roots have a camera pose and at least "
+            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures have a camera pose, but at least "
             f"{LEAST_VIEWS} are required ({reasons or 'take more pictures of the turn'})."
         )
     return cameras
 
 
-def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
-    """Estimate the pose of the canister in the strip from the used views; None if its edges are not visible."""
+def _find_canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
+    """Estimate the canister's pose in the strip from the used views; None if its edges are not visible."""
     keys = [k for k, view in enumerate(solved.views) if view.used and (view.cam_from_tank is not None or not pictures.dataset.scene.tank)]
     if not keys:
         return None
@@ -183,14 +189,14 @@ def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, setti
     return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 
-def _calibration(
+def _collect_results(
     captured: Sequence[Frame],
     detected: Sequence[markers.Markers],
     solved: poses.Poses,
     canister: CanisterPose | None,
     chain: StripToCanister,
 ) -> MarkerCalibration:
-    """Collect the results of all views together."""
+    """Collect the results of the calibration of all views."""
     turned = [
         view.table_deg - frame.table_deg
         for frame, view in zip(captured, solved.views, strict=True)
@@ -209,6 +215,9 @@ def _calibration(
 
 
 def _refocus_px(blurs: Sequence[NDArray[np.float64]]) -> float | None:
-    """Return the additional blur of the least sharp picture, relative to the sharpest, from each one's markers."""
+    """Return the additional blur of the least sharp picture relative to the sharpest, px.
+
+    ``blurs`` contains the blur of each marker in each picture.
+    """
     medians = [float(np.median(one)) for one in blurs if len(one) >= _LEAST_BLURS]
     return float(np.sqrt(max(medians) ** 2 - min(medians) ** 2)) if medians else None

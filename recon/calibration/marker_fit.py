@@ -1,7 +1,8 @@
-"""Measurement of marker corners: least-squares fit of the known pattern, blurred and bent, to the picture.
+"""Measurement of marker corners by a least-squares fit of the known marker pattern to the picture.
 
-OpenCV's corner refinements assume straight sides (those on a cylinder are curved) and are off by up to a pixel; some
-are biased inwards by blur.
+The model includes the blur of the picture and the curvature of the strip. OpenCV's corner refinement methods assume
+straight sides, although the sides of markers on a cylinder are curved, and deviate by up to a pixel. Some methods are
+also biased inwards by blur.
 """
 
 from dataclasses import dataclass
@@ -15,62 +16,69 @@ from scipy.special import erf
 from rhizotwin.scenes.frames import Array
 
 MARGIN: Final = 0.16
-"""Width of the part of the quiet zone that is fitted, in half sides."""
+"""Width of the fitted part of the quiet zone around a marker, in halves of the marker's side."""
 TARGET_PX: Final = 90.0
-"""Larger markers are downsampled to at most this side."""
+"""Maximum side of a marker for the fit, px. Larger markers are downsampled."""
 GRID: Final = np.linspace(-1.3, 1.3, 209)
-"""Sample positions of the tabulated pattern along s and t; a marker covers [-1, 1]."""
+"""Sample positions, along s and t, of the tabulated pattern. A marker covers the range [-1, 1] in both coordinates."""
 FLAT: Final = 6.0
-"""Distance from a step, in standard deviations of the blur, beyond which it is flat to 1e-8; smaller factors would
-leave the fast range of float32."""
+"""Distance from a step beyond which the blurred step is treated as constant, in standard deviations of the blur. The
+error is below 1e-8. Smaller factors would lead to denormal float32 numbers, which are slow."""
 BLUR_PX: Final = (0.25, 6.0)
-"""Range of the blur's standard deviation: a pixel alone has 0.29, and 6 is over half a module of the largest
-markers."""
+"""Minimum and maximum standard deviation of the blur in the fit, px. A pixel alone has 0.29 px, and 6 px exceed half a
+module of the largest markers."""
 FIRST_BLUR_PX: Final = 1.2
-"""Initial standard deviation for the first marker; further markers start with that of the preceding one."""
+"""Initial standard deviation of the blur for the first marker of a picture, px. The fit of each further marker starts
+with the blur of the preceding marker."""
 RETABLE: Final = 0.03
-"""Relative change of the blur after which the pattern is tabulated again."""
+"""Relative change of the blur above which the pattern is tabulated again."""
 LEAST_PIXELS: Final = 60
-"""Minimum number of pixels: three for each of the 18 parameters, and some more."""
+"""Minimum number of pixels for the fit of a marker, at least three for each of the 18 parameters."""
 MOST_STEPS: Final = 15
-"""Maximum number of steps: Gauss-Newton converges fast or diverges."""
+"""Maximum number of Gauss-Newton steps. The iteration either converges in a few steps or diverges."""
 MOST_MOVE: Final = 0.15
-"""Maximum displacement of a corner per step, in half sides."""
+"""Maximum displacement of a marker corner per step of the fit, in halves of the marker's side."""
 ENOUGH_PX: Final = 0.003
-"""Displacement of the corners below which the fit ends: a seventh of the systematic error (`view_fit.FLOOR_PX`)."""
+"""Displacement of the corners per step below which the fit ends, px. The value is a seventh of the systematic error of
+a corner (`view_fit.FLOOR_PX`)."""
 LEAST_CORRELATION: Final = 0.9
-"""Minimum correlation. Each wrong module of 64 reduces the correlation of balanced black and white by 2/64: three may
-be wrong, by dirt or glare."""
+"""Minimum correlation between the fitted pattern and the picture for a marker to be accepted. Each wrong module of 64
+reduces the correlation of a balanced pattern by 2/64, so three modules may be wrong due to dirt or glare."""
 MOST_SHIFT, MOST_SHIFT_PX = 0.1, 2.5
-"""Maximum displacement of the corners from the start, in sides and in pixels."""
+"""Two limits for the total displacement of the corners from their initial positions, in sides of the marker and in
+pixels. A marker is rejected if it exceeds the larger limit."""
 MOST_BULGE: Final = 0.5
-"""Maximum sagitta, in half sides: over half its chord it is tan(a / 4) of an arc a, so that 0.5 is 106 degrees; a
-marker of the thesis's strip (13 mm on a radius of 80 mm) has 9 degrees and 0.04."""
+"""Maximum sagitta of a marker's curved sides in the picture, in halves of the marker's side. The sagitta of an arc a is
+tan(a / 4) times half its chord, so the limit corresponds to 106 degrees. A marker of the thesis's strip (13 mm on a
+radius of 80 mm) spans 9 degrees and has a sagitta of 0.04."""
 FULL: Final = 0.985
-"""Fraction of full scale above which a pixel is saturated."""
+"""Brightness above which a pixel is saturated, as a fraction of full scale."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-"""Corners of a marker in (s, t)."""
+"""(4, 2) coordinates (s, t) of a marker's corners: top left, top right, bottom right, bottom left."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerFit:
-    """Measured corners of one marker."""
+    """Result of the fit of one marker."""
 
     corners_px: Array
-    """(4, 2) top left, top right, bottom right, bottom left."""
+    """(4, 2) corners, px: top left, top right, bottom right, bottom left."""
     covariance_px2: Array
-    """(8, 8), from the residual picture."""
+    """(8, 8) covariance of the x and y coordinates of the four corners, px^2, estimated from the residuals."""
     blur_px: float
-    """Standard deviation of the blur, including the pixel's own (0.29)."""
+    """Standard deviation of the blur, px, including 0.29 px of the pixel itself."""
     bend: float = 0.0
-    """Excess brightness of greys halfway between the marker's black and white, relative to the contrast.
+    """Excess brightness of the greys halfway between the marker's black and white, relative to the contrast.
 
-    Blur creates every grey between the two, equally on both sides of an edge, for any symmetric blur: in pictures that
-    are linear in light there is no bend (`recon.calibration.curve`)."""
+    Any symmetric blur produces all greys between black and white, equally on both sides of an edge. In pictures that
+    are linear in light, the bend is therefore zero (`recon.calibration.curve`)."""
 
 
 class Scratch:
-    """Memory for tabulated patterns, reused from marker to marker: allocation is slower than filling."""
+    """Preallocated memory for tabulated patterns.
+
+    The memory is reused between markers, because allocation takes longer than filling.
+    """
 
     def __init__(self) -> None:
         self.planes = np.empty((4, len(GRID), len(GRID)), np.float32)
@@ -85,30 +93,31 @@ def fit_marker(
     blur_px: float = FIRST_BLUR_PX,
     scratch: Scratch | None = None,
 ) -> MarkerFit | None:
-    """Fit a marker's pattern to the picture.
+    """Fit the known pattern of a marker to the picture.
 
-    The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)`` with T the pattern (1 white, 0 black) blurred by
-    a Gaussian in the picture, k and w linear in (s, t). In homogeneous coordinates ``W(s, t) = H (s, t, 1) + b (1 -
-    s^2)``: a homography H through the corners and a bulge b (3,), which a cylinder about an axis along t adds to a flat
-    marker. All 18 parameters (8 of H, b, the blur, 3 of k, 3 of w) are fitted together by Gauss-Newton.
+    The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)``, where T is the pattern (1 white, 0 black)
+    blurred by a Gaussian in the picture, and k and w are linear in (s, t). In homogeneous coordinates, ``W(s, t) = H
+    (s, t, 1) + b (1 - s^2)`` with a homography H through the corners and a bulge b (3,), which represents the curvature
+    of a marker on a cylinder whose axis is parallel to t. All 18 parameters (8 of H, 3 of b, the blur, 3 of k, 3 of w)
+    are fitted together by Gauss-Newton.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
         Grey levels, linear in light.
     white : (n, n) bool array
-        True where the pattern is white, border included, row 0 at the top.
+        True where the pattern is white, including the marker's border; row 0 is at the top.
     start_px : (4, 2) float64 array
-        Corners, accurate to about two pixels.
+        Initial corners, px, accurate to about two pixels.
     blur_px : float
-        Initial blur; use that of a neighbour.
+        Initial standard deviation of the blur, px. The blur of a neighbouring marker is a good initial value.
     scratch : Scratch or None
-        Memory of a previous fit in the same thread.
+        Memory of a previous fit in the same thread; by default, new memory is allocated.
 
     Returns
     -------
     MarkerFit or None
-        None if the marker leaves the picture, is saturated, or does not match its pattern.
+        Fitted corners. None if the marker extends beyond the picture, is saturated, or does not match the pattern.
     """
     side_px = float(np.mean(np.linalg.norm(np.roll(start_px, -1, axis=0) - start_px, axis=1)))
     window = _window(image, start_px, side_px)
@@ -131,22 +140,27 @@ def fit_marker(
 
 @dataclass(frozen=True)
 class _Window:
-    """Pixels around a marker; positions are (px - centre_px) / scale_px."""
+    """Pixels around a marker, in normalised positions (px - centre_px) / scale_px."""
 
     light: Array
-    """(P,) fraction of full scale."""
+    """(P,) brightness of the pixels, as a fraction of full scale."""
     xy: Array
-    """(2, P)."""
+    """(2, P) normalised positions of the pixels."""
     start: Array
-    """(4, 2) initial corners."""
+    """(4, 2) normalised initial corners."""
     centre_px: Array
+    """(2,) centre of the marker, px."""
     scale_px: float
+    """Half the side of the marker, px."""
     pixel: float
-    """Width of one (downsampled) pixel in units of scale_px."""
+    """Width of one pixel, after downsampling, in units of ``scale_px``."""
 
 
 def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: float) -> _Window | None:
-    """Crop a marker with its margin, downsampled to below `TARGET_PX`; None if it leaves the picture."""
+    """Crop a marker with its margin, downsampled to at most `TARGET_PX`.
+
+    Return None if the marker extends beyond the picture.
+    """
     fold = int(np.ceil(side_px / TARGET_PX))
     centre_px = start_px.mean(axis=0)
     reach_px = (1.0 + MARGIN) * np.abs(start_px - centre_px).max(axis=0) + 2.0
@@ -170,11 +184,10 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
 def _gauss_newton(
     window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
 ) -> tuple[Array, float, Array, float, float] | None:
-    """Return H and b, the blur, the covariance of all, the correlation and the bend.
+    """Fit the marker model to the pixels of a window by Gauss-Newton.
 
-    H and b are (11,), the covariance is (18, 18); None if the fit diverges.
-
-    Long sums use `_products`: a threaded BLAS would compete for the cores with threads that measure other pictures.
+    Return H and b (11,), the blur, the covariance (18, 18), the correlation and the bend, or None if the fit diverges.
+    Long sums use `_products`, because a multi-threaded BLAS would compete with threads that measure other pictures.
     """
     warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
     table, tabled, rows = scratch.table, np.zeros(2), np.empty((19, 0))
@@ -217,7 +230,7 @@ def _gauss_newton(
         step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
         warp = warp + step[:11]
         blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
-        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # diverged: corners are at 1
+        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # diverged: corners are near 1
             return None
         if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
             break
@@ -229,18 +242,18 @@ def _gauss_newton(
 
 
 def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
-    """Return the excess brightness of halfway greys relative to the model (`MarkerFit.bend`).
+    """Return the excess brightness of greys halfway between black and white (`MarkerFit.bend`).
 
     Parameters
     ----------
     rows : (19, P) float64 array
-        Columns of the model, and the picture.
+        18 derivatives of the model with respect to its parameters at each pixel, followed by the picture.
     left : (19,) float64 array
-        Coefficients of the residual picture with respect to the rows.
+        Coefficients of the residual picture with respect to ``rows``.
     inverse : (18, 18) float64 array
-        Inverse of the normal equations.
+        Inverse of the normal matrix.
     between : (P,) float64 array
-        Change of each pixel by a bend of one.
+        Change of each pixel for a bend of one.
     """
     common = rows @ between  # projections on the model's columns and on the picture
     alone = float(between @ between - common[:18] @ inverse @ common[:18])
@@ -248,12 +261,12 @@ def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
 
 
 def _products(rows: Array) -> Array:
-    """Return ``rows @ rows.T``, computed in one thread."""
+    """Return ``rows @ rows.T``, computed in a single thread."""
     return np.asarray(cv2.mulTransposed(rows, aTa=False), np.float64)
 
 
 def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
-    """Return the pattern coordinates of pixels (2, P) from the homography without the bulge."""
+    """Return the pattern coordinates s (P,) and t (P,) of pixels (2, P), from the homography without the bulge."""
     back = np.linalg.inv(_matrix(warp))
     s, t, _ = _warp(np.append(back.ravel()[:8] / back[2, 2], np.zeros(3)), xy[0], xy[1])
     return s, t
@@ -262,7 +275,7 @@ def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
 def _fill_warp_derivatives(
     rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]
 ) -> None:
-    """Fill rows 0 to 10 with the derivatives of the model by H and b, at fixed pixels."""
+    """Write the derivatives of the model with respect to H and b, at fixed pixels, to rows 0 to 10 of ``rows``."""
     s_x, s_y, t_x, t_y = to_h
     bulge = 1.0 - s * s
     depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
@@ -277,12 +290,12 @@ def _fill_warp_derivatives(
 
 
 def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: Scratch) -> NDArray[np.float32]:
-    """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (t down, s right).
+    """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (rows along t, columns along s).
 
-    Cells are convolved with a Gaussian in closed form.
+    The modules of the pattern are convolved with a Gaussian in closed form.
 
-    A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second
-    derivative by s (heat equation).
+    A step at e, blurred by sigma, is Phi((s - e) / sigma). Its derivative with respect to log sigma is sigma^2 times
+    the second derivative with respect to s (heat equation).
     """
     cells = np.pad(white.astype(np.float32), 1, constant_values=1.0)
     edges = np.linspace(-1.0, 1.0, len(white) + 1)
@@ -315,7 +328,7 @@ def _project(matrix: Array, points: Array) -> Array:
 
 
 def _homography_through(corners: Array) -> Array:
-    """Return h (8,) of the homography that maps `CORNERS` to ``corners`` (4, 2)."""
+    """Return the parameters h (8,) of the homography that maps `CORNERS` to the given corners (4, 2)."""
     (s, t), (x, y) = CORNERS.T, corners.T
     one, zero = np.ones(4), np.zeros(4)
     rows_x = np.stack([s, t, one, zero, zero, zero, -s * x, -t * x], axis=1)
@@ -324,7 +337,10 @@ def _homography_through(corners: Array) -> Array:
 
 
 def _corner_derivatives(warp: Array) -> Array:
-    """Return the derivatives of the corners (8: x, y of each) by h (8); the bulge does not move them."""
+    """Return the derivatives (8, 8) of the corners' x and y with respect to h.
+
+    The bulge does not move the corners.
+    """
     found = np.zeros((4, 2, 8))
     for k, ((s, t), (x, y)) in enumerate(zip(CORNERS, _project(_matrix(warp), CORNERS), strict=True)):
         depth = warp[6] * s + warp[7] * t + 1.0
@@ -334,7 +350,7 @@ def _corner_derivatives(warp: Array) -> Array:
 
 
 def _warp(warp: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Return x, y and the homogeneous coordinate of W(s, t)."""
+    """Return x (P,), y (P,) and the homogeneous coordinate (P,) of W(s, t)."""
     bulge = 1.0 - s * s
     depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
     x = (warp[0] * s + warp[1] * t + warp[2] + warp[8] * bulge) / depth
@@ -342,7 +358,7 @@ def _warp(warp: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
 
 
 def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return (dx/ds, dy/ds), (dx/dt, dy/dt)."""
+    """Return the derivatives (dx/ds, dy/ds) and (dx/dt, dy/dt) of W(s, t), each of shape (P,)."""
     x, y, depth = _warp(warp, s, t)
     depth_s = warp[6] - 2.0 * warp[10] * s
     by_s = (warp[0] - 2.0 * warp[8] * s - x * depth_s) / depth, (warp[3] - 2.0 * warp[9] * s - y * depth_s) / depth
@@ -350,7 +366,10 @@ def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[
 
 
 def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-    """Solve W(s, t) = xy by two Newton steps from a near start; return s, t and ds/dx, ds/dy, dt/dx, dt/dy."""
+    """Solve W(s, t) = xy with two Newton steps from initial values near the solution.
+
+    Return s, t and the derivatives (ds/dx, ds/dy, dt/dx, dt/dy), each of shape (P,).
+    """
     for _ in range(2):
         x, y, _depth = _warp(warp, s, t)
         (x_s, y_s), (x_t, y_t) = _slope(warp, s, t)

@@ -1,6 +1,6 @@
 """Detection of the strip's markers in a picture.
 
-OpenCV identifies them, and `recon.calibration.marker_fit` measures their corners.
+OpenCV identifies the markers, and `recon.calibration.marker_fit` measures their corners.
 """
 
 from dataclasses import dataclass
@@ -18,48 +18,54 @@ from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 Bytes = NDArray[np.uint8]
 _ALIKE = 0.7, 1.4
-"""Range of the heights of a strip's markers relative to their median. The nearest is 1 + R / d times as high as those
-at the flanks (d: distance of the camera from the axis, R: radius of the net pot): 1.2 with the thesis's rig, 1.4 if d
-is 2.5 R."""
+"""Minimum and maximum height of a marker in the picture, relative to the median height of the strip's markers. The
+nearest marker is 1 + R / d times as high as the markers at the flanks, with the distance d of the camera from the axis
+and the radius R of the net pot. This ratio is 1.2 for the thesis's rig, and 1.4 for d = 2.5 R."""
 _WINDOWS_PX = 7, 37, 10
-"""Smallest and largest window of OpenCV's adaptive threshold, and step between them, tuned on pictures of the strip."""
+"""Smallest window, largest window and window increment of OpenCV's adaptive threshold, px, tuned on pictures of the
+strip."""
 _BRIGHTEST = 99.5
-"""Percentile mapped to white for detection, so that a lamp's reflection does not reduce the contrast of the strip."""
+"""Brightness percentile that is mapped to white for marker detection. The reflection of a lamp then does not reduce the
+contrast of the strip."""
 FEW = 6
-"""Minimum number of markers; with fewer, detection is repeated with another tone curve."""
+"""Minimum number of detected markers. If fewer markers are detected, detection is repeated with the next tone curve."""
 OTHER_DICTIONARIES = (
     "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
 )  # fmt: skip
+"""Marker dictionaries that are searched if no marker of the strip's dictionary is found."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Markers:
-    """Markers of the strip in one picture."""
+    """Markers of the strip that were measured in one picture."""
 
     ids: NDArray[np.int64]
-    """(M,) ascending."""
+    """(M,) ids of the markers, in ascending order."""
     corners_px: Array
-    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, upright and viewed from
-    outside."""
+    """(M, 4, 2) corners, px, with pixel centres at integer coordinates. The order is top left, top right, bottom right,
+    bottom left of the upright strip viewed from outside."""
     covariance_px2: Array | None = None
-    """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
+    """(M, 8, 8) covariance of the x and y coordinates of each marker's corners, px^2. None if the corners were not
+    measured, in which case their errors are assumed to be independent with a standard deviation of 0.1 px."""
     bend: Array | None = None
-    """(M,) as in `MarkerFit`; None if corners were not measured."""
+    """(M,) excess brightness of medium greys at each marker's edges, see `MarkerFit.bend`; None if the corners were not
+    measured."""
     blur_px: Array | None = None
-    """(M,) blur of the markers, including the pixel's own."""
+    """(M,) standard deviation of the blur at each marker, px, including the pixel itself; None if the corners were not
+    measured."""
     foreign: tuple[int, ...] = ()
-    """Ids of the dictionary that are not in the strip, of markers of similar size in this picture."""
+    """Ids of markers of similar size in this picture that are in the strip's dictionary, but not in the strip."""
     diagnosis: str | None = None
-    """Reason if no markers were found."""
+    """Reason why no markers were found; None if markers were found."""
 
 
 def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
-    """Return OpenCV's dictionary of a strip.
+    """Return the OpenCV dictionary that contains the markers of a strip.
 
     Raises
     ------
     UserError
-        If OpenCV has no such dictionary, or it has too few markers.
+        If OpenCV has no such dictionary, or if the dictionary has too few markers for the strip.
     """
     try:
         dictionary = get_dictionary(strip.dictionary)
@@ -67,7 +73,10 @@ def marker_dictionary(strip: MarkerStrip) -> cv2.aruco.Dictionary:
         raise UserError(f"strip.dictionary: {error}") from None
     last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
     if last >= size:
-        raise UserError(f"strip: its last marker has the id {last}, but {strip.dictionary} ends at {size - 1}: lower first_id or use fewer")
+        raise UserError(
+            f"strip: the last marker of the strip has the id {last}, but the dictionary {strip.dictionary} ends at the id {size - 1}. "
+            "Lower first_id, or use fewer markers."
+        )
     return dictionary
 
 
@@ -77,16 +86,17 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        Grey levels linear in light (blur then leaves edges in place), uint8 or uint16 left-aligned.
+        Grey levels, linear in light, left-aligned in 8 or 16 bits. In linear light, blur does not displace edges.
     strip : MarkerStrip
-        The strip to detect; markers of other ids are ignored.
+        Strip whose markers are detected; markers with other ids are only reported as foreign.
     measure : bool
-        False keeps OpenCV's corners (refined with SUBPIX, as in the thesis), about ten times less accurate.
+        Whether to measure the corners by a fit of the marker pattern. If False, OpenCV's corners are returned, which
+        are refined with SUBPIX as in the thesis. OpenCV's corners are about ten times less accurate.
 
     Returns
     -------
     Markers
-        Ids, corners and their covariance; a diagnosis if no markers are found.
+        Ids, corners and covariance of the markers, and a diagnosis if no markers are found.
 
     Raises
     ------
@@ -124,9 +134,9 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
 def _search(
     image: Picture, dictionary: cv2.aruco.Dictionary, strip: MarkerStrip, *, subpix: bool
 ) -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return ids (M,) of the strip, approximate corners (M, 4, 2), and foreign ids of similar size.
+    """Return the ids (M,) and approximate corners (M, 4, 2) of the strip's markers, and foreign ids of similar size.
 
-    The corners are in the full picture.
+    Corners are in pixels of the full-resolution picture.
     """
     small, scale = reduce_picture(image)
     detector = _detector(dictionary, subpix=subpix)
@@ -146,14 +156,14 @@ def _search(
 
 
 def _height_px(four: Array) -> float:
-    """Return the length of a marker's sides from top to bottom, which the strip's curvature does not affect."""
+    """Return the mean length of a marker's left and right side, px, which the strip's curvature does not affect."""
     return float(np.linalg.norm(four[[0, 1]] - four[[3, 2]], axis=1).mean())
 
 
 def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:
-    """Return a detector for markers that are small, blurred and foreshortened.
+    """Return an OpenCV detector with parameters for small, blurred and foreshortened markers.
 
-    On pictures of the strip it finds 18-20 of 26.
+    In pictures of the strip, it finds 18 to 20 of 26 markers.
     """
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax, parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX
@@ -163,23 +173,23 @@ def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.
 
 
 def _linear(image: Picture) -> Bytes:
-    """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
+    """Scale a picture to 8 bits; only the brightest 0.5 % of the pixels are clipped."""
     return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, _BRIGHTEST), 1.0)), np.uint8)
 
 
 def _square_root(image: Picture) -> Bytes:
-    """Scale to 8 bits by a square root, which brightens a strip much darker than the backlight."""
+    """Scale the square root of a picture to 8 bits, which brightens a strip much darker than the backlight."""
     low, top = _percentile(image, 0.5), _percentile(image, _BRIGHTEST)
     return (255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))).astype(np.uint8)
 
 
 def _percentile(image: Picture, percent: float) -> float:
-    """Return a percentile of a picture from every third pixel of every third row."""
+    """Return a percentile of a picture's brightness, from every third pixel of every third row."""
     return float(np.percentile(image[::3, ::3].astype(np.float32), percent))
 
 
 def _equalise(image: Picture) -> Bytes:
-    """Equalise the local contrast of the square root."""
+    """Return the square-root picture with equalised local contrast (CLAHE)."""
     return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_square_root(image)), np.uint8)
 
 
@@ -187,18 +197,23 @@ def _diagnose(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
     """Return the reason why no markers were found in a picture."""
     last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
-        return f"{blurred} markers were identified, but are too blurred or noisy to be measured"
+        return f"{blurred} markers were identified, but they are too blurred or noisy to be measured"
     names = ", ".join(str(k) for k in foreign[:5])
-    others = f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
+    others = (
+        f"the picture shows markers of another strip: their {strip.dictionary} ids are {names}, but those of the scene's strip are "
+        f"{strip.first_id} to {last}"
+    )
     if len(foreign) >= 3:
         return others
     picture = _linear(image)
     mirrored = _detector(marker_dictionary(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
     if mirrored is not None and len(mirrored) >= 3:
-        return "the picture is mirrored: its markers are only found in its mirror image"
+        return "the picture is mirrored: its markers can only be read in its mirror image"
     for name in OTHER_DICTIONARIES:
         if name != strip.dictionary:
             ids = _detector(get_dictionary(name)).detectMarkers(picture)[1]
             if ids is not None and len(ids) >= 3:
-                return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
+                return (
+                    f"the picture shows markers of another strip: their dictionary is {name}, but the scene's strip has {strip.dictionary}"
+                )
     return others if foreign else "no markers were found"  # one or two may be coincidental in small dictionaries

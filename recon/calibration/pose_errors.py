@@ -1,4 +1,4 @@
-"""Errors of camera poses, with the correlations between views."""
+"""Errors of camera poses, and their correlations between views."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ from rhizotwin.scenes.frames import Array
 
 @dataclass(frozen=True, kw_only=True)
 class PoseErrors:
-    """Errors of views' poses: the left-hand twist (rad, mm) of view v is ``carry[v] @ s + e[v]``, all of mean zero.
+    """Covariance model of the errors of the views' poses.
 
-    The S shared errors s are those of inset (px), focus (relative), six of each station's camera, and four of the strip
-    on the table: tilt about x, y and offset in x, y.
+    The error of view v, a left-hand twist (rad, mm), is ``carry[v] @ s + e[v]``. Both s and e have zero mean.
+
+    The S errors s are shared by all views: inset (px), focus (relative), six components for each station's camera, and
+    four for the strip on the table (tilt about x and y, offset in x and y).
     """
 
     shared: Array
-    """(S, S) covariance of s."""
+    """(S, S) covariance of the shared errors s."""
     carry: Array
-    """(V, 6, S)."""
+    """(V, 6, S) derivatives of each view's twist with respect to the shared errors s."""
     own: Array
-    """(V, 6, 6) covariances of e, independent between views."""
+    """(V, 6, 6) covariance of each view's own error e, which is independent between views."""
 
     def covariance(self) -> Array:
-        """Return the covariance (V, 6, 6) of each pose."""
+        """Return the total covariance (V, 6, 6) of each view's pose."""
         return np.asarray(self.carry @ self.shared @ self.carry.transpose(0, 2, 1) + self.own)
 
     def reorder(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
-        """Return the errors of views in another order.
+        """Return the errors of the given views, in the given order.
 
-        None denotes a view without shared errors, with its own covariance (6, 6) in ``alone``.
+        None in ``views`` denotes a view without shared errors, whose covariance (6, 6) is taken from ``alone``.
         """
         count = self.shared.shape[0]
         carry, own = np.zeros((len(views), 6, count)), np.zeros((len(views), 6, 6))

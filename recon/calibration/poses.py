@@ -1,4 +1,4 @@
-"""Camera poses of all pictures, estimated from their markers together."""
+"""Estimation of all camera poses from the markers of all pictures together."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,19 +22,21 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
 STILL_PX = 2.0
-"""Maximum movement between views of a camera that counts as static; views are only left out for movement if the camera
-is static otherwise."""
+"""Maximum median reprojection error of a ring's views, relative to one common camera pose, for the camera to count as
+static, px. Single views are excluded because of movement only if the camera is otherwise static."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
-"""Maximum scatter (rad, mm) of a ring's views; above it, the ring is no turn in front of a static camera, and each view
-is independent."""
+"""Maximum scatter of the poses in a ring, rad and mm. A ring with a larger scatter is not a turn in front of a static
+camera, and its views are calibrated independently."""
 LEAST_RING = 5
-"""Minimum number of views of a ring to detect a moved one."""
+"""Minimum number of views of a ring for the detection of a view in which the camera moved."""
 OUTLIER_WEIGHT = 0.1
-"""Cauchy weight of a marker that is nine standard deviations off."""
+"""Cauchy weight below which a marker counts as an outlier. This is the weight of a residual of nine standard
+deviations."""
 AS_CALIBRATED = 1e-7
-"""Prior standard deviation of the relative focal change that keeps the calibrated lens."""
+"""Prior standard deviation of the relative focal length with which the calibrated focal length is kept."""
 STRANGERS = 3
-"""Minimum number of foreign markers, each in at least two pictures, for which the scene's strip is considered wrong."""
+"""Minimum number of foreign marker ids, each found in at least two pictures, at which the pictures are rejected. The
+strip in the scene file is then wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +44,13 @@ class Poses(StripCalibration):
     """Cameras of all views, in the order of the frames, with the calibration of the rig."""
 
     views: tuple[Camera, ...]
+    """(F,) cameras of the views, in the order of the frames."""
     errors: PoseErrors | None = None
-    """Errors of all views' poses; None if the views are independent."""
+    """Errors of all camera poses; None if the views were calibrated independently."""
     turn_sigma_rad: Array | None = None
-    """(F,) standard deviations of the table angles; 0 for views that are not of the rig."""
+    """(F,) standard deviations of the table angles, rad; 0 for views that were calibrated independently."""
     warnings: tuple[str, ...] = ()
+    """Warnings for the user."""
 
 
 def find_poses(
@@ -57,11 +61,11 @@ def find_poses(
     settings: CalibrationSettings = CalibrationSettings(),
     single_view: bool = False,
 ) -> Poses:
-    """Estimate the camera of every picture from its markers.
+    """Estimate the camera pose of every picture from its markers.
 
-    Each picture alone gives an initial pose (PnP). One least-squares problem over all pictures then estimates the
+    An initial pose is estimated from each picture alone (PnP). A least-squares fit to all pictures then estimates the
     camera of each ring, every table angle, the pose of the canister on the table, and the movement of the camera
-    between views (`recon.calibration.rig_fit`). Views with large residuals are left out, with the reason.
+    between views (`recon.calibration.rig_fit`). Views with large residuals are excluded, and the reason is recorded.
 
     Parameters
     ----------
@@ -70,16 +74,17 @@ def find_poses(
     scene : Scene
         Camera with lens distortion, strip and net pot.
     captured : sequence of Frame
-        Rings and commanded table angles of the pictures (None: free).
+        Frames of the pictures, with rings and commanded table angles. A table angle of None is estimated without a
+        prior.
     settings : CalibrationSettings
-        Thresholds for leaving out views, and priors of the rig.
+        Thresholds for the exclusion of views, and priors of the rig.
     single_view : bool
-        Whether to stop at each picture's own pose, with unweighted corners (method of the thesis).
+        Whether to return the poses estimated from each picture alone, with unweighted corners (method of the thesis).
 
     Raises
     ------
     UserError
-        If no picture gives a camera, or the pictures show another strip.
+        If no camera pose could be estimated, or if the pictures show another strip.
     """
     if len(detected) != len(captured):
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
@@ -93,12 +98,12 @@ def find_poses(
             sightings[k] = sight
     if not sightings:
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no camera could be calibrated in any of the {len(captured)} pictures: "
-            "check focus, light and the strip in the scene file, or give the cameras"
+            f"{captured[0].file}: {views[0].reason}. No camera pose could be estimated from any of the {len(captured)} pictures. "
+            "Check the focus, the light, and the strip in the scene file, or provide camera poses."
         )
     median_px = float(np.median([views[k].reprojection_px for k in sightings]))
     for k in list(sightings):
-        reason = _misfit(views[k].reprojection_px, median_px, settings)
+        reason = _misfit_reason(views[k].reprojection_px, median_px, settings)
         if reason:
             views[k] = replace(views[k], used=False, reason=reason)
             if not single_view and len(sightings) > 1:
@@ -110,9 +115,9 @@ def find_poses(
 
 
 def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
-    """Reject pictures that show the strip's markers among others of similar size.
+    """Raise a UserError if foreign markers of similar size appear beside the strip's markers.
 
-    Poses from a part of another strip would be wrong.
+    Poses from the common part of two different strips would be wrong.
     """
     counts = Counter(marker_id for markers in detected if len(markers.ids) for marker_id in markers.foreign)
     strange = sorted(marker_id for marker_id, count in counts.items() if count > 1)
@@ -120,23 +125,32 @@ def _reject_foreign_markers(detected: Sequence[Markers], scene: Scene, captured:
         first = next(frame.file for frame, markers in zip(captured, detected, strict=True) if strange[0] in markers.foreign)
         strip = scene.strip
         raise UserError(
-            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} appear beside the scene's "
-            f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in "
-            "the scene file, or cover the other markers"
+            f"{first}: markers of another strip ({strip.dictionary} ids {', '.join(str(k) for k in strange[:5])}) appear beside the "
+            f"ids {strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1} of the scene's strip. Correct first_id, columns "
+            "and rows of the strip in the scene file, or cover the other markers."
         )
 
 
 def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
-    """Estimate a view's pose from its own markers."""
+    """Estimate a view's camera pose from its own markers; return the camera and the matched markers.
+
+    The markers are None if no pose was found.
+    """
     count = len(markers.ids)
     nothing = Camera(file=frame.file, ring=frame.ring, used=False, markers=count)
     if count < LEAST_MARKERS:
-        reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
+        reason = (
+            markers.diagnosis
+            if count == 0 and markers.diagnosis
+            else f"only {count} markers were found, at least {LEAST_MARKERS} are needed"
+        )
         return replace(nothing, reason=reason), None
     sightings = view_fit.sightings(markers, scene)
     pose = view_fit.single_view(sightings, polish=polish)
     if pose is None:
-        reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
+        reason = (
+            "its markers do not match the strip in the scene file (check columns, rows, first_id and sizes of the strip, and the camera)"
+        )
         return replace(nothing, reason=reason), None
     local = view_fit.linearise(sightings, pose)
     view = _add_pose(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
@@ -144,7 +158,7 @@ def _fit_single_view(markers: Markers, scene: Scene, frame: Frame, *, polish: bo
 
 
 def _refocus(view: Camera, sightings: Sightings, focal_scale: float) -> Camera:
-    """Estimate the pose of a view outside the rig with the refined focal length."""
+    """Re-estimate the pose of a view outside the rig fit with the refined focal length."""
     pose = view_fit.single_view(replace(sightings, camera=sightings.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
@@ -154,26 +168,30 @@ def _add_pose(view: Camera, pose: Array, local: view_fit.Linearised, covariance:
     return replace(view.with_pose(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
 
 
-def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
-    """Return the reason for leaving out a view, or None."""
+def _misfit_reason(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
+    """Return the reason to exclude a view with a large reprojection error; None if the error is acceptable."""
     if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
-    return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
+    return (
+        f"its markers deviate from the fitted camera by {error_px:.2g} px (median of all pictures: {median_px:.2g} px), so the strip "
+        "or the camera moved, or the picture is blurred"
+    )
 
 
 def _require_camera(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
     if not any(view.used for view in views):
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
+            f"{captured[0].file}: {views[0].reason}. No camera pose could be estimated from any picture. "
+            "Check the strip, focal_px and distortion in the scene file."
         )
 
 
 def _fit_all_views(
     views: list[Camera], sightings: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
 ) -> Poses:
-    """Fit the rig to the views, leave out those that moved, and fit again.
+    """Fit the rig to the views, exclude views that moved, and fit again.
 
-    Views of cameras that were moved freely keep their own pose.
+    Views of cameras that were moved freely keep the poses from their own markers.
     """
     keys = _rig_keys(views, sorted(sightings), scene, captured)
     if not keys:
@@ -190,7 +208,7 @@ def _fit_all_views(
         keys = [k for k in keys if k not in worst]
     refocused = fit_rig(sights, fit.rig, first.command_rad, first.known, settings)
     focal_scale = 1.0
-    # Otherwise the calibration is more accurate: focus is hard to separate from distance.
+    # Otherwise, the calibrated lens is more accurate, because focus is hard to separate from distance.
     if abs(refocused.rig.focal_scale - 1.0) > settings.focus_sure * refocused.focal_sigma:
         fit, focal_scale = refocused, refocused.rig.focal_scale
         for k in set(sightings) - set(keys):
@@ -200,14 +218,14 @@ def _fit_all_views(
         view = _add_pose(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         cam_from_rig = fit.rig.own[i] @ fit.rig.cam_from_rig[fit.rig.ring[i]]
-        reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
+        reason = _misfit_reason(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
         views[k] = replace(
             view,
             used=reason is None,
             reason=reason,
             single_view_px=views[k].single_view_px,
             table_deg=float(turn) if first.known[i] else None,
-            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
+            cam_from_tank=_tank_pose(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
         )
     _require_camera(views, captured)
     place = {k: i for i, k in enumerate(keys)}
@@ -217,7 +235,7 @@ def _fit_all_views(
         views=tuple(views),
         errors=fit.errors.reorder([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
         turn_sigma_rad=turn_sigma,
-        rings=_rings(fit, first.stations),
+        rings=_collect_rings(fit, first.stations),
         table_from_canister=fit.rig.table_from_canister,
         inset_px=fit.rig.inset_px,
         focal_scale=focal_scale,
@@ -229,13 +247,16 @@ def _fit_all_views(
     )
 
 
-def _tank(scene: Scene, cam_from_rig: Array) -> Array | None:
-    """Return the pose of the tank, which is fixed in the rig, relative to a camera."""
+def _tank_pose(scene: Scene, cam_from_rig: Array) -> Array | None:
+    """Return the pose (4, 4) of the tank relative to a camera; None if there is no tank.
+
+    The tank is fixed in the rig.
+    """
     return None if scene.tank is None else cam_from_rig @ frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
 
 
-def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
-    """Return the camera of each station (ring and placement), and the movement of its views."""
+def _collect_rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
+    """Return the static camera of each station, and the scatter of its views."""
     return tuple(
         Ring(
             ring=ring,
@@ -254,14 +275,14 @@ def _view_poses(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
 
 
 def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
-    """Return the views of the rings with a static camera, apart from small movements."""
+    """Return the numbers of the views whose camera was static, apart from small movements."""
     first = first_rig(_view_poses(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
     loose = np.any(first.rig.spread > LOOSE, axis=1)
     return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
 def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
-    """Return, with the reason, the views whose camera pose deviates from that of the other views of the ring."""
+    """Find views whose camera pose deviates from that of the ring; return the reasons, keyed by frame number."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
         members = np.flatnonzero(fit.rig.ring == ring).tolist()
@@ -269,7 +290,7 @@ def _find_moved_views(fit: RigFit, keys: Sequence[int], settings: CalibrationSet
             continue
         median_px = float(np.median(fit.rig_px[members]))
         for i in members:
-            reason = _misfit(float(fit.rig_px[i]), median_px, settings) if median_px < STILL_PX else None
+            reason = _misfit_reason(float(fit.rig_px[i]), median_px, settings) if median_px < STILL_PX else None
             if reason:
                 found[keys[i]] = reason
     return found

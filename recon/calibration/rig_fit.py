@@ -17,28 +17,31 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 CANISTER = np.array([0, 1, 3, 4])
-"""Components of a twist that form the pose of a canister on a table: tilt about x and y, offset in x and y (height and
-rotation are part of the camera's pose)."""
+"""Indices of the twist components that describe the pose of a canister on the table: tilt about x and y, and offset in
+x and y. Height and rotation about the axis are part of the camera's pose."""
 CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
-"""Prior standard deviation of a canister's misalignment: rad, rad, mm, mm."""
+"""Prior standard deviations of the canister's misalignment: tilt about x and y, rad, and offset in x and y, mm."""
 FREE_PRIOR_RAD = 0.3
-"""Prior standard deviation of an angle that was not commanded, about the camera's azimuth relative to the strip, which
-a misaligned canister changes."""
+"""Prior standard deviation of a table angle that was not commanded, rad. The prior mean is the camera's azimuth
+relative to the strip, which changes if the canister is misaligned."""
 TAIL = 4.0
-"""Degrees of freedom of Student's t for the views' own movement: one moved view does not affect the others."""
+"""Degrees of freedom of Student's t distribution for the camera's movement in single views. With these heavy tails, a
+view in which the camera moved does not affect the other views."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
-"""Minimum spread (rad, mm) of the views' own movement."""
+"""Minimum standard deviation of the camera's movement in single views, rad and mm."""
 LEAST_SCALE = 0.3
-"""Minimum ratio of residuals to their covariances, so that a few small residuals do not appear exact."""
+"""Minimum ratio of the corner residuals to their standard deviations. The minimum prevents a few small residuals from
+appearing exact."""
 MOST_STEPS = 15
-"""Maximum number of steps: Gauss-Newton converges fast or diverges."""
+"""Maximum number of Gauss-Newton steps. The iteration either converges in a few steps or diverges."""
 SPREAD_STEPS = 10
-"""Fixed-point steps of the spreads within one step of the fit; both converge together."""
+"""Number of fixed-point iterations for the camera's movement within each Gauss-Newton step. Both iterations converge
+together."""
 _CHI2_MEDIAN = 7.34
-"""Median of chi square with 8 degrees of freedom (`scipy.stats.chi2.median(8)` is 7.344): that of a marker's four
-corners."""
+"""Median of the chi-squared distribution with 8 degrees of freedom, one for each coordinate of a marker's four corners
+(`scipy.stats.chi2.median(8)` is 7.344)."""
 ENOUGH = 1e-6
-"""Step size (rad, mm, px) below which the fit ends."""
+"""Step size below which the fit ends, in rad, mm and px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,54 +52,56 @@ class Rig:
     """
 
     ring: NDArray[np.int64]
-    """(V,) index into cam_from_rig."""
+    """(V,) index of each view's camera in ``cam_from_rig``."""
     cam_from_rig: Array
-    """(R, 4, 4)."""
+    """(R, 4, 4) poses of the static cameras, mm."""
     angle_rad: Array
-    """(V,) angle of the table about +z."""
+    """(V,) table angle of each view, about +z, rad."""
     own: Array
-    """(V, 4, 4) small movement of the camera in this view only."""
+    """(V, 4, 4) small movement of the camera in a single view."""
     table_from_canister: Array
-    """(4, 4), without height and rotation."""
+    """(4, 4) pose of the canister on the table, mm, without height and rotation about the axis."""
     inset_px: float
-    """Amount by which the markers appear larger on each side."""
+    """Apparent enlargement of the markers on each side, px."""
     focal_scale: float
-    """Ratio of the focal lengths to the given ones."""
+    """Ratio of the focal lengths to those of the calibrated lens."""
     spread: Array
-    """(R, 2) standard deviation of ``own`` on each axis: rad and mm."""
+    """(R, 2) standard deviation of ``own`` on each axis, rad and mm."""
 
     def rig_pose(self, view: int) -> Array:
-        """Return ``cam_from_canister`` (4, 4) of a view without its own movement."""
+        """Return ``cam_from_canister`` (4, 4) of a view without the camera's movement in this view."""
         turned = frames.rotation_z(float(self.angle_rad[view])) @ self.table_from_canister
         return np.asarray(self.cam_from_rig[self.ring[view]] @ turned)
 
     def pose(self, view: int) -> Array:
-        """Return ``cam_from_canister`` (4, 4) of a view."""
+        """Return ``cam_from_canister`` (4, 4) of a view, including the camera's movement in this view."""
         return np.asarray(self.own[view] @ self.rig_pose(view))
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFit:
-    """The best-fitting rig with its uncertainty."""
+    """Best-fitting rig and its uncertainty."""
 
     rig: Rig
+    """Best-fitting parameters of the rig."""
     views: tuple[Linearised, ...]
+    """(V,) linearised reprojection of each view at the solution."""
     rig_px: Array
-    """(V,) reprojection error of each view without its own movement."""
+    """(V,) reprojection error of each view without the camera's movement in this view, px."""
     errors: PoseErrors
-    """Errors of the views' poses."""
+    """Errors of the views' camera poses."""
     turn_sigma_rad: Array
-    """(V,) standard deviations of the table angles."""
+    """(V,) standard deviations of the table angles, rad."""
     scale: float
-    """Ratio of the corners' residuals to their covariances."""
+    """Ratio of the corner residuals to their standard deviations."""
 
     @property
     def focal_sigma(self) -> float:
-        """Standard deviation of ``rig.focal_scale``."""
+        """Return the standard deviation of ``rig.focal_scale``."""
         return float(np.sqrt(self.errors.shared[1, 1]))
 
     def ring_covariance(self, ring: int) -> Array:
-        """Return the covariance (6, 6) of the left-hand twist of a ring's cam_from_rig."""
+        """Return the covariance (6, 6) of the left-hand twist of one ring's ``cam_from_rig``."""
         own = slice(2 + 6 * ring, 8 + 6 * ring)
         return self.errors.shared[own, own]
 
@@ -106,31 +111,33 @@ def fit_rig(
 ) -> RigFit:
     """Fit the rig to all pictures by Gauss-Newton.
 
-    Each step reduces a picture to the normal equations of its pose, without loss of information.
+    In each step, every picture is reduced to the normal equations of its camera pose, without loss of information.
 
-    Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is
-    estimated from the pictures (expectation maximisation under Student's t): it converges to zero for a static camera,
-    which pools all views, and to the scatter of the single views if the camera moved.
+    Marker corners are weighted by their covariance, and markers by the Cauchy loss. The standard deviation of the
+    camera's movement between views is estimated from the pictures by expectation maximisation under Student's t
+    distribution. For a static camera, it converges to zero, and all views share one pose. For a moving camera, it
+    converges to the scatter of the single views.
 
     Parameters
     ----------
     sightings : sequence of Sightings
-        Markers of each view.
+        Markers of each view, with their positions on the strip.
     start : Rig
-        Initial rig, near the solution; ``own`` such that the views' poses are those of the single views.
+        Initial rig, near the solution, in which the poses of the views are those estimated from single views.
     command_rad : (V,) float64 array
-        Commanded table angles.
+        Commanded table angles, rad.
     known : (V,) bool array
-        Whether the angle was commanded.
+        Whether each table angle was commanded.
     settings : CalibrationSettings
-        Priors of table, inset and focus; a very small one of the focus keeps the given lens.
+        Priors of the table angles, the inset and the focus. A very small prior standard deviation of the focus keeps
+        the calibrated focal length.
     """
     rig, scale = start, 1.0
     angle_sigma = np.where(known, np.deg2rad(settings.table_prior_deg), FREE_PRIOR_RAD)
     weight = np.ones(len(sightings))
     for _ in range(MOST_STEPS):
         views = _linearise_views(sightings, rig, scale)
-        scale = max(scale * _misfit(views), LEAST_SCALE)
+        scale = max(scale * _residual_ratio(views), LEAST_SCALE)
         system = _System.build(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
         spread, weight = system.find_spread(rig.spread, weight)
         shared, local = system.solve(spread, weight)[:2]
@@ -148,13 +155,13 @@ def _linearise_views(sightings: Sequence[Sightings], rig: Rig, scale: float) -> 
     return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(sightings))
 
 
-def _misfit(views: Sequence[Linearised]) -> float:
-    """Return the factor by which residuals exceed their covariances."""
+def _residual_ratio(views: Sequence[Linearised]) -> float:
+    """Return the ratio of the residuals to their standard deviations."""
     return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / _CHI2_MEDIAN))
 
 
 def _apply_step(rig: Rig, shared: Array, local: Array) -> Rig:
-    """Apply a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns to a rig."""
+    """Apply a step of the shared unknowns (2 + 6 R + 4,) and the local unknowns (V, 7) to a rig."""
     rings = shared[2:-4].reshape(-1, 6)
     canister = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
     return replace(
@@ -170,26 +177,27 @@ def _apply_step(rig: Rig, shared: Array, local: Array) -> Rig:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations about a rig.
+    """Normal equations of the rig fit, linearised about a rig.
 
-    Shared unknowns: inset, focus, 6 per ring, 4 of the canister's pose; local ones: table angle, 6 of the own movement.
+    The S shared unknowns are the inset, the focus, 6 components per ring, and 4 of the canister's pose. The local
+    unknowns of each view are the table angle and 6 components of the camera's movement.
     """
 
     rig: Rig
     by_shared: Array
-    """(V, 8, S) of (twist, inset, focus) by the shared unknowns."""
+    """(V, 8, S) derivatives of (twist, inset, focus) of each view with respect to the shared unknowns."""
     by_local: Array
-    """(V, 8, 7)."""
+    """(V, 8, 7) derivatives of (twist, inset, focus) of each view with respect to the local unknowns."""
     normal: Array
-    """(V, 8, 8) of (twist, inset, focus)."""
+    """(V, 8, 8) normal matrix of each view with respect to (twist, inset, focus)."""
     gradient: Array
-    """(V, 8)."""
+    """(V, 8) gradient of each view with respect to (twist, inset, focus)."""
     own: Array
-    """(V, 6) the views' own movement."""
+    """(V, 6) movement of the camera in each view, as a rotation vector, rad, and a shift, mm."""
     angle_off: Array
-    """(V,) table angle minus the commanded one."""
+    """(V,) estimated minus commanded table angle, rad."""
     angle_sigma: Array
-    """(V,)."""
+    """(V,) prior standard deviation of the table angles, rad."""
     settings: CalibrationSettings
 
     @classmethod
@@ -222,11 +230,11 @@ class _System:
         return prior
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the shared (S,) and local (V, 7) step, with covariances.
+        """Return a step of the shared unknowns (S,) and local unknowns (V, 7), with covariances and gain.
 
-        The covariances are that of the shared unknowns (S, S) and that of the local ones (V, 7, 7) given the shared
-        ones, both for independent residuals. The gain (V, 7, S) is minus the derivative of the local unknowns by the
-        shared ones.
+        The covariances are those of the shared unknowns (S, S), and of the local unknowns given the shared unknowns (V,
+        7, 7), both for independent residuals. The gain (V, 7, S) is minus the derivative of the local unknowns with
+        respect to the shared unknowns.
         """
         prior = self._prior(spread, weight)
         local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)
@@ -250,7 +258,7 @@ class _System:
         return shared, local, covariance, given, gain
 
     def find_spread(self, spread: Array, weight: Array) -> tuple[Array, Array]:
-        """Return the spread (R, 2) of the views' own movement and the views' weights (V,) under Student's t."""
+        """Estimate the standard deviation (R, 2) of the camera's movement, and the weights (V,) of the views."""
         for _ in range(SPREAD_STEPS):
             _, local, shared, given, gain = self.solve(spread, weight)
             covariance = given + gain @ shared @ gain.transpose(0, 2, 1)
@@ -265,7 +273,7 @@ class _System:
         return [self.rig.ring == ring for ring in range(len(self.rig.cam_from_rig))]
 
     def report(self, sightings: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
-        """Assemble the errors of the poses."""
+        """Compute the errors of the camera poses, and return the result of the fit."""
         shared, given, gain = self.solve(self.rig.spread, weight)[2:]
         scores, curvatures, view = [], [], []
         for k, local in enumerate(views):
@@ -278,7 +286,7 @@ class _System:
         rows, parts = np.concatenate(scores), np.concatenate(curvatures)
         known = np.diag(self._shared_prior())
         normal = parts.sum(axis=0) + known
-        meat = scatter(rows, np.concatenate(view), _places(sightings, self.rig), curvatures=parts, normal=normal)
+        meat = scatter(rows, np.concatenate(view), _picture_squares(sightings, self.rig), curvatures=parts, normal=normal)
         carry = self.by_shared[:, :6] - self.by_local[:, :6] @ gain
         own = self.by_local[:, :6] @ given @ self.by_local[:, :6].transpose(0, 2, 1)
         errors = PoseErrors(shared=sandwich(normal, meat + known, shared), carry=carry, own=own)
@@ -286,12 +294,12 @@ class _System:
         return RigFit(rig=self.rig, views=views, rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn), scale=scale)
 
 
-def _places(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
-    """Return the index of the place (M,) of each marker in the pictures: squares of a marker's size.
+def _picture_squares(sightings: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
+    """Return the index (M,) of the picture square that contains each marker; the squares have the size of a marker.
 
-    A static camera shows markers of all views on the same pixels, at the same angle to the strip's curve, so that an
-    error there is the same in every view: errors of markers' centres correlate by 0.1 up to 8 px apart, and are
-    uncorrelated beyond (400x300, markers of 12 px).
+    A static camera shows markers of different views on the same pixels, at the same angle to the strip's curvature.
+    Errors caused by these pixels are therefore the same in all views. The errors of marker centres have a correlation
+    of 0.1 at distances of up to 8 px, and are uncorrelated beyond (400x300 pixels, markers of 12 px).
     """
     side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in sightings])))
     square = [np.floor(one.px.mean(axis=1) / side_px) for one in sightings]

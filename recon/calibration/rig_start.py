@@ -1,4 +1,4 @@
-"""Initial rig from the poses of single views: cameras of the rings, table angles, and the scatter of the views."""
+"""Initial rig from the poses of single views: cameras of the rings, table angles, and scatter of the views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,14 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 _ARM_MM = 100.0
-"""Length that converts rotations to shifts: the nine entries of a rotation change by sqrt(2) times the angle, so that a
-rotation counts as the shift of a point at 141 mm: the centre of the canister's floor (146 mm)."""
+"""Length by which rotations are converted to shifts, mm. The nine entries of a rotation matrix change by sqrt(2) times
+the angle, so a rotation is treated as the shift of a point at a distance of 141 mm, near the centre of the canister's
+floor (146 mm)."""
 _LEAST_SPREAD = np.array([1e-3, 0.1])
-"""Minimum scatter of single views, rad and mm: the fit starts above the final spread."""
+"""Minimum initial scatter of single views, rad and mm. The fit then starts with a larger scatter than the final one."""
 AGREE_RAD = np.deg2rad(5.0)
-"""Maximum deviation from the pictures at which commanded table angles are used."""
+"""Maximum scatter of the table angles in the pictures about the commanded angles for the commanded angles to be used,
+rad."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,26 +27,28 @@ class FirstRig:
     """Initial values of the rig fit."""
 
     rig: Rig
-    """Rig whose views' poses are the given ones."""
+    """Initial rig, which reproduces the given poses of the views."""
     command_rad: Array
-    """(V,) commanded table angle about +z; that of the pictures if not commanded."""
+    """(V,) commanded table angles about +z, rad. If an angle was not commanded, this is the angle estimated from the
+    pictures."""
     known: NDArray[np.bool_]
-    """(V,) whether the commanded angle is used."""
+    """(V,) whether each commanded table angle is used."""
     stations: tuple[tuple[int, int], ...]
-    """Ring and placement of the frames, in the order of ``rig.cam_from_rig``."""
+    """(R,) ring and placement of each static camera, in the order of ``rig.cam_from_rig``."""
     warnings: tuple[str, ...]
+    """Warnings about contradictory table angles."""
 
 
 def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, direction: int) -> FirstRig:
-    """Assemble the initial rig.
+    """Compute the initial rig from the poses of single views.
 
     Parameters
     ----------
     cam_from_canister : sequence of (4, 4) float64 array
-        Pose of each view, from its own markers.
+        Pose of each view, estimated from its own markers, mm.
     captured : sequence of Frame
-        Frames of the views: ring, placement and commanded table angle. Each placement of the camera in a ring has its
-        own camera.
+        Frames of the views, with ring, placement and commanded table angle. Each placement of the camera in a ring is
+        treated as a separate static camera.
     direction : int
         +1 if positive table angles are counter-clockwise from above.
     """
@@ -63,10 +67,13 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
         if _scatter(angle[members] - commanded) < AGREE_RAD:
             command[members], known[members] = commanded, True
         else:
-            other = " (they match the opposite turntable.direction)" if _scatter(angle[members] + commanded) < AGREE_RAD else ""
-            warnings.append(f"ring {number}: the pictures contradict the commanded table angles{other}; angles from the pictures are used")
+            other = ", but match the opposite turntable.direction" if _scatter(angle[members] + commanded) < AGREE_RAD else ""
+            warnings.append(
+                f"ring {number}: the table angles in the pictures differ from the commanded angles{other}. "
+                "The angles from the pictures are used."
+            )
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
-    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
+    cam_from_rig = np.array([_medoid(turned[ring == r]) for r in range(len(stations))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
     rig = Rig(
         ring=ring,
@@ -82,21 +89,21 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
 
 
 def _scatter(angles: Array) -> float:
-    """Return the median distance of angles from their median direction."""
+    """Return the median deviation of angles from their median direction, rad."""
     middle = np.angle(np.median(np.cos(angles)) + 1j * np.median(np.sin(angles)))
     return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
 
 
-def _middle(poses: Array) -> Array:
-    """Return the pose (4, 4) among (N, 4, 4) that is nearest to the others.
+def _medoid(poses: Array) -> Array:
+    """Return the pose (4, 4) among (N, 4, 4) with the smallest total distance to the other poses.
 
-    Rotations count as shifts of a point at sqrt(2) `_ARM_MM`.
+    Rotations are converted to shifts of a point at a distance of sqrt(2) `_ARM_MM`.
     """
     flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * _ARM_MM, poses[:, :3, 3]], axis=1)
     return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
 
 
 def _spread(own: Array) -> Array:
-    """Return an initial spread (2,) in rad and mm of small movements (N, 4, 4)."""
+    """Return the initial standard deviation (2,), rad and mm, of small movements (N, 4, 4)."""
     turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
     return np.array([turns, np.median(np.linalg.norm(own[:, :3, 3], axis=1))]) + _LEAST_SPREAD

@@ -1,8 +1,8 @@
-"""Combination of the marker calibration with the pose of the canister in the strip, including both uncertainties.
+"""Combination of the marker calibration with the canister's pose in the strip, including both uncertainties.
 
-``cam_from_canister = cam_from_strip @ strip_from_canister``: the errors of markers and edges are correlated. If the
-strip is assumed tilted, the edges give a canister tilted in the opposite direction, and both together are almost
-correct.
+The combined pose is ``cam_from_canister = cam_from_strip @ strip_from_canister``. The errors of the two factors are
+correlated: if the strip is estimated with a tilt error, the edges yield a canister tilted in the opposite direction,
+and the combined pose is almost correct.
 """
 
 from __future__ import annotations
@@ -23,29 +23,35 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 UNSEEN = np.array([np.deg2rad(0.1), np.deg2rad(0.1), 0.2, 0.2])
-"""Standard deviation of the misalignment (rad, mm) of a canister in the strip if its edges were not visible."""
+"""Standard deviations of the canister's misalignment in the strip if its edges were not visible: tilt about x and y,
+rad, and offset in x and y, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StripToCanister:
-    """The cameras relative to the strip, and the pose of the canister in the strip.
+    """Cameras in the frame of the strip, and the pose of the canister in the strip.
 
-    The errors of its tilt about x, y and offset x, y are ``by_cameras @ s + e``, with the errors s that the cameras
-    share (`PoseErrors`), and the independent errors e of the edges.
+    The errors of the canister's tilt about x and y and its offset in x and y are ``by_cameras @ s + e``, with the
+    errors s that the cameras share (`PoseErrors`) and the independent errors e of the edges.
     """
 
     solved: Poses
+    """Cameras in the frame of the strip, from the markers."""
     errors: PoseErrors
+    """Errors of the camera poses in the frame of the strip."""
     canister_from_strip: Array
-    """(4, 4)."""
+    """(4, 4) transform from the frame of the strip to the canister frame, mm."""
     covariance: Array
-    """(4, 4) of e."""
+    """(4, 4) covariance of the independent edge errors e, rad and mm."""
     by_cameras: Array
-    """(4, S)."""
+    """(4, S) derivatives of the canister's tilt and offset with respect to the shared camera errors s."""
 
     @staticmethod
     def combine(solved: Poses, canister: CanisterPose | None) -> StripToCanister:
-        """Combine markers and edges; without edges, the canister is assumed aligned with the strip, within `UNSEEN`."""
+        """Combine the cameras in the strip's frame with the canister's pose in the strip.
+
+        Without edges, the canister is assumed to be aligned with the strip, within `UNSEEN`.
+        """
         errors = solved.errors
         if errors is None:
             empty = PoseErrors(shared=np.zeros((6, 6)), carry=np.zeros((0, 6, 6)), own=np.zeros((0, 6, 6)))
@@ -65,7 +71,7 @@ class StripToCanister:
         )
 
     def camera(self, k: int, view: Camera) -> Camera:
-        """Convert a view's camera from the strip's to the canister's frame, with its uncertainty."""
+        """Convert a view's camera from the strip's frame to the canister frame, with its uncertainty."""
         if view.cam_from_canister is None:
             return view
         pose = view.cam_from_canister @ frames.invert(self.canister_from_strip)
@@ -76,13 +82,16 @@ class StripToCanister:
 
     @property
     def table_from_canister(self) -> Array | None:
-        """(4, 4) pose of the canister on the table; None if the views are not of one rig."""
+        """Return the pose (4, 4) of the canister on the table, mm; None if the views do not share one rig."""
         table_from_strip = self.solved.table_from_canister
         return None if table_from_strip is None else table_from_strip @ frames.invert(self.canister_from_strip)
 
     @property
     def table_sigma(self) -> Array | None:
-        """(4,) standard deviations of that pose: tilt about x, y (deg), offset x, y (mm)."""
+        """Return the standard deviations (4,) of the canister's pose on the table; None if it is unknown.
+
+        The four values are the tilt about x and y, degrees, and the offset in x and y, mm.
+        """
         pose = self.table_from_canister
         if pose is None:
             return None
@@ -91,23 +100,26 @@ class StripToCanister:
         return np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]])
 
     def _on_table(self, table_from_canister: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the canister's pose on the table by shared errors (4, S) and edge errors (4, 4)."""
+        """Return the derivatives of the canister's pose on the table with respect to the errors.
+
+        The derivatives are with respect to the shared camera errors (4, S) and the independent edge errors (4, 4).
+        """
         by_edges = -adjoint(table_from_canister)[np.ix_(CANISTER, CANISTER)]
         own = np.zeros((4, len(self.errors.shared)))
         own[:, -4:] = np.eye(4)
         return own + by_edges @ self.by_cameras, by_edges
 
     def uncertainty(self, captured: Sequence[Frame], *, focus: float) -> RigUncertainty:
-        """Return the uncertainty of the rig, used as the prior of the calibration from the roots.
+        """Return the uncertainty of the rig, which is the prior of the calibration from the roots.
 
-        A view without a station counts as its own station.
+        A view that was calibrated independently is treated as a separate station.
 
         Parameters
         ----------
         captured : sequence of Frame
             Frames in the order of the views.
         focus : float
-            Standard deviation of the focal scale in addition to that of the marker calibration.
+            Standard deviation of the focal scale, in addition to its standard deviation from the marker calibration.
         """
         solved, shared = self.solved, self.errors.shared
         stations = [(ring.ring, ring.placement) for ring in solved.rings]

@@ -1,7 +1,4 @@
-"""Reprojection of one picture's markers.
-
-The module computes residuals, their derivatives by the camera's pose, and the single-view pose (PnP).
-"""
+"""Reprojection of the markers of one picture: residuals, their derivatives, and single-view poses (PnP)."""
 
 from dataclasses import dataclass
 
@@ -15,61 +12,66 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera, Scene
 
 FLOOR_PX = 0.02
-"""Systematic error of a measured corner, not in its covariance: lens model, print, and model of the pattern."""
+"""Systematic error of a measured corner that its covariance does not include, px. The error is caused by the lens
+model, the print, and the pattern model."""
 UNKNOWN_PX = 0.1
-"""Error of a corner without a covariance."""
+"""Standard deviation assumed for a corner whose covariance is unknown, px."""
 _MISREAD_PX = 1.5, 10.0
-"""Median and largest reprojection error of SQPNP, above which some markers may be misread: corners found by OpenCV are
-off by 0.1 to 0.2 (`docs/calibration.md`), those of another marker by its side."""
+"""Two thresholds for the median and the largest reprojection error of the initial pose (SQPNP), px. Above either
+threshold, some markers may be misidentified. OpenCV's corners deviate by 0.1 to 0.2 px (`docs/calibration.md`), and the
+corners of a misidentified marker by at least the side of a marker."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
-"""Inlier distance, and number of trials: with half of the corners misread, nine of 300 samples of five contain no
-misread corner."""
+"""Two parameters of RANSAC: the inlier distance, px, and the number of trials. If half of the corners belong to
+misidentified markers, nine of 300 samples of five corners contain only correct corners."""
 _ENOUGH_MM = 1e-5
-"""Step of the camera below which the fit of one picture ends: a thousandth of the accuracy of a picture."""
+"""Camera displacement per step below which the single-view fit ends, mm. The value is a thousandth of the accuracy of a
+single view."""
 WIDE = 3.0
-"""Normalised residual of a marker at which its weight is halved (Cauchy)."""
+"""Normalised residual of a marker at which its Cauchy weight is one half."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sightings:
-    """Markers of one picture with their positions on the strip."""
+    """Markers measured in one picture, with their positions on the strip."""
 
     camera: Camera
+    """Lens of the camera."""
     points_mm: Array
-    """(M, 4, 3) corners in the canister frame."""
+    """(M, 4, 3) positions of the corners on the strip, canister frame, mm."""
     px: Array
-    """(M, 4, 2)."""
+    """(M, 4, 2) measured corners, px."""
     whitener: Array
-    """(M, 8, 8): ``whitener @ residual`` has unit covariance."""
+    """(M, 8, 8) matrices that whiten the residuals: ``whitener @ residual`` has unit covariance."""
     outward: Array
-    """(M, 8): movement of the corners if the marker's image grows by 1 px on each side."""
+    """(M, 8) displacement of the corners if the marker's image is enlarged by 1 px on each side, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """Linearised least squares of one picture about a pose, for a left-hand twist, the inset and the focus.
+    """Linearised least-squares problem of one picture about a camera pose.
 
-    Units are rad and mm for the twist, and px for the inset. The focus is the relative change of the focal lengths.
+    The unknowns are the left-hand twist of the pose (rad and mm), the inset (px), and the relative change of the focal
+    lengths.
     """
 
     normal: Array
-    """(8, 8)."""
+    """(8, 8) weighted normal matrix."""
     gradient: Array
-    """(8,)."""
+    """(8,) weighted gradient."""
     normals: Array
-    """(M, 8, 8) contribution of each marker."""
+    """(M, 8, 8) contribution of each marker to the normal matrix."""
     gradients: Array
-    """(M, 8)."""
+    """(M, 8) contribution of each marker to the gradient."""
     chi2: Array
-    """(M,) of each marker, before weighting."""
+    """(M,) squared norm of each marker's whitened residuals, before weighting."""
     weight: Array
-    """(M,)."""
+    """(M,) Cauchy weight of each marker."""
     rms_px: float
-    """Weighted root mean square of the corners' distances over both axes."""
+    """Weighted root mean square distance of the corners from their projections, px."""
 
 
 def sightings(markers: Markers, scene: Scene) -> Sightings:
-    """Match a picture's markers with their positions on the strip."""
+    """Match the measured markers of a picture with their positions on the strip."""
     where = plan.marker_corners(scene.strip, scene.net_pot)
     px = markers.corners_px
     count = len(px)
@@ -92,25 +94,25 @@ def sightings(markers: Markers, scene: Scene) -> Sightings:
 def linearise(
     sightings: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, focal_scale: float = 1.0, scale: float = 1.0
 ) -> Linearised:
-    """Linearise a picture's reprojection about a pose.
+    """Linearise the reprojection of a picture's markers about a camera pose.
 
     Parameters
     ----------
     sightings : Sightings
-        Corners and their positions on the strip.
+        Measured corners and their positions on the strip.
     cam_from_canister : (4, 4) array
-        The pose.
+        Camera pose, mm.
     inset_px : float
-        Amount by which the markers' images are larger on each side (shared by all pictures).
+        Apparent enlargement of the markers on each side, px; shared by all pictures.
     focal_scale : float
-        Factor on the camera's focal lengths (shared by all pictures).
+        Factor by which the focal lengths are multiplied; shared by all pictures.
     scale : float
-        Factor on the corners' standard deviations.
+        Factor by which the corners' standard deviations are multiplied.
 
     Returns
     -------
     Linearised
-        Residuals, Jacobian and weights.
+        Normal equations, weights and residuals.
     """
     count, camera = len(sightings.px), sightings.camera.focused(focal_scale)
     cam = frames.apply(cam_from_canister, sightings.points_mm.reshape(-1, 3))
@@ -137,7 +139,7 @@ def linearise(
 
 
 def single_view(sightings: Sightings, *, polish: bool = True) -> Array | None:
-    """Return ``cam_from_canister`` (4, 4) from one picture alone, or None if there is no solution."""
+    """Estimate ``cam_from_canister`` (4, 4) from one picture alone; return None if there is no solution."""
     points, px = sightings.points_mm.reshape(-1, 3), sightings.px.reshape(-1, 2)
     camera, lens = matrix(sightings.camera), np.array(sightings.camera.distortion)
     ok, rotvec, shift = cv2.solvePnP(points, px, camera, lens, flags=cv2.SOLVEPNP_SQPNP)
@@ -169,12 +171,12 @@ def single_view(sightings: Sightings, *, polish: bool = True) -> Array | None:
 
 
 def twist(step: Array) -> Array:
-    """Return the transform of a small rotation vector (3) rad and shift (3) mm, stacked in one vector."""
+    """Return the transform (4, 4) of a small rotation vector, rad, and shift, mm, concatenated in one vector (6,)."""
     return frames.from_rotvec(step[:3], step[3:])
 
 
 def adjoint(a_from_b: Array) -> Array:
-    """Return the 6x6 matrix that maps a small left-hand twist in frame b to that in frame a."""
+    """Return the matrix (6, 6) that maps a small left-hand twist in frame b to the same twist in frame a."""
     rotation, shift = a_from_b[:3, :3], a_from_b[:3, 3]
     cross = np.array([[0.0, -shift[2], shift[1]], [shift[2], 0.0, -shift[0]], [-shift[1], shift[0], 0.0]])
     found = np.zeros((6, 6))

@@ -1,1 +1,1 @@
-"""Coverage of each pixel by roots: estimation of the empty backlight, removal of fouling, and silhouettes."""
+"""Measurement of the coverage of each pixel by roots: empty backlight, removal of fouling, and silhouettes."""

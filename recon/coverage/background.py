@@ -1,4 +1,4 @@
-"""Estimation of the empty backlight of a ring from the turn, and the pixels that show the water."""
+"""Estimation of a ring's empty backlight from the pictures of a turn, and detection of pixels that show the water."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -18,70 +18,78 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _MARGIN_MM = 0.1
-"""Margin at opaque parts, for errors of the cameras and of the canister."""
+"""Margin around opaque parts within which pixels are not used, mm. The margin allows for errors of the cameras and the
+canister's dimensions."""
 _STEP = 4
-"""Lines of sight are computed for one pixel in this many in each direction, and interpolated."""
+"""Spacing of the pixels in both directions for which lines of sight are computed, px. Other pixels are interpolated."""
 _FLANK = 0.98
-"""Fraction of the canister's width beyond which the wall reflects nearly all light."""
+"""Fraction of the canister's width outside of which pixels are not used, because the wall reflects nearly all light
+there."""
 _LEAST_SHARE = 0.5
-"""Minimum fraction of the views that must show the water at a pixel for its background to be known."""
+"""Minimum fraction of the views that must show the water at a pixel for its background to be estimated."""
 _RIM_PX = 11
-"""Width of the square about each glare pixel that also counts as glare: five pixels each way for the blurred flank."""
+"""Side of the square around each glare pixel that is also classified as glare, px. The square extends the glare by five
+pixels in each direction, to include its blurred rim."""
 _GLARE_PX = 1.0
-"""Standard deviation of the smoothing before glare detection: beside roots, single pixels of a JPEG are 5 % too bright
-in every fifth view, and the squares about them hid a tenth of a plant."""
+"""Standard deviation of the Gaussian smoothing before glare detection, px. Beside roots, single pixels of a JPEG are 5
+% too bright in every fifth view, and without smoothing, the squares around these pixels hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
-"""Fraction of the brightest views, and tolerance for views that also show the panel: roots may cover a pixel in four of
-five views. The tolerance is three times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too
-bright by 0.03 of that noise, or by a third of it at a quarter of the light (from the moments of a normal
-distribution)."""
+"""Two parameters of the background estimate. The first is the fraction of the views that are brighter than the
+reference brightness of a pixel. The second is the relative tolerance: views that differ less from the reference
+brightness also show the panel, and are averaged. Roots may cover a pixel in four of five views. The tolerance is three
+times the noise of a bench's panel (1.3 % with 6000 electrons). The mean is then too bright by 0.03 times the noise, or
+by a third of the noise at a quarter of the light (from the moments of a normal distribution)."""
 _COVERED = 0.96
-"""Ratio of background to smooth surface below which a pixel was covered in every view; the same tolerance as between
-views (`_ALIKE`)."""
+"""Ratio of the background to the smooth surface below which a pixel is treated as covered in every view. The tolerance
+is that of the comparison between views (`_ALIKE`)."""
 _CORE = 0.85
-"""Fraction of the canister's width in which the smooth surface is fitted. In pictures without noise the residual is
-0.02 % inside, 0.08 % up to 0.92, and 0.4 % up to 0.98, where a small camera error leaves some of the wall's light."""
+"""Fraction of the canister's width in which the smooth surface is fitted. In pictures simulated without noise, the
+residual of the surface is 0.02 % within this fraction, 0.08 % up to 0.92, and 0.4 % up to 0.98, where small camera
+errors leave some of the variation of the wall's transmittance."""
 _SAMPLES = 40_000
-"""Number of pixels to which the surface is fitted: almost a thousand for each of its 45 coefficients."""
+"""Approximate number of pixels to which the smooth surface is fitted, almost a thousand for each of its 45
+coefficients."""
 _FITS = 8
-"""Number of fits of the surface. The upper tolerance is halved each time: at first roots lower the surface, later the
-flanks of a reflection would raise it."""
+"""Number of successive fits of the smooth surface. The upper tolerance is halved after each fit: at first, roots lower
+the surface, and later, the flanks of a reflection would raise it."""
 _CLOSING_PX = 31
-"""Maximum width of dark objects that are closed in a single picture: 7 mm at 0.23 mm per pixel (profile `bench`);
-hypocotyls of the library's radishes without a globe have 1.5 to 3 mm. Wider objects are rejected as outliers of the
-surface."""
+"""Maximum width of dark objects that are removed from a single picture by morphological closing, px. The width is 7 mm
+at 0.23 mm per pixel (profile `bench`), whereas the hypocotyls of radishes without a globe in the library are 1.5 to 3
+mm wide. Wider objects are rejected as outliers of the smooth surface."""
 _BRIGHT = 0.9
-"""Quantile of the background that defines its brightness, robust against glare and hot pixels."""
+"""Quantile of the background that is used as its brightness, robust against glare and hot pixels."""
 _AGREED = 0.5
-"""Minimum fraction of views with equal brightness at a pixel that is free in most views."""
+"""Minimum fraction of views with equal brightness for a pixel to count as free of roots in most views."""
 _LEAST_SURE = 0.1
-"""Minimum fraction of reliable pixels among the bright ones; if there are fewer, the first fit uses all bright
-pixels."""
+"""Minimum fraction of bright pixels that must be free of roots in most views. If there are fewer, the first fit of the
+smooth surface uses all bright pixels."""
 _MOST_ADDED = 0.25
-"""Maximum added light of a reflection that can be subtracted, relative to the panel: if the reflected object changes by
-a fifth, the error is no more than `CoverageSettings.glare`, which is tolerated anyway."""
+"""Maximum brightness of a reflection that is subtracted, relative to the panel. If the brightness of the reflected
+object changes by a fifth, the error is at most the default of `CoverageSettings.glare`, which is tolerated."""
 _DARK, _LEAST_DARK = 0.5, 30
-"""Brightness relative to the panel below which a view shows a root, and minimum number of such pixels for a
-quantile."""
+"""Two parameters of the detection of roots in front of reflections: the brightness, relative to the panel, below which
+a pixel shows a root, and the minimum number of such pixels."""
 _DARKEST = 0.2
-"""Quantile of the darkest views' brightness that is compared: pixels fully covered by a root, above the noise of single
-pixels."""
+"""Quantile of the darkest views' brightness that is compared in front of and beside reflections. It represents pixels
+fully covered by a root, and exceeds the noise of single pixels."""
 _BESIDE_PX = 41
-"""Width of the square about reflections in which roots have the same brightness as behind them: light from the front
-changes over the depth of the water, 200 px and more."""
+"""Side of the square around reflections in which roots are used for comparison, px. Roots within this distance have the
+same brightness as roots in front of the reflection, because front light varies only over distances of 200 px and more
+(the depth of the water)."""
 _BLOCK_ROWS = 24
-"""Number of rows sorted at once: 24 rows of 40 views of 800 px are 3 MB and fit in the cache."""
+"""Number of picture rows that are processed at once. 24 rows of 40 views with 800 columns occupy 3 MB and fit in the
+cache."""
 _THREADS = 2
-"""Number of threads; each holds copies of its block."""
+"""Number of threads for the background estimate. Each thread copies its block of rows."""
 
 
 def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
     """Return the pixels (H, W) whose line of sight passes through the water to the backlight.
 
-    Excluded are the outermost 2 % of the canister's width, where the wall reflects nearly all light, and a margin of
-    half a pixel and `_MARGIN_MM` at opaque parts: the skirt of the net pot before and behind the canister, the grid or
-    water surface, and the base, as far out as the outer wall. The clearance of a line of sight from these is computed
-    for one pixel in four in each direction and interpolated.
+    The mask excludes the outermost 2 % of the canister's width, where the wall reflects nearly all light. It also
+    excludes a margin of half a pixel plus `_MARGIN_MM` at opaque parts: the skirt of the net pot in front of and behind
+    the canister, the net pot's grid or the water surface, and the canister's base out to the outer wall. The clearance
+    of a line of sight from these parts is computed for every fourth pixel in each direction, and interpolated.
     """
     lines = CoarseLines.compute(view, optics, step=_STEP)
     inside = np.where(lines.through & refraction.reaches_water(optics, lines.line, _FLANK), 1.0, np.nan)
@@ -92,9 +100,9 @@ def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
 
 
 def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approach) -> Array:
-    """Return the vertical clearance of lines of sight from opaque parts, and in a tank from the liquid's surface.
+    """Return the vertical clearance (N,) of lines of sight from opaque parts, mm.
 
-    NaN for lines that miss the water.
+    In a tank, the clearance from the liquid's surface is included. The clearance is NaN for lines that miss the water.
     """
     r_skirt, r_o, r_i, p_z = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, near.p_z
     with np.errstate(invalid="ignore"):
@@ -117,10 +125,10 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approa
 
 
 def wall_light(view: cameras.View, optics: Optics) -> Image:
-    """Return the transmittance (H, W) of the canister's walls; beyond the flank, that of the flank.
+    """Return the transmittance (H, W) of the canister's walls.
 
-    Where the canister rotates about an axis other than its own, its flanks move in the picture; the backlight is
-    estimated without them.
+    Outside of the flanks, the transmittance is that of the flanks. If the canister rotates about an axis other than its
+    own, its flanks move in the picture. The transmittance is therefore divided out before the backlight is estimated.
     """
     lines = CoarseLines.compute(view, optics, step=_STEP)
     return lines.upsample(refraction.transmittance(optics, refraction.clip_to_water(optics, lines.line, _FLANK)))
@@ -130,34 +138,36 @@ class Panel(NamedTuple):
     """Empty backlight of a ring, and added reflections, in the units of the pictures."""
 
     light: Image
-    """(H, W)"""
+    """(H, W) empty backlight."""
     added: Image
-    """(H, W) light reflected by the wall, which is subtracted from the pictures; 0 where there is none."""
+    """(H, W) light that the wall reflects, which is subtracted from the pictures; 0 where there are no reflections."""
     glare: Mask
-    """(H, W) reflections that cannot be subtracted. Their light hides roots, so these pixels are not usable."""
+    """(H, W) mask of reflections that cannot be subtracted. Their light hides roots, so these pixels are not usable."""
 
 
 def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Panel:
-    """Estimate the picture of the empty canister from the views of one ring with a static camera.
+    """Estimate the empty backlight from the views of one ring with a static camera.
 
     The background of each pixel is the mean of the views within 4 % of the upper quintile. Where an object covers the
-    panel in nearly every view (the taproot on the axis, a dense cluster of roots), this value is too dark and is
-    replaced by a smooth surface fitted to reliable pixels. The first fit uses pixels with equal brightness in most
-    views, as a cluster may hide more of the panel than it leaves free.
+    panel in nearly every view (the taproot on the axis, or a dense cluster of roots), this mean is too dark, and is
+    replaced by a smooth surface fitted to reliable pixels. The first fit of this surface only uses pixels with equal
+    brightness in most views, because a cluster may hide a larger part of the panel than it leaves free.
 
     Parameters
     ----------
     stack : (V, H, W) float32 array
-        Linear grey, any scale.
+        Pictures of the views, linear in light, in any unit.
     inside : (H, W) or (V, H, W) bool array
-        Pixels to be filled, per view if the canister wobbles; others are 0 in the result.
+        Pixels for which the backlight is estimated, with one mask per view if the canister wobbles. Other pixels are 0
+        in the result.
     settings : CoverageSettings
         Thresholds for dim pixels and glare.
 
     Returns
     -------
     Panel
-        Its light is also 0 where fewer than `_LEAST_SHARE` of the views show the water.
+        Empty backlight and reflections. The backlight is also 0 where fewer than `_LEAST_SHARE` of the views show the
+        water.
     """
     views = len(stack)
     often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
@@ -185,19 +195,20 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
         background = background - added
     else:
         glare, added = around, np.zeros_like(added)
-    # Always covered: darker than its surroundings predict, away from the flanks, where the surface is steep.
+    # Pixels that are always covered are darker than the surface, away from the flanks, where the surface is steep.
     covered = often & (background < _COVERED * smooth)
     return Panel(np.where(covered, smooth, background).astype(np.float32), added, np.asarray(glare))
 
 
 def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
-    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and where these are most views.
+    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and a mask of reliable pixels.
 
-    ``inside`` (V, H, W) is the mask of pixels that show the water; None for all pixels.
+    A pixel is reliable if most of its views contribute to the mean. ``inside`` (V, H, W) is the mask of pixels that
+    show the water; None for all pixels.
     """
     views = len(part)
     number = views if inside is None else inside.sum(axis=0)
-    # Sorted by brightness with excluded pixels last; the quintile is over the views that show the water.
+    # Excluded pixels are sorted last; the quintile is that of the views that show the water.
     part = part if inside is None else np.where(inside, part, 0.0)
     rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
     ranks = np.unique(rank)
@@ -208,9 +219,10 @@ def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
 
 
 def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
-    """Return whether excess light is reflected by the wall, and not a brighter part of the panel.
+    """Return whether excess light is reflected by the wall, and not emitted by a brighter part of the panel.
 
-    Roots cover the panel but not reflections: in front of a reflection, roots are brighter by the added light.
+    Roots cover the panel but not reflections. In front of a reflection, roots are therefore brighter by the reflected
+    light.
     """
     about = cv2.dilate(spots.astype(np.uint8), np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8))
     rows, columns = np.nonzero((about > 0) & (smooth > 0))
@@ -224,10 +236,10 @@ def _is_wall_reflection(stack: Image, inside: Mask, smooth: Image, spots: Mask, 
 
 
 def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: CoverageSettings) -> Image:
-    """Fit a smooth surface to the background: Chebyshev polynomials in the position across the canister and the row.
+    """Fit Chebyshev polynomials in the position across the canister and the row to the background.
 
-    Dark outliers and glare are rejected. The first fit uses the pixels (H, W) in ``sure``; others are added or rejected
-    according to their residuals.
+    Dark outliers and glare are rejected. The first fit uses the pixels (H, W) in ``sure``. Later fits add or reject
+    pixels according to their residuals.
     """
     rows, columns = np.nonzero(inside)
     u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0
@@ -268,13 +280,13 @@ def bright_pixels(background: Image, inside: Mask, settings: CoverageSettings = 
 def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Image:
     """Estimate the empty backlight from a single picture.
 
-    Dark objects up to 31 px wide are closed, and wider ones are bridged by a smooth surface. This is used for cameras
-    that moved from view to view.
+    This estimate is used for cameras that moved between the views. Dark objects up to 31 px wide are removed by
+    morphological closing, and wider objects are replaced by a smooth surface.
 
     Parameters
     ----------
     image : (H, W) float32 array
-        One picture, linear in light.
+        Picture, linear in light.
     inside : (H, W) bool array
         Pixels that show the water.
     settings : CoverageSettings
@@ -283,7 +295,7 @@ def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = Cov
     Returns
     -------
     (H, W) float32 array
-        Backlight in the units of the image.
+        Empty backlight in the units of the picture.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_CLOSING_PX, _CLOSING_PX))
     closed = cv2.morphologyEx(

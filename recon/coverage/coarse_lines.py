@@ -1,4 +1,4 @@
-"""Lines of sight on a coarse pixel grid, and interpolation of values along them to all pixels."""
+"""Lines of sight on a coarse pixel grid, and interpolation of their values to all pixels."""
 
 from __future__ import annotations
 
@@ -15,31 +15,33 @@ from rhizotwin.recon.optics.refraction import Approach, Optics
 
 @dataclass(frozen=True)
 class CoarseLines:
-    """Coarse grid of a view's lines of sight, before they meet the canister."""
+    """Lines of sight of a view outside the canister, on a coarse pixel grid."""
 
     line: Approach
-    """(N,)"""
+    """(N,) lines of sight."""
     through: NDArray[np.bool_]
-    """(N,) whether a line passes through a tank's front below the liquid's surface; without a tank, always true."""
+    """(N,) whether each line passes through a tank's front below the liquid's surface; always true without a tank."""
     shape: tuple[int, int]
-    """Rows and columns of the N lines."""
+    """Number of rows and columns of the coarse grid."""
     step: int
+    """Spacing of the grid in both directions, px."""
     image_wh: tuple[int, int]
+    """Width and height of the picture, px."""
 
     @staticmethod
     def compute(view: View, optics: Optics, *, step: int, beyond: bool = False) -> CoarseLines:
-        """Compute the lines of sight of a view.
+        """Compute the lines of sight of a view on a coarse pixel grid.
 
         Parameters
         ----------
         view : View
-            Camera and pose.
+            Camera and pose of the view.
         optics : Optics
             Optics of the canister.
         step : int
-            Spacing of the lines in pixels, in both directions, at the centres of the squares.
+            Spacing of the lines in both directions, px. Lines pass through the centres of squares of this size.
         beyond : bool
-            Whether to add one step beyond the right and lower border, to avoid extrapolation there.
+            Whether to add one row and one column beyond the lower and right border, to avoid extrapolation there.
         """
         width, height = view.camera.image_wh
         more, first = step if beyond else 0, 0.5 * step - 0.5
@@ -48,21 +50,21 @@ class CoarseLines:
         return CoarseLines(*cameras.approach(view, optics, directions), (u.shape[0], u.shape[1]), step, view.camera.image_wh)
 
     def upsample(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
-        """Return values for every pixel (H, W) from those of the lines (N,): interpolated, or of the nearest line."""
+        """Interpolate values of the lines (N,) to all pixels (H, W), or use the value of the nearest line."""
         return upsample(values.reshape(self.shape), self.step, self.image_wh, nearest=nearest)
 
 
 def upsample(values: NDArray[np.generic], step: int, image_wh: tuple[int, int], *, nearest: bool = False) -> NDArray[np.float32]:
-    """Return values for every pixel (H, W) from values on a coarse grid, interpolated.
+    """Interpolate values on a coarse grid to all pixels (H, W) of a picture.
 
     Parameters
     ----------
     values : (h, w) array
-        Values for one pixel in ``step`` in each direction, at the centre of its square.
+        Values at the centres of squares with a side of ``step`` pixels.
     step, image_wh : int, tuple of int
-        As in `CoarseLines`.
+        Spacing of the grid, px, and width and height of the picture, px.
     nearest : bool
-        Whether to use the nearest value instead.
+        Whether to use the nearest value instead of interpolation.
     """
     wide, how = (values.shape[1] * step, values.shape[0] * step), cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
     fine = cv2.resize(values.astype(np.float32), wide, interpolation=how)

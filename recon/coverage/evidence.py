@@ -1,4 +1,4 @@
-"""Evidence of roots in the pictures: coverage in all views, with generous outlines and outlines of thick roots."""
+"""Evidence to which root tubes are fitted: coverage in all views, with outlines of possible and of thick roots."""
 
 from __future__ import annotations
 
@@ -21,56 +21,59 @@ from rhizotwin.recon.optics.projection import Projected, ViewBank
 Array = NDArray[np.float64]
 
 _TRACE = 0.07
-"""Threshold of blurred coverage for possible roots: a third of a pixel wide, with the blur below."""
+"""Minimum blurred coverage of pixels that may show a root. A root with a width of a third of a pixel reaches this
+value, with the blur `_TRACE_BLUR_PX`."""
 _TRACE_BLUR_PX = 0.6
-"""Standard deviation of the blur before the threshold, which suppresses noise of single pixels."""
+"""Standard deviation of the Gaussian blur that suppresses the noise of single pixels before the threshold `_TRACE`, px.
+"""
 _TRACE_SLACK_PX = 0.25
-"""Outward offset of the generous outline: half a sample of the distance map."""
+"""Outward offset of the generous outline, px, which is half a sample of the distance map."""
 _FULL = 0.9
-"""Minimum coverage that counts as full, with a margin for noise."""
+"""Minimum coverage of fully covered pixels, with a margin for noise."""
 _AROUND = 1.5
-"""Distance from a bright spot, in its diameters, within which full coverage must be uninterrupted: a bubble in front of
-a ball of 20 mm, 2 mm from its outline in the picture, has 1.9 (`hard-1`)."""
+"""Distance from a bright spot within which full coverage must be uninterrupted, in diameters of the spot. A bubble in
+front of a ball of 20 mm, 2 mm inside the outline of the ball in the picture, has an uninterrupted distance of 1.9
+diameters (`hard-1`)."""
 CORE_PX = 1.25
-"""Points at least this deep inside full coverage in every view lie in a taproot, hypocotyl or solid, which is then at
-least 3.5 px wide."""
+"""Minimum depth of core points inside full coverage in every view, px. Core points lie in a taproot, a hypocotyl or a
+solid, which is then at least 3.5 px wide."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Coverage in all views, or opacity for translucent roots, with the cameras."""
+    """Coverage of all views, or opacity for translucent roots, with the cameras."""
 
     bank: ViewBank
-    """Views, with the window's first pixel as the origin."""
+    """Views packed for projection; pixel coordinates are relative to the first pixel of ``window``."""
     silhouettes: tuple[Silhouette, ...]
-    """In the order of the bank's views, cropped to the window."""
+    """Silhouettes of the views, cropped to ``window``, in the order of ``bank``."""
     coverage: Kernel
-    """mi.Float16, (V, H, W) flattened: coverage, opacity where roots are translucent."""
+    """mi.Float16, (V, H, W) flattened: coverage, or opacity if the roots are translucent."""
     usable: Kernel
-    """mi.Float16, (V, H, W) flattened: 1 for usable pixels, else 0."""
+    """mi.Float16, (V, H, W) flattened: 1 for usable pixels, 0 for others."""
     window: Window
-    """Window of the pictures that is kept, the same in all views; no view has usable pixels outside it."""
+    """Part of the pictures that is stored, the same in all views. No view has usable pixels outside the window."""
     mu_per_mm: float | None = None
-    """Attenuation of the roots; None for opaque roots."""
+    """Attenuation of the roots, 1/mm; None for opaque roots."""
     hairs: float = 0.0
     """Strength of the root hairs, relative to `translucent_tube.HAIRS`."""
     index: float = 1.0
-    """Refractive index of the roots relative to water; only used for translucent roots."""
+    """Refractive index of the roots relative to water; used only for translucent roots."""
     blur_px: float = 0.0
-    """Standard deviation of the pictures' blur, in addition to that of the square pixel."""
+    """Standard deviation of the pictures' blur, px, in addition to the blur by the square pixel."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
-    """Attachment points of several plants, behind the net pot, canister frame, mm; empty for a single plant."""
+    """Attachment points of several plants behind the net pot, canister frame, mm; empty for a single plant."""
 
     @staticmethod
     def from_silhouettes(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
-        """Transfer silhouettes to the device, cropped to the window that contains the usable pixels of all views.
+        """Copy silhouettes to the device, cropped to the window that contains the usable pixels of all views.
 
         Parameters
         ----------
         bank : ViewBank
-            Views of whole pictures.
+            Views packed for projection, for uncropped pictures.
         silhouettes : (V,) Silhouette
-            Silhouettes of whole pictures, in the order of the views.
+            Uncropped silhouettes of the views, in the order of ``bank``.
         """
         window = Window.around(silhouettes)
         cut = tuple(silhouette.cut(window) for silhouette in silhouettes)
@@ -78,21 +81,23 @@ class Evidence:
         return Evidence(bank.crop(window.low_px), cut, coverage, usable, window)
 
     def with_cameras(self, cameras: Cameras) -> Evidence:
-        """Return the same evidence with other cameras, in the order of the views."""
+        """Return this evidence with other cameras, which must be in the order of the views."""
         return replace(self, bank=ViewBank.pack(cameras.views, cameras.optics).crop(self.window.low_px))
 
     @property
     def has_opacity(self) -> bool:
-        """Return whether the pictures have opacity, and are not masks."""
+        """Return whether the opacity of all views is known; it is unknown for masks."""
         return all(silhouette.opacity is not None for silhouette in self.silhouettes)
 
     def with_opacity(self) -> Evidence:
-        """Return evidence with opacity instead of coverage: opacity includes its noise, coverage does not.
+        """Return this evidence with opacity instead of coverage.
+
+        Opacity includes the noise of the pictures, whereas coverage is zero below the noise level.
 
         Raises
         ------
         ValueError
-            If the pictures are masks.
+            If a view is a mask, whose opacity is unknown.
         """
         pictures = [s.opacity for s in self.silhouettes if s.opacity is not None]
         if len(pictures) < len(self.silhouettes):
@@ -100,13 +105,13 @@ class Evidence:
         return replace(self, coverage=halves(pictures))
 
     def exclude(self, covered: NDArray[np.bool_]) -> Evidence:
-        """Return the evidence outside the pixels (V, H, W) that other objects cover."""
+        """Mark pixels (V, H, W) that other objects cover as not usable."""
         usable = self.usable * halves(list(~covered))
         dr.eval(usable)
         return replace(self, usable=usable)
 
     def select_views(self, which: Sequence[int]) -> Evidence:
-        """Return the evidence of a subset of the views."""
+        """Return the evidence of the views with the given indices."""
         coverage, usable = (select_parts(part, which, self.pixels) for part in (self.coverage, self.usable))
         return replace(
             self, bank=self.bank.select(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, usable=usable
@@ -114,16 +119,16 @@ class Evidence:
 
     @property
     def image_wh(self) -> tuple[int, int]:
-        """Return columns and rows of the window."""
+        """Return the width and height of the window, px."""
         return self.window.size_px
 
     @property
     def pixels(self) -> int:
-        """Return the number of pixels of a view."""
+        """Return the number of pixels per view."""
         return self.image_wh[0] * self.image_wh[1]
 
     def project(self, points_mm: Array) -> Nodes:
-        """Project points (N, 3) into all views."""
+        """Project points (N, 3), canister frame, mm, into all views."""
         views, count = self.bank.count, len(points_mm)
         point = mi.Point3f(*(dr.tile(numbers(part), views) for part in points_mm.T))
         p = projection.project(self.bank, dr.repeat(dr.arange(mi.UInt32, views), count), point, mi.Bool(True))
@@ -135,81 +140,81 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Projections of points in all views: on the device, and as NumPy arrays on demand."""
+    """Projections of points into all views, stored on the device and copied to NumPy arrays on demand."""
 
     shape: tuple[int, int]
-    """Number of views and points, V and N."""
+    """Number of views V and number of points N."""
     on_device: Projected
-    """Points of one view after those of another; ``visible`` only for points in the picture."""
+    """Projections of all points, view by view. ``visible`` is only true for points within the picture."""
 
     @cached_property
     def px(self) -> Array:
-        """Pixels (V, N, 2)."""
+        """Pixel coordinates (V, N, 2) of the points, px."""
         return self._read(self.on_device.px)
 
     @cached_property
     def du(self) -> Array:
-        """Gradient (V, N, 3) of the column by the point, px/mm."""
+        """Gradient (V, N, 3) of the picture column with respect to the position of the point, px/mm."""
         return self._read(self.on_device.du)
 
     @cached_property
     def dv(self) -> Array:
-        """Gradient (V, N, 3) of the row by the point, px/mm."""
+        """Gradient (V, N, 3) of the picture row with respect to the position of the point, px/mm."""
         return self._read(self.on_device.dv)
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Whether (V, N) a point is visible in a view, exactly once and within its picture."""
+        """Whether a point has exactly one image in a view, which lies within the picture (V, N)."""
         return np.array(self.on_device.visible).reshape(self.shape)
 
     def _read(self, vector: Kernel) -> Array:
         return np.stack([np.array(part, np.float64).reshape(self.shape) for part in vector], axis=-1)
 
     def sine(self, direction: Array) -> Array:
-        """Return the sine (V, N) of the angle between a unit direction (N, 3) at each point and the lines of sight."""
+        """Return the sine (V, N) of the angle between a unit direction (N, 3) at each point and the line of sight."""
         p = self.on_device
         return np.array(sine_to_sight(p.du, p.dv, self.in_all_views(vectors(direction))), np.float64).reshape(self.shape)
 
     def in_all_views(self, values: Vector3f) -> Vector3f:
-        """Repeat values of the points, mi.Vector3f (N,), for each view, (V, N) flattened."""
+        """Repeat one vector per point, mi.Vector3f (N,), for each view; return (V, N) flattened."""
         return mi.Vector3f(*(dr.tile(part, self.shape[0]) for part in values))
 
 
 def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:
-    """Return the sine of the angle between unit directions and lines of sight, mi.Float.
+    """Return the sine of the angle between unit directions and the lines of sight, mi.Float.
 
     Parameters
     ----------
     du, dv : Vector3f
-        Gradients of column and row by the point, mi.Vector3f; both vanish along the line of sight.
+        Gradients of picture column and row with respect to the position, px/mm. Both gradients are perpendicular to the
+        line of sight.
     direction : Vector3f
-        Unit directions, mi.Vector3f, canister frame.
+        Unit directions in the canister frame.
     """
     along = dr.dot(dr.normalize(dr.cross(du, dv)), direction)
     return dr.sqrt(dr.maximum(1 - dr.square(along), 0.0))
 
 
 def generous_outline(silhouette: Silhouette) -> Image:
-    """Return a signed distance (2 H, 2 W) in pixels to a generous outline.
+    """Return the signed distance (2 H, 2 W) to an outline that contains every root, however thin, px.
 
-    `silhouettes.signed_distance` is the distance to the best outline.
-
-    The generous outline contains every root, however thin, and also other pixels.
+    The generous outline also contains pixels without roots. The best estimate of the outline is that of
+    `silhouettes.signed_distance`.
     """
     return _distance(silhouette, blur_coverage(silhouette, _TRACE_BLUR_PX), _TRACE) + np.float32(_TRACE_SLACK_PX)
 
 
 def core_outline(silhouette: Silhouette) -> Image:
-    """Return a signed distance (2 H, 2 W) in pixels, positive only deep inside full coverage."""
-    # Unusable pixels may be root, up to their rim.
+    """Return a signed distance (2 H, 2 W), px, that is positive only deep inside full coverage."""
+    # Pixels that are not usable may be root, up to their rim.
     return _distance(silhouette, np.where(silhouette.usable, silhouette.coverage, np.float32(1.0)), _FULL) - np.float32(CORE_PX)
 
 
 def bright_spots(silhouette: Silhouette) -> Mask:
-    """Return small holes (H, W) in full coverage, such as those of bubbles in front of thick roots.
+    """Return the mask (H, W) of small holes in full coverage, such as those of bubbles in front of thick roots.
 
-    A hole counts if full coverage is otherwise uninterrupted within `_AROUND` of its diameters: gaps between crossing
-    roots are as wide as roots, and lie beside others.
+    A hole is included if full coverage is otherwise uninterrupted within `_AROUND` hole diameters. Gaps between
+    crossing roots do not qualify: they are as wide as roots, and lie beside other gaps.
     """
     full = ((silhouette.coverage > _FULL) | ~silhouette.usable).astype(np.uint8)
     count, label, stats, _ = cv2.connectedComponentsWithStats(1 - full, connectivity=4)
@@ -228,7 +233,10 @@ def bright_spots(silhouette: Silhouette) -> Mask:
 
 
 def _distance(silhouette: Silhouette, picture: Image, level: float) -> Image:
-    """Return the signed distance to a level of a picture, to half a pixel; large for unusable pixels."""
+    """Return the signed distance to a level of a picture, px, with an accuracy of half a pixel.
+
+    At pixels that are not usable, the distance is `UNSEEN_PX`.
+    """
     size = (picture.shape[1] * UPSAMPLING, picture.shape[0] * UPSAMPLING)
     unseen = cv2.resize(silhouette.usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     inside = ((cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR) > level) | unseen).astype(np.uint8)

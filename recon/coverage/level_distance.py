@@ -1,4 +1,4 @@
-"""Signed distance to the zero level of a picture, exact to first order near it."""
+"""Signed distance to the zero level of a picture, accurate to first order near the level."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 _WIDEST = 256
-"""Maximum distance, in samples, of the search by columns: float32 stores the square and fractions of a sample to
-0.01."""
+"""Maximum distance that the column search finds, in samples. Up to this distance, float32 represents the squared
+distance and fractions of a sample to 0.01."""
 _SURE = 0.9
-"""Safety factor for the chamfer distance with which this limit is checked: a 3x3 chamfer is up to 4.5 % too short."""
+"""Safety factor for the comparison of the 3x3 chamfer distance with `_WIDEST`. The chamfer distance is up to 4.5 % too
+short."""
 _LOOKS = 2.0
-"""Maximum number of tests per sample of the picture, 20 ns each, for the search by columns; above it, a transform of
-the whole picture is faster, at 70 ns per sample."""
+"""Maximum number of tests by the column search per sample of the picture, at 20 ns per test. If more tests are
+required, a distance transform of the whole picture is faster, at 70 ns per sample."""
 
 
 def level_distance(value: Image) -> Image:
-    """Return the signed distance (H, W), in samples, to a picture's zero level, exact to first order near it."""
+    """Return the signed distance (H, W) to the zero level of a picture, in samples.
+
+    The distance is positive where the value is positive, and accurate to first order near the level.
+    """
     inside = value > 0
     if inside.all() or not inside.any():
         return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
     near = _edge_distance(value, inside)
     within, beside = np.flatnonzero(inside), np.flatnonzero(near)
-    # Outside, the distance is only used as a bound and a chamfer's error of 2 % is acceptable; inside, it would be 1.7
-    # % of a sphere's radius.
+    # Outside, the distance is only used as a bound, so a chamfer error of 2 % is acceptable. Inside, the error would be
+    # 1.7 % of a sphere's radius.
     far, labels = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     signed, label = np.asarray(far, np.float32).ravel(), labels.ravel()
     beyond = np.zeros(len(within) + 1, np.float32)
@@ -45,7 +49,7 @@ def level_distance(value: Image) -> Image:
 
 
 def _edge_distance(value: Image, inside: Mask) -> Image:
-    """Return the distance (H * W,) to the level of the samples next to it; 0 elsewhere."""
+    """Return the distance (H * W,) to the level for samples next to the level, in samples; 0 for other samples."""
     inverse_2 = np.zeros(value.size, np.float32)
     size, flat = np.abs(value).ravel(), inside.ravel()
     for step in (value.shape[1], 1):
@@ -67,26 +71,30 @@ def _edge_distance(value: Image, inside: Mask) -> Image:
 
 
 def _transform_distance(inside: Mask, near: Image, deep: Index) -> Image:
-    """Return the distance (N,) to the nearest sample outside, minus that sample's distance beyond the level."""
+    """Return the distance (N,) from inside samples to the level, by a distance transform of the whole picture.
+
+    The result is the distance to the nearest outside sample, minus the distance of this outside sample from the level.
+    """
     far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
     nearest = row.ravel()[deep].astype(np.int64) * inside.shape[1] + column.ravel()[deep]
     return np.asarray(far.ravel()[deep] - near[nearest], np.float32)
 
 
 def _column_distance(inside: Mask, near: Image, within: Index, deep: Index) -> Image:
-    """Return the distance (N,) to the nearest sample outside where the inside is narrow, as for roots.
+    """Return the distance (N,) from inside samples to the level, by a search of the neighbouring columns.
 
-    The columns on both sides are searched one by one while they are nearer than the current minimum. Of several equally
-    near samples, that in the first column and then the first row is used, as in SciPy's transform.
+    This search is fast where the inside is narrow, as for roots. Columns on both sides are searched one by one while
+    they are nearer than the current minimum. If several outside samples are equally near, the sample in the first
+    column, and then in the first row, is used, as in SciPy's transform.
 
     Parameters
     ----------
     inside : (H, W) bool array
-        Samples inside.
+        Mask of the samples inside the level.
     near : (H * W,) float32 array
-        As returned by `_edge_distance`.
+        Distances of the samples next to the level, as returned by `_edge_distance`.
     within, deep : (M,) int64 array, (N,) int64 array
-        Samples inside, flattened, and those of them that are not next to the level.
+        Flat indices of all inside samples, and of the inside samples that are not next to the level.
     """
     cost, width, reach = _distance_in_column(inside, near, within), inside.shape[1], 0
     best, column = cost[deep], deep % width
@@ -106,14 +114,14 @@ def _column_distance(inside: Mask, near: Image, within: Index, deep: Index) -> I
 
 
 def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
-    """Return the squared distance (H * W,) to the nearest sample outside in the same column, minus half its ``near``.
+    """Return squared distances (H * W,) to the nearest outside sample in the same column, minus half its ``near``.
 
-    Squares are integers and ``near`` is at most 1, so that both can be recovered: rounding up gives the square.
-    Infinite where there is none within `_WIDEST`.
+    Squared distances are integers and ``near`` is at most 1, so both can be recovered: rounding up yields the squared
+    distance. The result is infinite if there is no outside sample within `_WIDEST`.
     """
     width, cost = inside.shape[1], np.float32(-0.5) * near
     cost[within] = np.inf
-    for step, way in ((-width, _below_outside(inside)), (width, _below_outside(inside[::-1])[::-1])):
+    for step, way in ((-width, _distance_above(inside)), (width, _distance_above(inside[::-1])[::-1])):
         samples = way.ravel()[within].astype(np.int32)
         some = np.flatnonzero(samples < _WIDEST)
         samples, here = samples[some], within[some]
@@ -122,8 +130,8 @@ def _distance_in_column(inside: Mask, near: Image, within: Index) -> Image:
     return cost
 
 
-def _below_outside(inside: Mask) -> NDArray[np.int16]:
-    """Return the number of samples (H, W) below the last outside sample in the same column, up to `_WIDEST`."""
+def _distance_above(inside: Mask) -> NDArray[np.int16]:
+    """Return the distance (H, W) from each sample to the last outside sample above it, at most `_WIDEST` samples."""
     ways = np.empty(inside.shape, np.int16)
     way = np.full(inside.shape[1], _WIDEST, np.int16)
     for row, is_inside in enumerate(inside):

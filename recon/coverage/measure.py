@@ -1,4 +1,4 @@
-"""The stage from pictures to coverage: empty backlight and coverage of every view."""
+"""Coverage stage: estimate the empty backlight, and measure the coverage of every view."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
@@ -21,37 +21,39 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 _RING_VIEWS = 8
-"""Minimum number of views of a static camera to estimate the empty backlight from the turn."""
+"""Minimum number of views of a static camera for the empty backlight to be estimated from the turn."""
 
 
 Outline = Callable[[Image, Image, Mask], Silhouette]
-"""Function from picture, empty backlight and usable pixels to a silhouette."""
+"""Function that draws a silhouette from a picture, its empty backlight and its usable pixels."""
 
 
 _LEARN_VIEWS = 16
 """Number of views from which the attenuation of the roots is estimated."""
 MOST_WRONG = 0.1
-"""Maximum fraction of bad views: above it, the scan is at fault and not a picture."""
+"""Maximum fraction of pictures without water or without roots. Above it, the scan is rejected instead of single
+pictures."""
 _SAME = 0.2
-"""Two attenuations count as equal up to this logarithm of their ratio, the scatter of estimates from the widest
-roots."""
+"""Maximum logarithm of the ratio of two attenuations that are treated as equal. The value is the scatter of estimates
+from the widest roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Coverage of each pixel by roots, in every view used."""
+    """Coverage of each pixel by roots, in every used view."""
 
     silhouettes: Mapping[int, Silhouette]
-    """Silhouettes by frame number."""
+    """Silhouettes of the used views, keyed by frame number."""
     attenuation: Attenuation | None = None
-    """Attenuation and brightness of the roots, from those that are wide enough; None if the pictures were masks."""
+    """Attenuation and brightness of the roots, estimated from sufficiently wide roots; None if the pictures were masks.
+    """
     exposures: Exposures | None = None
-    """Exposures of the pictures, in the order of the silhouettes; None if not estimated."""
+    """Exposures of the pictures, in the order of the silhouettes; None if not measured."""
     dirt: float | None = None
-    """Fraction of the visible wall that films, bubbles and glare cover; None with too few views, or without a wall."""
+    """Fraction of the visible wall that films, bubbles and glare cover. None if there are too few views or no wall."""
 
     def select_exposures(self, frames: Collection[int]) -> Exposures | None:
-        """Return the exposures of the pictures of some frames."""
+        """Return the exposures of the frames with the given numbers; None if exposures were not measured."""
         places = [place for place, frame in enumerate(self.silhouettes) if frame in frames]
         return None if self.exposures is None else self.exposures.select(places)
 
@@ -69,34 +71,34 @@ def measure_coverage(
     monitor: Monitor,
     outline: Outline | None = None,
 ) -> tuple[Cameras, Coverage]:
-    """Measure the coverage of each pixel in every view.
+    """Measure the coverage of each pixel by roots in every view.
 
-    Views that show no water or no root are removed, and the others are measured without them.
+    Views that show no water or no root are excluded, and the remaining views are measured again.
 
     Parameters
     ----------
     pictures : Pictures
-        Pictures of the root.
+        Pictures of the roots.
     cameras : Cameras
-        Cameras of the same pictures.
+        Cameras of the pictures.
     settings : CoverageSettings
         Thresholds for noise, dim pixels, glare, films and bubbles.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
     outline : callable, optional
-        Function that draws a silhouette from a picture instead of measuring coverage.
+        Function that draws a silhouette from a picture. By default, coverage is measured.
 
     Returns
     -------
     Cameras
-        Cameras without the views that were removed.
+        Cameras without the excluded views.
     Coverage
         Coverage of the remaining views.
 
     Raises
     ------
     UserError
-        If more than a tenth of the pictures show no water, or no root.
+        If more than a tenth of the pictures show no water, or more than a tenth show no root.
     """
     found = _measure_all(pictures, cameras, settings, monitor, outline)
     drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
@@ -104,12 +106,12 @@ def measure_coverage(
     blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].usable.any()]
     if len(blank) > most:
         name = names[blank[0]].file
-        raise UserError(f"{name} does not show the water below the net pot: check the camera, the backlight and the scene file.")
+        raise UserError(f"{name} does not show the water below the net pot. Check the camera, the backlight and the scene file.")
     empty = [k for k in cameras.order if k not in blank and not (drawn[k].coverage > 0.25).any()]
     if len(empty) > most:
         raise UserError(
-            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is visible in it; "
-            "leave it out with --leave-out, or check light and focus."
+            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do), because no root is visible. "
+            "Exclude these pictures with --leave-out, or check the light and the focus."
         )
     reasons = dict.fromkeys(blank, "it does not show the water below the net pot") | dict.fromkeys(empty, "no root is visible in it")
     if reasons:
@@ -119,16 +121,16 @@ def measure_coverage(
 
 
 def _measure_all(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
-    """Measure the coverage in all views that are used."""
+    """Measure the coverage in all used views."""
     if pictures.dataset.masks:
         return _read_masks(pictures, cameras, monitor)
     if outline is None:
         return _measure_views(pictures, cameras, settings, monitor)
-    return _draw_silhouettes(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
+    return _draw_silhouettes(pictures, _estimate_backlight(pictures, cameras, settings, monitor), outline, monitor)
 
 
 def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
-    """Convert masks, in which white is root, to silhouettes."""
+    """Convert masks, in which roots are white, to silhouettes."""
     optics = cameras.optics
     drawn = {}
     with monitor.stage("silhouettes"):
@@ -141,23 +143,25 @@ def _read_masks(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Cover
 
 @dataclass(frozen=True)
 class _Backlight:
-    """Empty backlight of each view, by frame number."""
+    """Empty backlight of each used view, keyed by frame number."""
 
     empty: dict[int, Image]
+    """(H, W) pictures of the empty backlight."""
     usable: dict[int, Mask]
-    """Usable pixels: bright enough and without glare."""
+    """(H, W) masks of usable pixels, which are sufficiently bright and without glare."""
     lit: dict[int, Mask]
-    """Pixels that are bright enough, including glare."""
+    """(H, W) masks of sufficiently bright pixels, including glare."""
     exposures: Exposures
+    """Exposures of the pictures."""
     added: dict[int, Image | np.float32]
-    """Light reflected by the wall, which is subtracted from the picture."""
+    """(H, W) light that the wall reflects, which is subtracted from the picture."""
 
     def subtract_reflections(self, pictures: Pictures, frame: int) -> Image:
-        """Return a picture without the light reflected by the wall."""
+        """Return a picture (H, W) without the light that the wall reflects."""
         return pictures.images[frame].astype(np.float32) - self.added[frame]
 
 
-def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
+def _estimate_backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
     """Estimate the empty backlight of every view."""
     with monitor.stage("background"):
         views = cameras.by_frame
@@ -166,13 +170,13 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
         stations = [pictures.frames[k].station for k in order]
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
         gain = {k: exposures.light(i, views[k].camera.image_wh) for i, k in enumerate(order)}
-        empty, glare, added = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
+        empty, glare, added = _estimate_backgrounds(pictures, cameras, inside, gain, settings, monitor)
         lit = {k: background.bright_pixels(empty[k], inside[k], settings) for k in views}
         return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
 
 
 def _draw_silhouettes(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
-    """Draw silhouettes with a given function."""
+    """Draw the silhouettes of all views with a given function."""
     with monitor.stage("silhouettes"):
         return Coverage(
             silhouettes={k: outline(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in light.empty}
@@ -180,8 +184,8 @@ def _draw_silhouettes(pictures: Pictures, light: _Backlight, outline: Outline, m
 
 
 def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
-    """Measure coverage relative to the empty backlight."""
-    keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
+    """Measure the coverage of all views relative to the empty backlight."""
+    keys, light = cameras.order, _estimate_backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(light.subtract_reflections(pictures, k), light.empty[k], light.usable[k]) for k in keys}
     lit, exposures, usable = light.lit, light.exposures, light.usable
     del light  # it needs as much memory as all pictures
@@ -207,31 +211,31 @@ def _measure_views(pictures: Pictures, cameras: Cameras, settings: CoverageSetti
 def remeasure_coverage(
     coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
 ) -> Coverage:
-    """Measure coverage again, with the attenuation estimated from fitted roots.
+    """Measure coverage again, with the attenuation estimated from the fitted roots.
 
-    Wide, lone roots, from which it is first estimated, may be too few; thin translucent roots then appear opaque and
-    narrow.
+    The attenuation is first estimated from wide, lone roots, of which there may be too few. Thin translucent roots then
+    appear opaque and narrow.
 
     Parameters
     ----------
     coverage : Coverage
-        The previous measurement.
+        Coverage from the previous measurement.
     cameras : Cameras
-        Cameras of its views.
+        Cameras of the views.
     mu_per_mm : float or None
-        Attenuation, 1/mm; None for opaque roots.
+        Attenuation of the roots, 1/mm; None for opaque roots.
     settings : CoverageSettings
         Thresholds for noise.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
 
     Returns
     -------
     Coverage
-        Unchanged if both attenuations agree (`_SAME`), or if the pictures were masks.
+        New coverage. The previous coverage is returned if both attenuations agree, or if the pictures were masks.
     """
     before = coverage.attenuation
-    if before is None or _agree(before.mu_per_mm, mu_per_mm):
+    if before is None or _attenuations_agree(before.mu_per_mm, mu_per_mm):
         return coverage
     attenuation, px_a_mm, drawn = replace(before, mu_per_mm=mu_per_mm), _px_a_mm(cameras), coverage.silhouettes
 
@@ -250,15 +254,15 @@ def remeasure_coverage(
         )
 
 
-def _agree(one: float | None, other: float | None) -> bool:
-    """Return whether two attenuations give the same coverage."""
+def _attenuations_agree(one: float | None, other: float | None) -> bool:
+    """Return whether two attenuations, 1/mm, are so close that they yield the same coverage."""
     if one is None or other is None:
         return one is other
     return bool(abs(np.log(one / other)) < _SAME)
 
 
 def _make_silhouette(dark: Image, usable: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
-    """Return the silhouette of opacity (H, W)."""
+    """Compute a silhouette from an opacity picture (H, W)."""
     if attenuation.mu_per_mm is None:
         return silhouettes.measure(dark, usable, settings, own=attenuation.own)
     covered = translucency.translucent_coverage(dark, attenuation, px_a_mm)
@@ -268,9 +272,12 @@ def _make_silhouette(dark: Image, usable: Mask, attenuation: Attenuation, px_a_m
 def _remove_fouling(
     cameras: Cameras, opacity: dict[int, Image], usable: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
-    """Remove the fouling of the wall, and return the fraction of the wall that films cover.
+    """Remove the fouling of the wall.
 
-    This is skipped in air and with few views. The given opacities are consumed, to save memory.
+    Return opacity, masks of usable pixels, and the fraction of the wall that films cover. In air and with few views,
+    the pictures are returned unchanged, and the fraction is None.
+
+    The argument ``opacity`` is emptied to save memory.
     """
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
@@ -291,20 +298,20 @@ def _remove_fouling(
 
 
 def _px_a_mm(cameras: Cameras) -> float:
-    """Return the scale across the canister's axis, px/mm, as the median over some views."""
+    """Return the scale of the pictures at the canister's axis, px/mm, as the median over some views."""
     some = cameras.order[:: max(1, len(cameras.order) // _RING_VIEWS)]
     return float(np.median([_scale(cameras.by_frame[k], cameras.optics) for k in some]))
 
 
 def _scale(view: View, optics: Optics) -> float:
-    """Return the scale across the canister's axis at half the water's depth, px/mm."""
+    """Return the scale of a picture at the canister's axis, at half the depth of the water, px/mm."""
     middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
     x, y, _ = view.centre_mm / view.rho_mm
     px, _ = cameras.project(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
     return float(np.linalg.norm(px[0, 0] - px[1, 0]))
 
 
-def _backgrounds(
+def _estimate_backgrounds(
     pictures: Pictures,
     cameras: Cameras,
     inside: dict[int, Mask],
@@ -312,10 +319,10 @@ def _backgrounds(
     settings: CoverageSettings,
     monitor: Monitor,
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
-    """Estimate the empty backlight of each view, its glare, and the light reflected by the wall.
+    """Estimate the empty backlight of each view, its glare, and the light that the wall reflects.
 
-    Rings with a static camera are processed together, with exposures (``gain``) divided out; otherwise each picture is
-    processed separately, without glare and reflections.
+    Views of a ring with a static camera are processed together, with the exposures (``gain``) divided out. Other
+    pictures are processed separately, without glare and reflections.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames
     empty: dict[int, Image] = {}
@@ -346,7 +353,8 @@ def _backgrounds(
 def _is_static(views: list[View]) -> bool:
     """Return whether a ring's camera was static.
 
-    The canister, a few millimetres off the table's axis, then hardly moves in the picture.
+    If the camera was static, the canister hardly moves in the picture, as its axis is only a few millimetres off the
+    table's axis.
     """
     focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
     axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])

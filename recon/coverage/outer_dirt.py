@@ -1,9 +1,10 @@
-"""Dirt on the outside of the canister, separated from the roots inside by parallax.
+"""Dirt on the outside of the canister, distinguished from the roots inside by parallax.
 
-Dust, scratches and the seam of a rolled tube rotate with the wall and look like roots, but no other view confirms them.
-When all views are unrolled onto one face of the wall, dirt on that face is at the same place in all of them, while on
-the other face it moves from view to view by the path of light through the wall. No assumption about the shape is
-needed, and roots along the inside remain. Pixels covered by such dirt are not usable.
+Dust, scratches and the seam of a rolled tube rotate with the wall and resemble roots, but other views do not confirm
+them as roots. When all views are unrolled onto the outer face of the wall, dirt on this face is at the same position in
+all views. Unrolled onto the inner face, the dirt moves between the views, due to the path of the light through the
+wall. The method does not depend on the shape of the dirt, and roots along the inside of the wall are retained. Pixels
+covered by dirt are not usable.
 """
 
 from __future__ import annotations
@@ -24,32 +25,37 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
 
 _DARK = 0.08
-"""Minimum opacity of dirt, above the noise, as for a faint root."""
+"""Minimum opacity of dirt, which is above the noise and similar to that of a faint root."""
 _WIDEST_MM = 3.0
-"""Maximum width of dirt; seams are 1 to 2 mm wide. Wider objects are ignored: a thick root is also dark in many
-views."""
+"""Maximum width of dirt, mm. Seams are 1 to 2 mm wide. Wider objects are ignored, because thick roots are also dark in
+many views."""
 _ALWAYS = 0.85
-"""Minimum fraction of the views of a place in which it is dark: one in seven may miss it due to pose errors and
-rounding. Elsewhere on the wall of a scan of 1.6 m of roots, the fraction was 0.1 to 0.4."""
+"""Minimum fraction of the views of a texel in which dirt is dark. One view in seven may miss the dirt due to pose
+errors and rounding. Elsewhere on the wall, the fraction was 0.1 to 0.4 in a scan with 1.6 m of roots."""
 _SHARPER = 0.15
-"""Minimum difference of this fraction between outside and inside: dust has 0.6 and more, nearly level scratches 0.3,
-and objects on the inside have less than 0."""
+"""Minimum difference, between the outer and the inner face, in the fraction of views in which a texel is dark. The
+difference is 0.6 or more for dust, 0.3 for nearly horizontal scratches, and negative for objects on the inside."""
 _STEEPEST = 0.2
-"""Maximum slope, in the water, of lines of sight from a camera 16 degrees above or below."""
+"""Maximum slope of lines of sight in the water, for a camera 16 degrees above or below the horizontal."""
 _AT_ONCE = 8
-"""Number of views whose maps are kept at once."""
+"""Number of views that are unrolled at once."""
 _ABOUT = 15
-"""Edge, in texels, of a place's surroundings: their median is not affected by a scratch or a seam of 4 mm."""
+"""Side of the square of surrounding texels whose median is compared with a texel. A scratch, or a seam of 4 mm, does
+not affect this median."""
 _LEAST_SHARE = 0.02
-"""Minimum fraction of views in which a place is dark, due to noise."""
+"""Minimum fraction of views in which a texel is assumed to be dark by chance, due to noise."""
 _NEVER = 10.0
-"""Expected number of texels on the whole wall that are dark by chance, as its inverse: 0.1 texels."""
+"""Inverse of the expected number of texels on the whole wall that are classified as dirt by chance (0.1 texels)."""
 _LEAST_VIEWS = 5
-"""Minimum number of views: at top and bottom, only views from near show a place, a sixth of a ring."""
+"""Minimum number of views of a texel. At the top and the bottom of the wall, a texel is shown only by the nearest
+views, which are a sixth of a ring."""
 
 
 def outer_face(optics: Optics, px_a_mm: float) -> Face:
-    """Return the outside in texels of about one pixel, as far up and down as lines of sight cross it."""
+    """Return the outer face of the wall, with texels of about one pixel.
+
+    The face extends above and below the water as far as lines of sight through the water cross it.
+    """
     return Face(1.0 / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm)
 
 
@@ -61,20 +67,20 @@ def detect_dirt(
     Parameters
     ----------
     opacity : dict of (H, W) float32 array
-        1 - image / backlight, by frame number; without films.
+        1 - picture / backlight, without films, keyed by frame number.
     usable : dict of (H, W) bool array
-        Masks of usable pixels.
+        Masks of usable pixels, keyed by frame number.
     views, optics : dict of View, Optics
-        Cameras and canister.
+        Cameras, keyed by frame number, and optics of the canister.
     face : Face
-        The outside, as returned by `outer_face`.
+        Outer face of the wall, as returned by `outer_face`.
     monitor : Monitor
-        Receives the progress, per view.
+        Receives progress messages for each view.
 
     Returns
     -------
     (rows, columns) bool array
-        Mask of dirty texels of the outside, dilated by one.
+        Mask of dirty texels on the outer face, dilated by one texel.
     """
     share, counted = {}, {}
     for outside in (False, True):
@@ -93,17 +99,18 @@ def detect_dirt(
     likely = (share[True] > _ALWAYS) & (share[True] > inside + _SHARPER)
     label, _ = ndimage.label(likely, structure=np.ones((3, 3), bool))
     sure = np.unique(label[likely & ~_chance_texels(share[True], counted[True])])
-    dirty = likely & np.isin(label, sure)  # a seam continues in front of a cluster
+    dirty = likely & np.isin(label, sure)  # includes the parts of a seam in front of a cluster
     ringed = np.concatenate([dirty[:, -1:], dirty, dirty[:, :1]], axis=1)
     return np.asarray(ndimage.binary_dilation(ringed, np.ones((3, 3), bool))[:, 1:-1])
 
 
 def _chance_texels(share: Image, number: Image) -> Mask:
-    """Return the texels (rows, columns) that may be dark in the observed number of views by chance, due to roots.
+    """Return the texels (rows, columns) that may be dark by chance in the observed fraction of views, due to roots.
 
-    Roots darken a place as often as its surroundings, and at least as often as the mean place, with probability p. The
-    probability that it is dark in a fraction q of n views is at most exp(-n (q log(q / p) + (1 - q) log((1 - q) / (1 -
-    p)))) (Chernoff bound); it must be small for the whole wall.
+    The probability p that roots darken a texel in a view is assumed to be that of its surroundings, and at least the
+    mean over the wall. The probability that the texel is dark in a fraction q of n views is then at most exp(-n (q
+    log(q / p) + (1 - q) log((1 - q) / (1 - p)))) (Chernoff bound). Dirt is detected only if this bound is small for the
+    whole wall.
     """
     about = cv2.medianBlur(np.round(255.0 * share).astype(np.uint8), _ABOUT) / 255.0
     enough = number >= _LEAST_VIEWS
@@ -116,9 +123,9 @@ def _chance_texels(share: Image, number: Image) -> Mask:
 def _dark_texels(
     opacity: dict[int, Image], usable: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, k: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the dark fraction of each texel's pixels (rows, columns) in a view, and whether the view shows it.
+    """Return the dark fraction of each texel's pixels (rows, columns) in a view, and the number of times it is shown.
 
-    The near and the far wall count as two views.
+    A texel on the near wall and a texel on the far wall count as two separate views.
     """
     rows, columns = face.shape(optics)
     wide = _wide_objects(opacity[k], face)
@@ -137,23 +144,23 @@ def _dark_texels(
 
 
 def hidden_pixels(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
-    """Return the pixels (H, W) that dirt on the outside hides, on the near or far wall.
+    """Return the pixels (H, W) that dirt on the near or far outer wall hides.
 
-    Pixels in front of a thick root are not affected.
+    Pixels in front of a thick root are not included.
 
     Parameters
     ----------
     opacity : (H, W) float32 array
         Opacity of the picture.
     dirty : (rows, columns) bool array
-        Mask of dirty texels of the outside.
+        Mask of dirty texels on the outer face.
     where, face : Crossings, Face
-        Crossings of the lines of sight with the outside.
+        Crossings of the lines of sight with the outer face, and the face.
     """
     return np.asarray((wall.sum_crossings(dirty.astype(np.float32), where) >= 0.5) & ~_wide_objects(opacity, face))
 
 
 def _wide_objects(opacity: Image, face: Face) -> Mask:
-    """Return the pixels (H, W) of objects wider than dirt."""
+    """Return the mask (H, W) of objects that are wider than dirt."""
     edge = 2 * round(0.5 * _WIDEST_MM / face.texel_mm) + 1
     return np.asarray(cv2.morphologyEx(opacity, cv2.MORPH_OPEN, np.ones((edge, edge), np.uint8)) > _DARK)

@@ -1,7 +1,8 @@
-"""Silhouettes: the fraction of each pixel that a root covers, and the signed distance to the outline in pixels.
+"""Silhouettes: the fraction of each pixel that roots cover, and the signed distance to the outline in pixels.
 
-There are two methods. ``coverage`` measures the covered fraction of each pixel relative to the empty backlight, with an
-outline that preserves the width of roots thinner than a pixel. ``thesis`` is the binary method of the thesis (T3.4.2).
+There are two methods. `measure` computes the covered fraction of each pixel relative to the empty backlight, so that
+the outline preserves the width of roots thinner than a pixel. `thesis` is the binary segmentation of the thesis
+(T3.4.2).
 """
 
 from __future__ import annotations
@@ -23,51 +24,57 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 UPSAMPLING = 2
-"""Samples of the distance map per pixel in each direction: half a pixel resolves outlines of roots down to about 0.6
-px."""
+"""Number of samples of a distance map per pixel, in each direction. A spacing of half a pixel resolves outlines of
+roots down to a width of about 0.6 px."""
 UNSEEN_PX = 1e7
-"""Value of a distance map at unusable pixels."""
+"""Value of a distance map at pixels that are not usable, px."""
 _BLUR_PX = 0.7
-"""Standard deviation of the blur before outlines are drawn; `outline_level` compensates for it at any width."""
+"""Standard deviation of the Gaussian blur before outlines are drawn, px. `outline_level` compensates for the blur at
+any width of the root."""
 _LEAST_SEEN = 1e-3
-"""Minimum weight of usable pixels in the neighbourhood of a pixel."""
+"""Minimum weight of usable pixels by which blurred coverage is normalised, to avoid division by zero."""
 _SILENT_PX = 4
-"""Upper bound of the reach of blur, interpolation and dilation."""
+"""Upper bound of the distance over which blur, interpolation and dilation affect a pixel, px."""
 _CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
-"""Opacity threshold, width of the square, and minimum number of pixels of resolved roots, whose own brightness is at
-most 0.3 (`translucency`). The median inside is 0.98 of the backlight with any threshold from 0.5 to 0.8
-(`printed_8ml`)."""
+"""Three parameters of the detection of resolved roots: the minimum opacity, the side of the square that must be opaque,
+px, and the minimum number of pixels. The brightness of roots is at most 0.3 (`translucency`). With any opacity
+threshold from 0.5 to 0.8, the median opacity inside resolved roots is 0.98 (`printed_8ml`)."""
 _NEAR_PX, _LEAST_NEAR = 13, 0.02
-"""Width of the square in which resolved roots define the local brightness of roots, which changes with the
-illumination, and minimum fraction of the square (three pixels)."""
+"""Two parameters of the local brightness of roots, which varies with the illumination. They are the side of the square
+in which resolved roots are averaged, px, and the minimum fraction of the square that resolved roots cover (three
+pixels)."""
 _LEAST_NOISE = 1e-4
-"""Minimum noise of opacity: ten times that of pictures without noise (1e-5, measured), and a fiftieth of a bench's."""
+"""Minimum noise of the opacity. The value is ten times the noise measured in pictures that were simulated without noise
+(1e-5), and a fiftieth of the noise on a bench."""
 _FLOOR = 0.1
-"""Minimum coverage of root."""
+"""Minimum coverage of pixels that show a root."""
 _LEAST_PARTIAL = 0.01
-"""Minimum fraction of partly covered pixels among covered ones if coverage was measured: a root as wide as a picture of
-1000 pixels has that many at its two edges, with or without 5 px of blur."""
+"""Minimum fraction of partly covered pixels, among covered pixels, in a silhouette with measured coverage. A root as
+wide as a picture of 1000 pixels has this fraction at its two edges, with or without a blur of 5 px."""
 
 
 @dataclass(frozen=True)
 class Silhouette:
-    """Silhouette of one view."""
+    """Silhouette of the roots in one view."""
 
     coverage: Image
-    """(H, W), 0 to 1: fraction of the pixel covered by root."""
+    """(H, W) fraction of each pixel that roots cover, 0 to 1."""
     usable: Mask
-    """(H, W): mask of usable pixels."""
+    """(H, W) mask of usable pixels."""
     opacity: NDArray[np.float16] | None = None
-    """(H, W), 0 to 1: light absorbed by roots, relative to an opaque root; None if the picture is a mask."""
+    """(H, W) light absorbed by roots, relative to an opaque root, 0 to 1; None if the picture is a mask."""
 
     @property
     def binary(self) -> bool:
-        """Return whether pixels are either root or background, so that the outline is only known to the pixel."""
+        """Return whether all pixels are either root or background.
+
+        The outline of such a silhouette is only accurate to one pixel.
+        """
         covered = self.coverage[self.usable & (self.coverage > 0.0)]
         return float(np.mean(covered < 1.0)) < _LEAST_PARTIAL if covered.size else False
 
     def cut(self, window: Window) -> Silhouette:
-        """Return the part within a window."""
+        """Crop the silhouette to a window."""
         (left, top), (width, height) = window.low_px, window.size_px
         part = np.s_[top : top + height, left : left + width]
         return Silhouette(self.coverage[part], self.usable[part], None if self.opacity is None else self.opacity[part])
@@ -75,18 +82,18 @@ class Silhouette:
 
 @dataclass(frozen=True)
 class Window:
-    """Rectangle of pixels, the same in all pictures."""
+    """Rectangle of pixels that is the same in all pictures."""
 
     low_px: tuple[int, int]
-    """First column and row."""
+    """First column and first row of the window."""
     size_px: tuple[int, int]
-    """Number of columns and rows."""
+    """Number of columns and rows of the window."""
 
     @staticmethod
     def around(silhouettes: Sequence[Silhouette]) -> Window:
-        """Return the window that contains the usable pixels of all pictures.
+        """Return the smallest window that contains the usable pixels of all silhouettes, with a margin.
 
-        It includes a margin of unusable pixels, unless limited by the border of the picture.
+        The margin consists of pixels that are not usable, and ends at the border of the picture.
         """
         usable = np.logical_or.reduce([silhouette.usable for silhouette in silhouettes])
         low, size = [], []
@@ -99,33 +106,35 @@ class Window:
 
 
 def opacity(image: Image, background: Image, usable: Mask) -> Image:
-    """Return the opacity (H, W): 0 at the empty backlight, 1 without light; 0 for unusable pixels.
+    """Return the opacity (H, W): 0 for the empty backlight, and 1 for a black pixel.
+
+    The opacity of pixels that are not usable is 0.
 
     Parameters
     ----------
     image, background : (H, W) float32 array
-        Linear grey in the same units.
+        Picture and empty backlight, linear in light, in the same units.
     usable : (H, W) bool array
-        Pixels with a usable background.
+        Mask of pixels whose background is usable.
     """
     return np.where(usable, 1.0 - image / np.where(usable, background, 1.0), 0.0).astype(np.float32)
 
 
 def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings(), *, own: float = 0.0) -> Silhouette:
-    """Measure the coverage by opaque roots: 0 at the empty backlight, 1 at the brightness of resolved root.
+    """Measure the coverage by opaque roots: 0 for the empty backlight, and 1 for the brightness of resolved roots.
 
     Parameters
     ----------
     opacity : (H, W) float32 array
-        As returned by `opacity`.
+        Opacity, as returned by the function `opacity`.
     usable : (H, W) bool array
-        Pixels with a usable background.
+        Mask of pixels whose background is usable.
     settings : CoverageSettings
         Thresholds for noise.
     own : float
-        Brightness of a root relative to the backlight, used if no root is wide enough to measure it.
+        Brightness of roots relative to the backlight, used if no root is wide enough for its brightness to be measured.
     """
-    # Front light makes roots brighter than black: the opacity inside resolved roots is full coverage there and nearby.
+    # Front light makes roots brighter than black, so the opacity inside resolved roots is that of full coverage nearby.
     core = cv2.erode((opacity > _CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & usable
     full = np.float32(np.median(opacity[core])) if core.sum() >= _LEAST_CORE else np.float32(1.0 - own)
     weight = cv2.boxFilter(core.astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
@@ -135,15 +144,15 @@ def measure(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageS
 
 
 def suppress_noise(coverage: Image, above: Mask, usable: Mask) -> Silhouette:
-    """Return a silhouette of coverage (H, W), with values at the noise level set to zero."""
+    """Create a silhouette from coverage (H, W), with the coverage at the noise level set to zero."""
     return Silhouette(np.clip(np.where(above & usable, coverage, 0.0), 0.0, 1.0).astype(np.float32), usable)
 
 
 def above_noise(opacity: Image, usable: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
-    """Return the pixels (H, W) whose surroundings (Gaussian of a pixel) are darker than the noise level.
+    """Return the mask (H, W) of pixels whose opacity, smoothed by a Gaussian of one pixel, exceeds the noise.
 
-    The noise is that of the empty backlight: the median absolute deviation of the smoothed opacity, most of which is
-    background.
+    The noise is that of the empty backlight. It is estimated by the median absolute deviation of the smoothed opacity,
+    because most pixels show the background.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     if not usable.any():
@@ -155,7 +164,10 @@ def above_noise(opacity: Image, usable: Mask, settings: CoverageSettings = Cover
 
 
 def thesis(image: Image, usable: Mask) -> Silhouette:
-    """Return the silhouette (H, W) of T3.4.2: Otsu threshold, hysteresis on Sobel edges, and opening."""
+    """Segment roots as in section T3.4.2 of the thesis; return a binary silhouette (H, W).
+
+    The method combines an Otsu threshold with a hysteresis threshold on Sobel edges, followed by morphological opening.
+    """
     if not usable.any():
         return Silhouette(np.zeros(image.shape, np.float32), usable)
     dark = image < filters.threshold_otsu(image[usable])
@@ -168,24 +180,25 @@ def thesis(image: Image, usable: Mask) -> Silhouette:
 
 
 def outline_level(peak: NDArray[np.floating]) -> Image:
-    """Return the level of blurred coverage at the edge of a band of any width, from the peak across it.
+    """Return the level of blurred coverage at the edge of a band of any width, from the peak across the band.
 
-    A band of half-width a, blurred by a Gaussian of width s, has the peak ``m = erf(a / (sqrt(2) s))`` and the value
-    ``erf(2 a / (sqrt(2) s)) / 2`` at its edge: ``t(m) = erf(2 erfinv(m)) / 2``, which is one half for a wide band.
+    Blurred by a Gaussian with the standard deviation s, a band of half-width a has the peak ``m = erf(a / (sqrt(2)
+    s))`` and the value ``erf(2 a / (sqrt(2) s)) / 2`` at its edge. The level is therefore ``t(m) = erf(2 erfinv(m)) /
+    2``, which is one half for a wide band.
     """
     m = np.clip(peak, 0.0, 1.0 - 1e-6)
     return (0.5 * erf(2.0 * erfinv(m))).astype(np.float32)
 
 
 _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
-"""Table of `outline_level`."""
+"""Values of `outline_level` for 1025 peaks from 0 to 1."""
 
 
 def blur_coverage(silhouette: Silhouette, sigma_px: float) -> Image:
-    """Return the coverage (H, W) blurred by a Gaussian over usable pixels only.
+    """Blur the coverage (H, W) by a Gaussian, using usable pixels only.
 
-    This is normalised convolution (Knutsson and Westin 1993). If unusable pixels counted as empty, a speck in front of
-    a thick root would have an outline.
+    This is a normalised convolution (Knutsson and Westin 1993). If pixels that are not usable were treated as empty, a
+    speck in front of a thick root would have an outline.
     """
     weight = cv2.GaussianBlur(silhouette.usable.astype(np.float32), (0, 0), sigma_px)
     covered = cv2.GaussianBlur(np.where(silhouette.usable, silhouette.coverage, np.float32(0.0)), (0, 0), sigma_px)
@@ -193,10 +206,11 @@ def blur_coverage(silhouette: Silhouette, sigma_px: float) -> Image:
 
 
 def signed_distance(silhouette: Silhouette) -> Image:
-    """Return the signed distance to the outline in pixels, positive inside, (2 H, 2 W) on the half-pixel grid.
+    """Return the signed distance (2 H, 2 W) to the outline on a half-pixel grid, px, positive inside.
 
-    At unusable pixels, and within a pixel of them, the value is `UNSEEN_PX`; elsewhere they count as inside. Sample (i,
-    j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
+    At pixels that are not usable, and within one pixel of them, the value is `UNSEEN_PX`. In the computation of other
+    distances, pixels that are not usable count as inside. Sample (i, j) lies at the pixel position ((j + 0.5) / 2 -
+    0.5, (i + 0.5) / 2 - 0.5).
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
     fine = cv2.resize(blur_coverage(silhouette, _BLUR_PX), size, interpolation=cv2.INTER_CUBIC)

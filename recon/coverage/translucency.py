@@ -1,14 +1,14 @@
 """Attenuation of roots, estimated from the pictures, and coverage of translucent roots.
 
-A root of chord c transmits ``exp(-mu c)`` of the light, in addition to its own brightness b relative to the backlight
-(front light), so that a round root of radius w has the opacity
+A root transmits the fraction ``exp(-mu c)`` of the light along a chord c. With front light, the root also has a
+brightness b of its own, relative to the backlight. A round root of radius w therefore has the opacity
 
     alpha(x) = (1 - b) (1 - exp(-2 mu sqrt(w^2 - x^2)))        at the distance x from its axis.
 
-Across a resolved root, mu and w affect the profile differently: that of an opaque root is a box, that of a translucent
-one is round, and fainter the thinner it is. mu is therefore fitted to the profiles of straight, lone bands. For a root
-thinner than a few pixels, pictures determine only its opacity summed across, A = integral of alpha; w follows from A
-and mu, and coverage is opacity times ``2 w / A``.
+In the profile across a resolved root, mu and w have different effects. The profile of an opaque root is a box. The
+profile of a translucent root is round, and fainter for thinner roots. mu is therefore fitted to the profiles of
+straight, lone roots. For roots thinner than a few pixels, the pictures determine only the opacity integrated across the
+root, A = integral of alpha. The radius w then follows from A and mu, and the coverage is the opacity times ``2 w / A``.
 """
 
 from __future__ import annotations
@@ -25,105 +25,114 @@ from rhizotwin.recon.coverage.silhouettes import Image, Mask
 Array = NDArray[np.float64]
 
 CLEARLY = 1.2
-"""Minimum ratio of residual variances, opaque to translucent, for roots to count as translucent.
+"""Minimum ratio of the residual variance with opaque roots to the residual variance with translucent roots for roots to
+be classified as translucent.
 
-An opaque plant of the twin has 1.03, translucent roots (2 per mm) have 1.4 to 3.3; random differences are smaller with
-hundreds of samples."""
+The ratio is 1.03 for an opaque plant of the twin, and 1.4 to 3.3 for translucent roots (2 per mm). Random deviations
+are smaller with hundreds of samples."""
 _REACH_PX, _STEP_PX = 14.0, 0.5
-"""Reach of profiles to each side, beyond the widest band and its flanks, and their step."""
+"""Two parameters of the sampled profiles: the half-length, which exceeds the half-width of the widest root plus its
+flanks, and the spacing of the samples, px."""
 _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
-"""Offsets of the samples across a band."""
+"""Offsets of the profile samples from the axis of the root, px."""
 _ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""Positions along a band over which it is averaged, and at which its profile must be constant (`_SAME`)."""
+"""Positions along a root at which profiles are sampled, px. The profiles are averaged, and must agree to within
+`_SAME`."""
 _SAME = 0.12
-"""Maximum standard deviation of opacity along one root: above the noise, and below the step at a crossing root."""
+"""Maximum standard deviation of the opacity between profiles of one root. The limit is above the noise, and below the
+step at a crossing root."""
 _WIDTH_PX = (4.0, 11.0)
-"""Range of full widths at half height that are fitted: narrower bands are mostly blur, and a selection would miss faint
-ones."""
+"""Minimum and maximum full width at half maximum of roots whose profiles are fitted, px. Narrower profiles are mostly
+blur, and their selection would be biased against faint roots."""
 _FLANK_PX = 1.7
-"""Distance beyond half the width at which a blur of 0.85 px has ended (two standard deviations)."""
+"""Distance outside the half-maximum at which a blur of 0.85 px has decayed (two standard deviations), px."""
 _EMPTY = 0.06
-"""Maximum opacity beside a lone band."""
+"""Maximum opacity beside a lone root."""
 _GOOD = (0.02, 0.04)
-"""Maximum root mean square residual of profiles of a lone root; the second value is used if too few pass the first. In
-a dense cluster of opaque roots, hardly any profile passes."""
+"""Two limits for the root mean square residual of a lone root's profile. The second limit is used if too few profiles
+satisfy the first. In a dense cluster of opaque roots, hardly any profile satisfies either limit."""
 _MOST = 3000
-"""Maximum number of places per view that are sampled."""
+"""Approximate maximum number of profiles that are sampled per view."""
 _A_BIN, _LEAST = 120, 30
-"""Maximum number of profiles per pixel of width, and minimum number for an estimate: a median of 30 is uncertain by a
-quarter of their spread."""
+"""Two limits for the number of profiles: the maximum number per pixel of width, and the minimum total number for an
+estimate. The median of 30 profiles has an uncertainty of a quarter of their standard deviation."""
 FAINTEST_LEARNED = 0.5
-"""Minimum attenuation in the search, 1/mm: an estimate at this value is a bound, not a measurement."""
+"""Minimum attenuation in the search, 1/mm. An estimate equal to this value is an upper bound and not a measurement."""
 _MU_PER_MM = np.concatenate([np.geomspace(FAINTEST_LEARNED, 8.0, 25), [16.0, 1e3]])
-"""Attenuations in the search: 12 % apart from faint to dark, then nearly opaque and opaque."""
+"""Attenuations in the search, 1/mm: steps of 12 % from faint to dark, followed by a nearly opaque and an opaque value.
+"""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
-"""Standard deviations of blur in the search, from that of the square pixel to a camera out of focus."""
+"""Standard deviations of the blur in the search, px, from that of the square pixel to that of a defocused camera."""
 _DARK, _STRAIGHT = 0.3, 0.8
-"""Minimum blurred opacity, and minimum coherence of the structure tensor, of sampled places: the axes of bands, away
-from crossings."""
+"""Two limits for the positions at which profiles are sampled: the minimum blurred opacity, and the minimum coherence of
+the structure tensor. Positions within these limits lie on the axes of roots, away from crossings."""
 _CORE = 0.6
-"""Minimum opacity inside a root that is wide enough to show its own brightness, which is less than 0.4."""
+"""Minimum opacity inside a root that is wide enough for its own brightness, which is below 0.4, to be measured."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
-"""Quantile of the brightness in the cores that defines the roots' own brightness, and its maximum; the minimum would be
-affected by noise."""
+"""Two parameters of the roots' own brightness: the quantile of the brightness inside wide roots, and the maximum. The
+minimum brightness would be affected by noise."""
 _RADII_PX = np.geomspace(1.0, 7.5, 80)
-"""Radii compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, with a margin for the effects of blur and
-translucency."""
+"""Radii of the model profiles, in steps of 2.6 %, px. The range is half of `_WIDTH_PX`, with a margin for the effects
+of blur and translucency."""
 _MOST_GAIN = 20.0
-"""Maximum gain: that of a root that absorbs a twentieth of the light."""
+"""Maximum gain, which is the ratio of coverage to opacity. The maximum is the gain of a root that absorbs a twentieth
+of the light."""
 _OWN = (0.0, 0.5, 1.0)
-"""Fractions of the brightness in the darkest cores that may be the roots' own brightness."""
+"""Candidates for the roots' own brightness, as fractions of the brightness inside the darkest wide roots."""
 _LONGEST_PX = 60.0
-"""Minimum length of objects that are used as roots."""
+"""Minimum extent of connected objects that are treated as roots, px."""
 _FINE = 16
-"""Samples per pixel of the bands with which profiles are compared."""
+"""Number of samples per pixel of the model profiles."""
 _PEAK_BLUR_PX = 1.0
-"""Standard deviation of the blur before the search for the nearby peak, to suppress noise of single pixels."""
+"""Standard deviation of the Gaussian blur that suppresses the noise of single pixels before the search for the peak
+opacity nearby, px."""
 _SIGMA_PX = 0.5
-"""Standard deviation of a picture's blur, including the square pixel, assumed for profiles."""
+"""Standard deviation of the pictures' blur, including the square pixel, that is assumed for model profiles, px."""
 _THINNEST_MM = 0.08
-"""Radius below which coverage is not increased any more, as it is noise."""
+"""Radius of roots below which the ratio of coverage to opacity is not increased further, mm. Thinner structures are
+noise."""
 
 
 @dataclass(frozen=True)
 class Hairs:
-    """Root hairs, modelled as a grey sleeve about every root."""
+    """Root hairs, modelled as a grey sleeve around every root."""
 
     length_mm: float
+    """Length of the hairs, which is the thickness of the sleeve, mm."""
     mu_per_mm: float
-    """Attenuation of the sleeve."""
+    """Attenuation of the sleeve, 1/mm."""
 
 
 @dataclass(frozen=True)
 class Attenuation:
-    """Appearance of roots in front of the backlight."""
+    """Optical properties of roots in front of the backlight."""
 
     own: float
-    """Brightness of a root itself, relative to the backlight."""
+    """Brightness of the root itself, relative to the backlight."""
     mu_per_mm: float | None
-    """Attenuation; None for opaque roots."""
+    """Attenuation of the roots, 1/mm; None for opaque roots."""
     profiles: int
     """Number of profiles used in the estimate."""
 
 
 def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenuation:
-    """Estimate the attenuation of roots from pictures of opacity.
+    """Estimate the attenuation and brightness of roots from the opacity of some views.
 
     Parameters
     ----------
     opacities : list of (H, W) float32 array
-        1 - image / backlight, of some views.
+        1 - picture / backlight of each view.
     usable : list of (H, W) bool array
-        Masks of usable pixels.
+        Masks of usable pixels of each view.
     px_a_mm : float
-        Scale across the canister's axis.
+        Scale of the pictures at the canister's axis, px/mm.
     """
     own, found = [np.zeros(0)], []
     for opacity, here in zip(opacities, usable, strict=True):
-        large = _large(opacity, here)
+        large = _large_objects(opacity, here)
         core = cv2.erode(((opacity > _CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         own.append(1.0 - opacity[core])
-        found.append(_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
+        found.append(_sample_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
     cores = np.concatenate(own)
     bright = float(np.clip(np.quantile(cores, _DARKEST_CORES), 0.0, _MOST_OWN)) if len(cores) else 0.0
     profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
@@ -131,8 +140,8 @@ def learn(opacities: list[Image], usable: list[Mask], px_a_mm: float) -> Attenua
     return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
 
 
-def _large(opacity: Image, usable: Mask) -> Mask:
-    """Return the pixels in and beside large connected objects."""
+def _large_objects(opacity: Image, usable: Mask) -> Mask:
+    """Return the mask (H, W) of pixels in and beside large connected objects."""
     dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & usable).astype(np.uint8)
     _, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
     large = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) > _LONGEST_PX
@@ -140,10 +149,10 @@ def _large(opacity: Image, usable: Mask) -> Mask:
     return np.asarray(cv2.dilate(large[label].astype(np.uint8), np.ones((7, 7), np.uint8)) > 0)
 
 
-def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
-    """Sample opacity across straight, lone bands.
+def _sample_profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
+    """Sample profiles of the opacity across straight, lone roots.
 
-    Return profiles (N, `_OFFSETS`) centred on the bands, and widths (N,) at half height.
+    Return the profiles (N, `_OFFSETS`), centred on the roots, and their full widths at half maximum (N,), px.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
@@ -159,7 +168,7 @@ def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     profile = sections.mean(axis=0)
     middle = len(_OFFSETS) // 2
     half = 0.5 * profile[:, middle - 1 : middle + 2].mean(axis=1)
-    right, left = _fall(profile[:, middle:], half), _fall(profile[:, middle::-1], half)
+    right, left = _find_fall(profile[:, middle:], half), _find_fall(profile[:, middle::-1], half)
     bounded = np.isfinite(right) & np.isfinite(left)
     right, left = np.where(bounded, right, 0.0), np.where(bounded, left, 0.0)
     width, shift = right + left, 0.5 * (right - left)
@@ -173,10 +182,10 @@ def _profiles(opacity: Image, usable: Mask) -> tuple[Array, Array]:
     return centred[lone], width[use][lone]
 
 
-def _fall(profile: Array, level: Array) -> Array:
-    """Return the distance (N,) from its beginning, in pixels, at which each profile (N, M) falls below a level (N,).
+def _find_fall(profile: Array, level: Array) -> Array:
+    """Return the distance (N,) from its start at which each profile (N, M) falls below a level (N,), px.
 
-    Infinite if it does not.
+    The distance is infinite if the profile does not fall below the level.
     """
     below = profile < level[:, None]
     first = np.maximum(np.argmax(below, axis=1), 1)
@@ -187,17 +196,17 @@ def _fall(profile: Array, level: Array) -> Array:
 
 
 def _balance_widths(width: Array) -> NDArray[np.int64]:
-    """Select profiles so that all widths have similar weight."""
+    """Select profiles such that all widths have similar weight; return their indices."""
     rng = np.random.default_rng(0)
     order = rng.permutation(len(width))
     bins = np.floor(width[order])
     return np.concatenate([order[:0]] + [order[bins == one][:_A_BIN] for one in np.unique(bins)])
 
 
-def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
-    """Return (offsets, opacity (N, len(offsets))) across round roots of given radii, blurred.
+def _model_profiles(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
+    """Return sample offsets (M,) and the opacity (N, M) across round roots of the given radii, blurred.
 
-    Their own brightness is not included.
+    The roots' own brightness is not included.
     """
     x = np.arange(-_REACH_PX * _FINE, _REACH_PX * _FINE + 1) / _FINE
     opacity = 1.0 - np.exp(-2.0 * mu_a_px * np.sqrt(np.maximum(radius_px[:, None] ** 2 - x**2, 0.0)))
@@ -205,7 +214,10 @@ def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Arr
 
 
 def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenuation:
-    """Return the attenuation that best explains the profiles; that of opaque roots if there are too few profiles."""
+    """Estimate the attenuation that best explains the profiles.
+
+    The roots are classified as opaque if there are too few profiles.
+    """
     opaque = Attenuation(bright, None, len(profiles))
     if len(profiles) < _LEAST:
         return opaque
@@ -215,7 +227,7 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
     own_2, count = (profiles**2 * window).sum(axis=1)[:, None], window.sum(axis=1)[:, None]
     for i, mu in enumerate(_MU_PER_MM):
         for j, blur_px in enumerate(_BLUR_PX):
-            band = _bands(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
+            band = _model_profiles(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
             cross, band_2 = (profiles * window) @ band.T, window @ (band**2).T
             for k, full in enumerate(1.0 - own):
                 cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * band_2) / count).min(axis=1)
@@ -226,13 +238,16 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
         return opaque
     typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
     i, k = divmod(int(np.argmin(typical)), len(own))
-    mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
+    mu = _parabola_minimum(_MU_PER_MM, typical.min(axis=1), i)
     is_translucent = typical[-1].min() > CLEARLY * typical.min()
     return Attenuation(float(own[k]), mu, int(good.sum())) if is_translucent else Attenuation(bright, None, int(good.sum()))
 
 
-def _vertex(at: Array, cost: Array, best: int) -> float:
-    """Return the minimum of the parabola, in log ``at``, through the smallest of some costs (N,) and its neighbours."""
+def _parabola_minimum(at: Array, cost: Array, best: int) -> float:
+    """Return the position of the minimum of a parabola in log ``at`` through the smallest cost and its neighbours.
+
+    ``cost`` has the shape (N,).
+    """
     if best in (0, len(at) - 1):
         return float(at[best])
     a, b, c = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)
@@ -241,28 +256,28 @@ def _vertex(at: Array, cost: Array, best: int) -> float:
 
 
 def translucent_coverage(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
-    """Return the coverage of translucent roots from their opacity, both (H, W).
+    """Convert the opacity of translucent roots to coverage, both (H, W).
 
-    The gain is that of a straight round root with the same peak of blurred opacity nearby, chosen so that the coverage
-    of that root, at most 1, sums to its diameter.
+    The opacity is multiplied by the gain of a straight round root with the same peak of blurred opacity nearby. The
+    gain is chosen such that the coverage of this root, which is at most 1, sums to its diameter.
     """
     if attenuation.mu_per_mm is None:
-        raise ValueError(f"{attenuation=} is that of opaque roots")
-    peaks, gains = _gains(attenuation.mu_per_mm, px_a_mm)
+        raise ValueError(f"{attenuation=} must be that of translucent roots")
+    peaks, gains = _tabulate_gains(attenuation.mu_per_mm, px_a_mm)
     clear = np.clip(opacity / np.float32(1.0 - attenuation.own), 0.0, 1.0).astype(np.float32)
     peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
     return np.minimum(clear * np.interp(peak, peaks, gains), 1.0).astype(np.float32)
 
 
-def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
-    """Tabulate the peaks of blurred opacity of round roots, and the gains, both (N,).
+def _tabulate_gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
+    """Tabulate the peaks (N,) of the blurred opacity of round roots, and the corresponding gains (N,).
 
-    With these gains, the coverage of a root sums to its diameter.
+    Multiplied by the gain, the opacity across a root sums to its diameter.
     """
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]
-    x, sharp = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
-    _, smooth = _bands(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
+    x, sharp = _model_profiles(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
+    _, smooth = _model_profiles(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
     low, high = np.ones(len(radii)), np.full(len(radii), _MOST_GAIN)
     for _ in range(40):  # bisection
         gain = 0.5 * (low + high)

@@ -1,9 +1,10 @@
 """Fouling of the canister's inner wall: detection and removal of algae films and bubbles.
 
 Every line of sight crosses the wall twice. When the views of a turn are unrolled onto the wall, objects on the wall
-remain in place while roots inside move; the optical depth of the wall is therefore that of most views of a place. Films
-are broad and faint: their absorption is removed from the pictures. Bubbles are small, round and dark-rimmed: the pixels
-they cover are not usable. Thin, long objects remain: they are roots on the wall.
+remain in place, whereas roots inside the canister move. The optical depth of the wall is therefore the depth that most
+views of a position agree on. Films are broad and faint, and their absorption is removed from the pictures. Bubbles are
+small, round and dark-rimmed, and the pixels that they cover are not usable. Thin, long objects are retained, because
+they are roots on the wall.
 """
 
 from __future__ import annotations
@@ -25,44 +26,50 @@ from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes.monitor import Monitor
 
 _TEXEL_MM = 1.0
-"""Edge of a texel, a few sampled pixels (`_COLUMNS`), so that each view averages several."""
+"""Edge length of a texel of the unrolled wall, mm. A texel spans a few sampled pixels (`_COLUMNS`), which are averaged
+in each view."""
 _STEP = 8
-"""Lines of sight are computed for one pixel in this many in each direction, and interpolated."""
+"""Spacing of the pixels in both directions for which lines of sight are computed, px. Other pixels are interpolated."""
 _COLUMNS = 400
-"""Number of sampled columns of a picture, with rows in proportion: still a few pixels per texel."""
+"""Number of sampled columns of a picture, with a few pixels per texel. The rows are sampled with the same spacing."""
 _QUANTILE = 0.35
-"""Quantile over the views of a place: roots cover it in fewer views than not."""
+"""Quantile of the optical depth, over the views of a texel, that is used as the optical depth of the wall. Roots cover
+a texel in less than half of the views."""
 _LEAST_VIEWS = 5
-"""Minimum number of views of a place: with three views or fewer, the quantile is the minimum."""
+"""Minimum number of views of a texel. With three views or fewer, the quantile is the minimum."""
 _NARROWEST_TEXELS = 4
-"""Minimum width of a film, in texels; roots on the wall are thinner."""
+"""Minimum width of a film, in texels. Roots on the wall are thinner."""
 _WIDEST_BUBBLE_MM = 5.0
-"""Maximum diameter of a bubble, two capillary lengths of water (2.7 mm): larger bubbles do not adhere to a wall."""
+"""Maximum diameter of a bubble, mm. The value is about two capillary lengths of water (2.7 mm). Larger bubbles do not
+adhere to a wall."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
-"""Maximum optical depth of the ring around a bubble, and minimum number of views with a clear ring."""
+"""Two parameters of the bubble test: the maximum optical depth of the ring around a bubble, and the minimum number of
+views in which the ring does not exceed it."""
 _OPAQUE = 0.98
-"""Maximum opacity, so that optical depths are finite (3.9)."""
+"""Maximum opacity from which the optical depth is computed, so that the optical depth is finite (3.9)."""
 _ROUNDS = 2
-"""Number of rounds: the first ignores the film on the opposite side, the second subtracts it."""
+"""Number of iterations of the film estimate. The first iteration ignores the film on the opposite wall, and the second
+subtracts it."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Texel coordinates where a view's lines of sight cross the near and the far wall."""
+    """Texel coordinates at which a view's lines of sight cross the near and the far wall."""
 
     coarse: Image
-    """(2, 2, h, w) sides, columns and rows, for one pixel in `_STEP` in each direction: full resolution would need more
-    memory than all pictures."""
+    """(2, 2, h, w) texel coordinates on a coarse pixel grid with a spacing of `_STEP`. The axes are near and far wall,
+    column and row, grid rows, and grid columns. Full resolution would need more memory than all pictures."""
     image_wh: tuple[int, int]
+    """Width and height of the picture, px."""
 
     @property
     def column(self) -> tuple[Image, Image]:
-        """Return the column coordinates (H, W) of every pixel, near and far."""
+        """Return the texel columns (H, W) of every pixel on the near and the far wall."""
         return self._upsample(0)
 
     @property
     def row(self) -> tuple[Image, Image]:
-        """Return the row coordinates (H, W) of every pixel, near and far."""
+        """Return the texel rows (H, W) of every pixel on the near and the far wall."""
         return self._upsample(1)
 
     def _upsample(self, axis: int) -> tuple[Image, Image]:
@@ -72,42 +79,44 @@ class Crossings:
 
 @dataclass(frozen=True)
 class Wall:
-    """Unrolled inner wall, in texels of about `_TEXEL_MM`.
+    """Films and bubbles on the unrolled inner wall, in texels of about `_TEXEL_MM`.
 
-    Row 0 is at the top of the water, column 0 at azimuth 0.
+    Row 0 is at the top of the water, and column 0 at azimuth 0.
     """
 
     film: Image
-    """(rows, columns) optical depth."""
+    """(rows, columns) optical depth of the films."""
     bubbles: Mask
-    """(rows, columns)"""
+    """(rows, columns) mask of bubbles."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """One of the two faces of the wall, unrolled."""
+    """Unrolled inner or outer face of the wall."""
 
     texel_mm: float
-    """Approximate edge of a texel."""
+    """Approximate edge length of a texel, mm."""
     outside: bool
+    """Whether this is the outer face."""
     beyond_mm: float = 0.0
-    """Extent above the water and below its floor that lines of sight cross on their way into the water."""
+    """Height by which the face extends above the water surface and below the canister's floor, mm. Lines of sight
+    through the water may cross the outer face there."""
 
     def shape(self, optics: Optics) -> tuple[int, int]:
-        """Return the number of rows and columns of texels."""
+        """Return the number of texel rows and columns."""
         radius_mm = optics.outer_radius_mm if self.outside else optics.inner_radius_mm
         rows = max(1, round((optics.water_z_mm - optics.floor_z_mm + 2.0 * self.beyond_mm) / self.texel_mm))
         return rows, max(8, round(2.0 * np.pi * radius_mm / self.texel_mm))
 
 
 INSIDE = Face(_TEXEL_MM, outside=False)
-"""The face with films and bubbles."""
+"""Inner face of the wall, which bears films and bubbles."""
 
 
 def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
-    """Compute where a view's pixels cross a face of the wall, near and far.
+    """Compute the texel coordinates at which a view's lines of sight cross a face of the wall, near and far.
 
-    For pixels that miss the water, the coordinates are undefined.
+    The coordinates are undefined for pixels whose line of sight misses the water.
     """
     lines = CoarseLines.compute(view, optics, step=_STEP, beyond=True)
     outer = refraction.clip_to_water(optics, lines.line)
@@ -119,7 +128,7 @@ def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
     if face.outside:
         at_mm = np.sqrt(optics.outer_radius_mm**2 - outer.b_mm**2)
         near, near_z = outer.b_mm[:, None] * outer.nu - at_mm[:, None] * outer.t, line.outer_z_mm
-    # The way out mirrors the way in, about the middle of the path in the water.
+    # The path out of the canister mirrors the path in, about the middle of the path in the water.
     far = near - 2.0 * (near * line.t).sum(axis=1, keepdims=True) * line.t
     far_z = 2.0 * (line.entry_z_mm + line.slope * half) - near_z
     found = []
@@ -133,9 +142,9 @@ def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
 
 
 def look_up(panorama: Image, column: Image, row: Image) -> Image:
-    """Interpolate the unrolled wall (rows, columns) at texel coordinates (H, W).
+    """Interpolate an unrolled wall (rows, columns) at texel coordinates (H, W).
 
-    Columns are periodic; rows are clamped.
+    Columns are periodic, and rows are clamped.
     """
     ringed = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1)
     around = np.mod(column, np.float32(panorama.shape[1])) + np.float32(1.0)
@@ -143,7 +152,7 @@ def look_up(panorama: Image, column: Image, row: Image) -> Image:
 
 
 def sum_crossings(panorama: Image, where: Crossings) -> Image:
-    """Return the sum of an unrolled wall (rows, columns) at the two crossings of each line of sight (H, W)."""
+    """Return the sum of an unrolled wall's values (rows, columns) at the two crossings of each pixel (H, W)."""
     near, far = (look_up(panorama, *at) for at in zip(where.column, where.row, strict=True))
     return np.asarray(near + far)
 
@@ -156,20 +165,20 @@ def detect_fouling(
     monitor: Monitor,
     settings: CoverageSettings = CoverageSettings(),
 ) -> Wall:
-    """Detect the films and bubbles on the wall.
+    """Detect films and bubbles on the inner wall.
 
     Parameters
     ----------
     opacity : dict of (H, W) float32 array
-        1 - image / backlight, by frame number.
+        1 - picture / backlight, keyed by frame number.
     usable : dict of (H, W) bool array
-        Masks of usable pixels.
+        Masks of usable pixels, keyed by frame number.
     where : dict of Crossings
-        Crossings of each view with the wall.
+        Crossings of each view's lines of sight with the wall, keyed by frame number.
     optics : Optics
         Radii and heights of the canister.
     monitor : Monitor
-        Receives the progress, per view.
+        Receives progress messages for each view.
     settings : CoverageSettings
         Thresholds for films and bubbles.
     """
@@ -183,7 +192,7 @@ def detect_fouling(
     for _ in range(_ROUNDS):
         views = np.concatenate(monitor.each(partial(_mean_depth, places, depth, film), "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
-        # Roots on the wall are not film, nor is the remainder of their fringe after the opening.
+        # Roots on the wall are not film, and neither are their fringes that remain after the opening.
         faint = np.where(dark > settings.film_most, 0.0, dark)
         broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
         broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening makes the edges square
@@ -192,7 +201,10 @@ def detect_fouling(
 
 
 def _texels(where: Crossings, usable: Mask, sampled: tuple[slice, slice], size: tuple[int, int]) -> NDArray[np.int32]:
-    """Return the texels (2, h, w) of a view's sampled pixels, near and far; -1 for unusable pixels."""
+    """Return the flat texel indices (2, h, w) of a view's sampled pixels on the near and far wall.
+
+    The index of pixels that are not usable is -1.
+    """
     rows, columns = size
     sides = []
     for near_or_far in zip(where.row, where.column, strict=True):
@@ -203,9 +215,9 @@ def _texels(where: Crossings, usable: Mask, sampled: tuple[slice, slice], size: 
 
 
 def _mean_depth(places: dict[int, NDArray[np.int32]], depth: dict[int, Image], film: Image, k: int) -> Image:
-    """Return the mean optical depth (2, texels) in view ``k``, with the film on the opposite side subtracted.
+    """Return the mean optical depth (2, texels) in view ``k``, with the film on the opposite wall subtracted.
 
-    NaN for texels that the view does not show.
+    The depth is NaN for texels that the view does not show.
     """
     sides = []
     for side in (0, 1):
@@ -219,7 +231,7 @@ def _mean_depth(places: dict[int, NDArray[np.int32]], depth: dict[int, Image], f
 
 
 def _quantile(observed: Image) -> Image:
-    """Return the quantile (N,) of observations (V, N) at each place; 0 with too few views."""
+    """Return the quantile `_QUANTILE` (N,) of observations (V, N) of each texel; 0 if there are too few views."""
     ordered = np.sort(observed, axis=0)  # NaN last
     number = np.isfinite(ordered).sum(axis=0)
     rank = (_QUANTILE * np.maximum(number - 1, 0)).astype(np.int64)
@@ -227,11 +239,11 @@ def _quantile(observed: Image) -> Image:
 
 
 def _bubbles(dark: Image, views: Image, least: float) -> Mask:
-    """Return the small isolated dark spots of the unrolled wall (rows, columns), dilated by one texel.
+    """Return the mask (rows, columns) of small isolated dark spots on the unrolled wall, dilated by one texel.
 
-    A root that touches the wall continues from there in every view (V, rows, columns), so that no view shows a clear
-    ring around the place. A place that is dark because of a cluster of roots inside is as clear as its ring in those
-    views that do not show the cluster.
+    A root that touches the wall extends beyond the spot in every view (V, rows, columns), so no view shows a clear ring
+    around the spot. If a texel is dark because of a cluster of roots inside the canister, it is as clear as its ring in
+    views that do not show the cluster in front of it.
     """
     rows, columns = dark.shape
     square = np.ones((3, 3), bool)
@@ -256,7 +268,7 @@ def _bubbles(dark: Image, views: Image, least: float) -> Mask:
 
 
 def remove_fouling(opacity: Image, usable: Mask, where: Crossings, wall: Wall) -> tuple[Image, Mask]:
-    """Return a picture's opacity (H, W) without films, and the pixels that bubbles do not hide.
+    """Remove films from the opacity of a picture, and pixels that bubbles hide from the mask of usable pixels.
 
     Parameters
     ----------
@@ -265,14 +277,14 @@ def remove_fouling(opacity: Image, usable: Mask, where: Crossings, wall: Wall) -
     usable : (H, W) bool array
         Mask of usable pixels.
     where : Crossings
-        Crossings of the pixels with the wall.
+        Crossings of the picture's lines of sight with the wall.
     wall : Wall
-        Films and bubbles.
+        Films and bubbles on the wall.
 
     Returns
     -------
     (H, W) float32 array, (H, W) bool array
-        Opacity, and mask of usable pixels.
+        Opacity without films, and mask of usable pixels.
     """
     free = 1.0 - (1.0 - opacity) * np.exp(sum_crossings(wall.film, where))
     return np.where(usable, free, 0.0).astype(np.float32), usable & (sum_crossings(wall.bubbles.astype(np.float32), where) < 0.5)

@@ -1,6 +1,6 @@
-"""Views of the canister: a camera with its pose, back-projection of pixels, and projection of points through the water.
+"""Views of the canister: camera poses, back-projection of pixels, and projection of points through the water.
 
-This is the float64 reference.
+This module is the float64 reference of the kernels in `recon.optics.projection`.
 """
 
 from dataclasses import dataclass, replace
@@ -16,54 +16,60 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
 Sway = tuple[float, float, float]
-"""Displacement of the roots per mm of depth below the net pot: shift in x and y, mm, and rotation about z, rad, all in
-the canister's frame."""
+"""Displacement of the roots per mm of depth below the net pot, in the canister frame: shift in x and y, mm/mm, and
+rotation about z, rad/mm."""
 STILL: Sway = (0.0, 0.0, 0.0)
-"""No sway."""
+"""Sway of static roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A camera with its pose at the time of a picture."""
+    """Camera and pose of one picture."""
 
     camera: Camera
+    """Lens and image size of the camera."""
     cam_from_canister: Array
+    """(4, 4) pose of the camera in the canister frame, mm, OpenCV axes."""
     cam_from_tank: Array | None = None
-    """(4, 4) pose of the tank, whose frame is the rig's, rotated with the tank; None: there is no tank."""
+    """(4, 4) pose of the camera in the tank's frame, mm; None if there is no tank. The tank's frame is the rig's frame
+    rotated with the tank."""
     sway: Sway = STILL
     """Displacement of the roots in this picture."""
 
     def move_camera(self, motion: Array) -> "View":
-        """Return the view of a camera moved by a rigid motion (4, 4) in its own frame; the canister is fixed."""
+        """Return the view after a rigid motion (4, 4) of the camera in the camera's frame.
+
+        The canister and the tank do not move.
+        """
         tank = None if self.cam_from_tank is None else motion @ self.cam_from_tank
         return replace(self, cam_from_canister=motion @ self.cam_from_canister, cam_from_tank=tank)
 
     @property
     def centre_mm(self) -> Array:
-        """Camera centre (3,) in the canister frame."""
+        """Return the camera centre (3,) in the canister frame, mm."""
         return frames.invert(self.cam_from_canister)[:3, 3]
 
     @property
     def rho_mm(self) -> float:
-        """Horizontal distance of the camera from the canister's axis."""
+        """Return the horizontal distance of the camera from the canister's axis, mm."""
         return float(np.hypot(*self.centre_mm[:2]))
 
     @property
     def azimuth_from_canister(self) -> Array:
-        """4x4 rotation about z that moves the camera's centre to (rho, 0, z)."""
+        """Return the rotation (4, 4) about z that moves the camera centre to (rho, 0, z)."""
         x, y, _ = self.centre_mm
         return frames.rotation_z(-float(np.arctan2(y, x)))
 
 
 def apply_sway(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return the positions of points (N, 3) of the roots, canister frame, mm, in a view, with its sway."""
+    """Displace points (N, 3) of the roots by the sway of a view; points are in the canister frame, mm."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
 
 
 def sway_jacobian(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return the derivative (N, 3, 3) of `apply_sway` by the points (N, 3)."""
+    """Return the derivatives (N, 3, 3) of `apply_sway` with respect to the points (N, 3)."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     found = np.tile(np.eye(3), (len(points_mm), 1, 1))
@@ -73,13 +79,16 @@ def sway_jacobian(view: View, optics: Optics, points_mm: Array) -> Array:
 
 
 def matrix(camera: Camera) -> Array:
-    """Return the 3x3 OpenCV camera matrix."""
+    """Return the OpenCV camera matrix (3, 3)."""
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def camera_directions(camera: Camera, px: Array) -> Array:
-    """Return unit directions (N, 3) in the camera's frame of pixels (N, 2), lens distortion inverted to 1e-10."""
+    """Return the unit directions (N, 3) of pixels (N, 2) in the camera's frame, without lens distortion.
+
+    The lens distortion is inverted to 1e-10.
+    """
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
     flat = np.ascontiguousarray(px, np.float64).reshape(-1, 1, 2)
     undone = cv2.undistortPoints(flat, matrix(camera), np.array(camera.distortion), criteria=criteria).reshape(-1, 2)
@@ -88,19 +97,19 @@ def camera_directions(camera: Camera, px: Array) -> Array:
 
 
 def to_azimuth(view: View, directions: Array) -> Array:
-    """Rotate directions (N, 3) from the camera's frame into the azimuth frame."""
+    """Rotate directions (N, 3) from the camera's frame to the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)
     return np.asarray(directions @ azimuth_from_cam[:3, :3].T)
 
 
 def direction_pixels(view: View, directions: Array) -> Array:
-    """Return the pixels (..., 2) of directions (..., 3) in the azimuth frame; NaN behind the camera."""
+    """Project directions (..., 3) in the azimuth frame to pixels (..., 2); NaN behind the camera."""
     cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
     return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
 
 
 def cam_pixels(camera: Camera, cam: Array) -> Array:
-    """Return the pixels (..., 2) of directions (..., 3) in the camera's frame; NaN behind the camera."""
+    """Project directions (..., 3) in the camera's frame to pixels (..., 2); NaN behind the camera."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.where(cam[..., 2] > 0, cam[..., 0] / cam[..., 2], np.nan), cam[..., 1] / cam[..., 2]
     k1, k2, p1, p2, k3 = camera.distortion
@@ -113,20 +122,20 @@ def cam_pixels(camera: Camera, cam: Array) -> Array:
 
 
 def tank_pose(view: View) -> Array:
-    """Return the pose of the tank relative to a view's camera (4, 4).
+    """Return the pose (4, 4) of the tank relative to a view's camera.
 
     Raises
     ------
     ValueError
-        If it is unknown.
+        If the pose is unknown.
     """
     if view.cam_from_tank is None:
-        raise ValueError(f"{view.cam_from_tank=} but expected a pose: the scene has a tank")
+        raise ValueError(f"{view.cam_from_tank=} but expected a pose, because the scene has a tank")
     return view.cam_from_tank
 
 
 def tank_view(view: View, optics: Optics) -> TankView:
-    """Return the geometry of a view through the tank of the given optics."""
+    """Return the relative poses of camera, tank and canister in a view."""
     if optics.tank is None:
         raise ValueError(f"{optics.tank=} but expected a tank")
     cam_from_tank = tank_pose(view)
@@ -139,14 +148,14 @@ def tank_view(view: View, optics: Optics) -> TankView:
 
 
 def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, NDArray[np.bool_]]:
-    """Compute rays (N, 3), camera's frame, up to the canister.
+    """Trace rays (N, 3), given in the camera's frame, up to the canister.
 
     Returns
     -------
     line : Approach
-        Lines in the azimuth frame.
+        Lines of sight in the azimuth frame.
     through : (N,) bool array
-        Whether they pass through a tank's front below the liquid's surface; without a tank, always true.
+        Whether each ray passes through a tank's front below the liquid's surface; always true without a tank.
     """
     if optics.tank is not None:
         at = tank_view(view, optics)
@@ -159,23 +168,23 @@ def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, N
 
 
 def length_behind_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
-    """Return the horizontal length (...) of lines from the canister's outer wall to the inside of a tank's back.
+    """Return the horizontal length of lines from the canister's outer wall to the inside of a tank's back wall.
 
     Parameters
     ----------
     view, optics : View, Optics
-        Camera, and the tank.
+        Camera and pose of the view, and optics with a tank.
     near, line : Approach, refraction.WaterLine
-        Lines of sight before the canister and in the water.
+        Lines of sight in front of the canister and in the water.
 
     Returns
     -------
     (...) array
-        mm.
+        Length, mm.
     """
     at = tank_view(view, optics)
     tank_from_azimuth = frames.invert(at.azimuth_from_tank)
-    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out mirrors the way in
+    heading = 2.0 * line.heading_rad - near.heading_rad  # the path out mirrors the path in
     t = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     nu = np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
     leave = near.b_mm[..., None] * nu + np.sqrt(optics.outer_radius_mm**2 - near.b_mm**2)[..., None] * t
@@ -184,14 +193,14 @@ def length_behind_canister(view: View, optics: Optics, near: Approach, line: ref
 
 
 def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.WaterLine, NDArray[np.bool_]]:
-    """Compute the lines of sight of pixels (N, 2) in the water.
+    """Trace the lines of sight of pixels (N, 2) into the water.
 
     Returns
     -------
     line : WaterLine
-        Lines of sight in the azimuth frame, NaN for rays that miss.
+        Lines of sight in the azimuth frame; NaN for rays that miss the water.
     enters : (N,) bool array
-        Whether the ray enters the water through the wall.
+        Whether each ray enters the water through the wall.
     """
     near, through = approach(view, optics, camera_directions(view.camera, px))
     inside = through & refraction.reaches_water(optics, near)
@@ -200,17 +209,19 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
 
 
 def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Project points in the water into a view, with all images; through a tank, that of `project_through_tank`.
+    """Project points in the water into a view, and find all images of each point.
+
+    Through a tank, only the image of `project_through_tank` is found.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        Points in the canister frame, inside the water's radius.
+        Points in the canister frame, mm, within the radius of the water.
 
     Returns
     -------
     px : (N, 3, 2) float64 array
-        Pixels of up to three images, NaN where there are fewer.
+        Pixels of up to three images; NaN for missing images.
     count : (N,) int64 array
         Number of images; 0 where the view is blind.
     """
@@ -223,9 +234,9 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Project points (N, 3) in the water that a view shows once, fast.
+    """Project points (N, 3) in the water that have one image in a view; return pixels (N, 2).
 
-    Return pixels (N, 2), NaN for points far from the axis and for invisible ones.
+    This function is faster than `project`. The pixels are NaN for points far from the axis, and for invisible points.
     """
     if optics.tank is not None:
         return project_through_tank(view, optics, points_mm)[0]
@@ -235,21 +246,22 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
 
 
 def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Project points in the water through a tank's front and the canister's wall, with the Jacobian.
+    """Project points in the water through a tank's front and the canister's wall, with derivatives.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        Points in the canister's frame, inside the water's radius.
+        Points in the canister frame, mm, within the radius of the water.
 
     Returns
     -------
     px : (N, 2) float64 array
         Pixels; NaN for invisible points.
     visible : (N,) bool array
-        Whether the point is visible.
+        Whether each point is visible.
     jacobian : (N, 2, 3) float64 array
-        Derivatives of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
+        Derivatives of the pixels with respect to the points, px/mm, from the implicit function theorem: ``dq =
+        -(df/dq)^-1 df/dP``.
     """
     at = tank_view(view, optics)
     points = frames.apply(view.azimuth_from_canister, apply_sway(view, optics, points_mm))
@@ -259,7 +271,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     )
     slopes = tank.slopes(lambda trial: tank.miss(at, points, trial), q)
     line, _ = tank.trace(at, q[:, 0], q[:, 1])
-    # f1 = P . nu - b and f2 = entry + slope (P . t + ...) - P_z: their derivatives by P
+    # f1 = P . nu - b and f2 = entry + slope (P . t + ...) - P_z, with their derivatives with respect to P
     by_point = np.zeros((len(q), 2, 3))
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)
@@ -268,7 +280,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
 
 
 def _pixels(view: View, q: Array) -> Array:
-    """Return the pixels (N, 2) of rays given by their components along the tank's front."""
+    """Return the pixels (N, 2) of rays that are given by their components q (N, 2) along the tank's front."""
     with np.errstate(invalid="ignore"):
         direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
     return cam_pixels(view.camera, direction @ tank_pose(view)[:3, :3].T)

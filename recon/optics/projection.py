@@ -1,14 +1,15 @@
-"""Projection of points in the water through the canister into many views: the fast kernel (Dr.Jit, float32).
+"""Projection of points in the water through the canister into many views, as a fast kernel (Dr.Jit, float32).
 
-The mathematics and symbols are those of `recon.optics.refraction`; the two equations of a projection,
+The mathematics and symbols are those of `recon.optics.refraction`. The two equations of a projection,
 
     f1 = P . nu - b_w = 0                                               the point lies beside the line
     f2 = z_entry + p_z / h_w (P . t + sqrt(R_i^2 - b_w^2)) - P_z = 0    and at its height
 
-are solved for (b_a, p_z) by Newton's method with the analytic Jacobian, started from a small table per view. Points
-that a view does not show, or shows twice (the water is a lens), are treated alike: the view gives no information about
-them. Through a tank's front the unknowns are the components (q_y, q_z) of the ray along it (`recon.optics.tank`), from
-which `optics.window` computes the line in the liquid; from the canister's wall on, the equations are the same.
+are solved for (b_a, p_z) by Newton's method with the analytic Jacobian. The initial values are taken from a small table
+per view. The water acts as a lens, and may show a point twice. Points that a view shows twice are treated like points
+that it does not show, that is, the view provides no information about them. Through a tank's front, the unknowns are
+the components (q_y, q_z) of the ray along the front (`recon.optics.tank`), from which `optics.window` computes the line
+in the liquid. From the canister's wall on, the equations are the same.
 """
 
 from __future__ import annotations
@@ -29,46 +30,54 @@ from rhizotwin.recon.optics.window import Place
 from rhizotwin.scenes import frames
 
 _PARAMETERS = 40
-"""Number of parameters per view, a multiple of four."""
+"""Number of kernel parameters per view, which must be a multiple of four."""
 _PRINCIPAL = slice(15, 17)
-"""Index of the principal point among them, px."""
+"""Indices of the principal point, px, in a view's parameters."""
 _IN_OPEN, _SWAY = 24, 36
-"""Number of parameters used without a tank, and index of the first sway parameter."""
+"""Two constants of the parameter layout: the number of kernel parameters that are used without a tank, and the index of
+the first sway parameter."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
-"""Newton steps without a tank, and through a tank, whose rays have no symmetry to start from. A point is invisible if
-these steps do not reach it to within `NEAR_MM`: a thousandth of a bench's pixel (0.23 mm), and ten times the spacing of
-single precision at the camera's distance (3e-5 mm from 256 to 512 mm)."""
+"""Three constants of the solver: the number of Newton steps without a tank, the number of Newton steps through a tank,
+and the tolerance of the rays, mm. Rays through a tank have no symmetry from which an initial value could be computed,
+and need more steps. A point is invisible if its ray does not reach it within the tolerance, which is a thousandth of a
+bench's pixel (0.23 mm), and ten times the spacing of single-precision numbers at the camera's distance (3e-5 mm from
+256 to 512 mm)."""
 _FLANK, _STEEPEST = 0.9995, 0.98
-"""Upper bounds of the impact parameter and the climb, relative to their limits, where slopes are infinite."""
+"""Upper bounds of a ray's impact parameter and vertical component in Newton's method, relative to their limits, at
+which derivatives are infinite."""
 _TABLE_MM = 0.2, 2.0
-"""Cameras whose distances from the axis and heights differ by less share a start table, and so do tanks with a similar
-pose (relative to the movement at the wall); Newton's steps compensate."""
+"""Two tolerances within which views share a start table, mm: one for the camera's distance from the axis, and one for
+its height. Tanks with similar poses also share a table, and are compared by the displacement at the wall. Newton's
+method compensates for the differences."""
 
 
 @dataclass(frozen=True)
 class ViewBank:
-    """The views of a dataset packed for the kernel."""
+    """Views of a dataset, packed for the projection kernel."""
 
     optics: Optics
+    """Optics of the canister, shared by all views."""
     count: int
+    """Number of views."""
     parameters: Float
-    """mi.Float, `_PARAMETERS` numbers per view."""
+    """mi.Float, (V, `_PARAMETERS`) flattened: kernel parameters of each view."""
     tables: Float
-    """mi.Float, the start tables concatenated, (V, ny, nx, 2)."""
+    """mi.Float, (V, ny, nx, 2) flattened: start table of each view."""
     table_shape: tuple[int, int]
+    """Number of rows and columns of a start table."""
     end: UInt32 = field(init=False, repr=False)
-    """mi.UInt32, the count as an input of kernels: as a literal, it would cause new kernels for every number of
-    views."""
+    """mi.UInt32, number of views as a kernel input. As a literal, the number would cause a new kernel to be compiled
+    for every number of views."""
 
     def __post_init__(self) -> None:
-        """Put the count on the device."""
+        """Copy the number of views to the device."""
         object.__setattr__(self, "end", dr.opaque(mi.UInt32, self.count))
 
     @staticmethod
     def pack(views: Sequence[View], optics: Optics) -> ViewBank:
-        """Pack views.
+        """Pack views for the kernel.
 
-        Cameras at the same distance and height, within `_TABLE_MM`, share the contents of a start table.
+        Views whose camera distances and heights agree within `_TABLE_MM` use copies of the same start table.
         """
         packed = np.zeros((len(views), _PARAMETERS))
         made: dict[tuple[int, ...], Array] = {}
@@ -98,14 +107,14 @@ class ViewBank:
         return replace(self, parameters=numbers(packed))
 
     def select(self, which: Sequence[int]) -> ViewBank:
-        """Return a subset of the views."""
+        """Return the views with the given indices."""
         parts = (np.array(part).reshape(self.count, -1)[list(which)] for part in (self.parameters, self.tables))
         parameters, tables = (numbers(part) for part in parts)
         return ViewBank(self.optics, len(which), parameters, tables, self.table_shape)
 
 
 def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
-    """Write the pose of the tank into a view's parameters, and return the key of its start table."""
+    """Write the pose of the tank into a view's parameters, and return the key under which its start table is shared."""
     at = tank_view(view, optics)
     turn, shift = at.azimuth_from_tank[:3, :3], at.azimuth_from_tank[:3, 3]
     packed[:9] = tank_pose(view)[:3, :3].ravel()
@@ -116,31 +125,31 @@ def _pack_tank(packed: Array, view: View, optics: Optics) -> tuple[int, ...]:
 
 @dataclass
 class Projected:
-    """Projections of points into a view."""
+    """Projections of points into views."""
 
     px: Vector2f
-    """mi.Vector2f, pixels."""
+    """mi.Vector2f, pixel coordinates, px."""
     visible: Bool
     """mi.Bool, whether the view shows the point exactly once."""
     clear_mm: Float
-    """mi.Float, horizontal distance within which all points are shown exactly once as well."""
+    """mi.Float, horizontal distance within which the view shows all neighbouring points exactly once, mm."""
     du: Vector3f
-    """mi.Vector3f, gradient of the column by the point, px/mm, canister frame."""
+    """mi.Vector3f, gradient of the picture column with respect to the point in the canister frame, px/mm."""
     dv: Vector3f
-    """mi.Vector3f, gradient of the row by the point."""
+    """mi.Vector3f, gradient of the picture row with respect to the point in the canister frame, px/mm."""
 
 
 def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Projected:
-    """Project points into views, with the Jacobian.
+    """Project points into views, with derivatives.
 
     Parameters
     ----------
     view : mi.UInt32
-        Index of the view.
+        Index of the view of each point.
     point : mi.Point3f
-        Canister frame, mm, inside the water.
+        Points in the water, canister frame, mm.
     active : mi.Bool
-        Points to be projected.
+        Whether each point is projected.
     """
     quads = (_IN_OPEN if bank.optics.tank is None else _SWAY) // 4
     some = [dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + k, active) for k in range(quads)]  # four at a time
@@ -186,16 +195,23 @@ def px_a_mm(bank: ViewBank, point_mm: Array) -> float:
 
 @dataclass
 class _End:
-    """The ray to a point, and its pixel; derivatives by (b, p), or by (q_y, q_z) through a tank."""
+    """Ray from the camera to a point, and its pixel.
+
+    Derivatives are with respect to (b, p) or, through a tank, (q_y, q_z).
+    """
 
     ray: ray_kernel.Ray
+    """Ray, and the distances by which it misses the point."""
     visible: Bool
+    """Whether the view shows the point exactly once."""
     clear_mm: Float
+    """Horizontal distance within which the view shows all neighbouring points exactly once, mm."""
     pixel: ray_kernel.Pixel
+    """Pixel of the ray, with derivatives."""
 
 
 def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
-    """Find the rays of cameras without a tank to points in the azimuth frame."""
+    """Find the rays from cameras without a tank to points in the azimuth frame."""
     o = bank.optics
     rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
     visible, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
@@ -211,7 +227,7 @@ def _solve_direct(bank: ViewBank, view: UInt32, parameter: list[Float], at: tupl
 
 
 def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool) -> _End:
-    """Find the rays through a tank's front to points in the azimuth frame."""
+    """Find the rays from cameras through a tank's front to points in the azimuth frame."""
     o, tank = bank.optics, bank.optics.tank
     if tank is None:
         raise ValueError(f"{tank=} but expected a tank")
@@ -243,16 +259,16 @@ def _solve_tank(bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[
 def _first_ray(
     bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool
 ) -> tuple[Bool, Float, Float, Float]:
-    """Return the initial ray to points in the azimuth frame from the view's table.
+    """Return the initial rays to points in the azimuth frame from the start tables of the views.
 
     Returns
     -------
     visible : mi.Bool
         Whether the view shows the point exactly once.
     clear_mm : mi.Float
-        Horizontal distance within which all points are shown exactly once as well.
+        Horizontal distance within which the view shows all neighbouring points exactly once, mm.
     b, p : mi.Float
-        Impact parameter in air, mm, and climb p_z of the ray.
+        Impact parameter in air, mm, and vertical component p_z of the initial ray.
     """
     o, (x, y, z) = bank.optics, at
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
@@ -271,7 +287,10 @@ def _first_ray(
 
 
 def _start(bank: ViewBank, view: UInt32, at: tuple[Float, Float, Float], row_mm: Float, active: Bool) -> Vector2f:
-    """Interpolate the views' tables at (x, ``row_mm``), relative to the wall."""
+    """Interpolate the start tables of the views.
+
+    The tables are interpolated at the x coordinate of the point, mm, and at the row position ``row_mm``.
+    """
     ny, nx = bank.table_shape
     most = np.ceil(bank.optics.inner_radius_mm) + 1.0
     col = dr.clip(at[0] + most, 0.0, nx - 1.001)  # below the last column

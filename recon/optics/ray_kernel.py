@@ -1,8 +1,9 @@
 """Ray tracing in kernels: through wall and water past a point, and back through the lens (Dr.Jit, float32).
 
 The mathematics and symbols are those of `recon.optics.refraction` and, for lines in a tank's liquid, of
-`recon.optics.tank`. A ray is defined by its impact parameter b and its climb p before the outer wall. Each function
-also returns the derivatives by both, with which `optics.projection` solves for the ray that meets a point.
+`recon.optics.tank`. A ray is defined by its impact parameter b and its vertical component p outside the outer wall. All
+functions also return the derivatives with respect to b and p, with which `optics.projection` solves for the ray through
+a point.
 """
 
 from __future__ import annotations
@@ -19,55 +20,72 @@ from rhizotwin.recon.optics.refraction import Optics
 
 @dataclass
 class Near:
-    """A ray up to the outer wall, and its derivatives by b and p (heading and foot of a line in a tank are given)."""
+    """Rays from the camera up to the outer wall, with derivatives with respect to b and p.
+
+    For lines in a tank, the derivatives are at constant heading and foot.
+    """
 
     turn: tuple[Float, Float]
-    """Heading minus pi inside the outer wall's normal, as a product of unit complex numbers times radii."""
+    """Heading of the ray at the outer wall, minus pi, as the argument of a complex number (real and imaginary part).
+    The modulus is a product of radii."""
     per_radii: Float
-    """Inverse of these radii, including those of the wall and the water."""
+    """Inverse of the product of all radii, including those of the wall and the water, by which complex headings are
+    normalised."""
     turn_b: Float
+    """Derivative of the heading with respect to b, rad/mm."""
     outer_z: Float
+    """Height at which the ray meets the outer wall, mm."""
     z_b: Float
+    """Derivative of ``outer_z`` with respect to b."""
     z_p: Float
+    """Derivative of ``outer_z`` with respect to p, mm."""
 
 
 @dataclass
 class Ray:
-    """A ray and the distances by which it misses a point, all mi.Float, in the symbols of `optics.refraction`."""
+    """Rays in the water, and the distances by which they miss points; all fields are mi.Float.
+
+    The symbols are those of `optics.refraction`.
+    """
 
     f1: Float
-    """Horizontal distance from the point, mm."""
+    """Horizontal distance of the point from the ray, mm."""
     f2: Float
-    """Vertical distance, mm."""
+    """Vertical distance of the ray from the point, mm."""
     f1_b: Float
-    """Derivatives of both by impact parameter b and climb p."""
+    """Derivative of f1 with respect to the impact parameter b."""
     f1_p: Float
+    """Derivative of f1 with respect to the vertical component p, mm."""
     f2_b: Float
+    """Derivative of f2 with respect to the impact parameter b."""
     f2_p: Float
+    """Derivative of f2 with respect to the vertical component p, mm."""
     inv: Float
-    """Inverse of their determinant."""
+    """Inverse of the determinant of the derivatives of f1 and f2 with respect to b and p."""
     cos_d: Float
-    """Cosine of the heading in the water minus pi."""
+    """Cosine of (heading in the water minus pi)."""
     sin_d: Float
+    """Sine of (heading in the water minus pi)."""
     m_w: Float
-    """Climb in the water, mm per horizontal mm."""
+    """Slope of the ray in the water: rise per horizontal distance."""
     h_a: Float
-    """Horizontal part of the optical direction in air."""
+    """Horizontal component of the optical direction outside the canister."""
     h_a2: Float
-    """Its square."""
+    """Square of ``h_a``."""
     outer_z: Float
     """Height at which the ray enters the wall, mm."""
     entry_z: Float
-    """Height at which it enters the water, mm."""
+    """Height at which the ray enters the water, mm."""
 
 
 def from_camera(o: Optics, view: tuple[Float, Float, Float], b: Float, p: Float) -> Near:
-    """Compute rays through the air from a camera to the outer wall.
+    """Trace rays through the air from a camera to the outer wall.
 
     Parameters
     ----------
     view : tuple of mi.Float
-        Distance and height of the camera, and the inverse of the product of the radii.
+        Horizontal distance of the camera from the axis, mm, its height, mm, and the inverse of the product of the
+        radii.
     """
     rho, z_cam, per_radii = view
     p2 = p * p
@@ -82,7 +100,7 @@ def from_camera(o: Optics, view: tuple[Float, Float, Float], b: Float, p: Float)
 
 
 def from_line(o: Optics, line: window.Line, b: Float) -> Near:
-    """Compute lines in a tank's liquid up to the outer wall, which they meet with the impact parameter b."""
+    """Trace lines in a tank's liquid up to the outer wall, which they meet with the impact parameter b."""
     ih = dr.rsqrt(o.n_around**2 - line.p * line.p)
     c_o2 = o.outer_radius_mm**2 - b * b
     ic_o = dr.rsqrt(c_o2)
@@ -93,7 +111,7 @@ def from_line(o: Optics, line: window.Line, b: Float) -> Near:
 
 
 def to_tank_derivatives(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) -> Ray:
-    """Return a ray with derivatives by (q_y, q_z) instead of b and p."""
+    """Convert the derivatives of rays with respect to (b, p) to derivatives with respect to (q_y, q_z)."""
     along, beside = -at[0] * ray.cos_d - at[1] * ray.sin_d, -at[0] * ray.sin_d + at[1] * ray.cos_d
     f1 = [ray.f1_b * line.b_q[j] + ray.f1_p * line.p_q[j] + along * line.h_q[j] for j in (0, 1)]
     f2 = [ray.f2_b * line.b_q[j] + ray.f2_p * line.p_q[j] - ray.m_w * beside * line.h_q[j] + line.z_q[j] for j in (0, 1)]
@@ -101,23 +119,23 @@ def to_tank_derivatives(ray: Ray, line: window.Line, at: tuple[Float, Float, Flo
 
 
 def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b: Float, p: Float) -> Ray:
-    """Compute rays through wall and water to points in the azimuth frame.
+    """Trace rays through wall and water to points in the azimuth frame.
 
     Parameters
     ----------
     o, n_w : Optics, Float
-        Walls, and the index of the water, which may differ between lanes.
+        Optics of the canister, and refractive index of the water, which may differ between the lanes of the kernel.
     near : Near
-        Rays at the outer wall.
+        Rays up to the outer wall.
     at : (3,) mi.Float
-        The points, mm.
+        Points, mm.
     b, p : Float
-        Impact parameter in air and p_z.
+        Impact parameter outside the canister, mm, and vertical component p_z of the rays.
 
     Returns
     -------
     Ray
-        Distances from the points, with derivatives by b and p.
+        Rays in the water, and their distances from the points, with derivatives with respect to b and p.
     """
     x, y, z = at
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
@@ -140,8 +158,8 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
     delta_b = near.turn_b + k_g * (ic_ig - ic_og) - k_w * ic_w
     delta_p = b_g_p * (ic_ig - ic_og) - b_w_p * ic_w
     along, beside = -x * cos_d - y * sin_d, -x * sin_d + y * cos_d  # P . t, P . nu
-    # f and its Jacobian by (b, p)
-    m_g, m_w = p * ih_g, p * ih_w  # climbs
+    # f and its Jacobian with respect to (b, p)
+    m_g, m_w = p * ih_g, p * ih_w  # slopes
     s_g, s_w = c_og - c_ig, along + c_w
     f1_b, f1_p = along * delta_b - k_w, along * delta_p - b_w_p
     s_g_bg, s_w_bw = b_g * (ic_ig - ic_og), b_w * ic_w
@@ -154,20 +172,20 @@ def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b:
 
 
 Pixel = tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]
-"""Column and row of rays, whether they are in front of the camera, and derivatives of column and row by two
-unknowns."""
+"""Column and row of rays, px, whether the rays are in front of the camera, and the derivatives of column and row with
+respect to two unknowns."""
 
 
 def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
-    """Return the pixels of rays of cameras without a tank, with derivatives by (b, p).
+    """Return the pixels of rays of cameras without a tank, with derivatives with respect to (b, p).
 
     Parameters
     ----------
     parameter : list of mi.Float
-        Parameters of a view, as packed by `projection.ViewBank`.
+        Kernel parameters of a view, as packed by `projection.ViewBank`.
     """
     rho, h_a = parameter[9], ray.h_a
-    # direction in air, and its derivatives by (b, p)
+    # direction in air, and its derivatives with respect to (b, p)
     d_y = b * h_a / rho
     q = dr.sqrt(ray.h_a2 - d_y * d_y)
     d_y_b, d_y_p = h_a / rho, -b * p / (h_a * rho)
@@ -176,21 +194,23 @@ def direct_pixel(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel:
 
 
 def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tuple[Float, ...], by_2: tuple[Float, ...]) -> Pixel:
-    """Return the pixels of directions before the camera's rotation, with derivatives by two unknowns.
+    """Project directions to pixels through the rotation and the lens of a camera, with derivatives.
+
+    The derivatives are with respect to two unknowns.
 
     Parameters
     ----------
     parameter : list of mi.Float
-        Parameters of the camera, as packed by `ViewBank`.
+        Kernel parameters of a view, as packed by `projection.ViewBank`.
     direction : (3,) mi.Float
-        Direction of any length.
+        Direction before the rotation of the camera, of any length.
     by_1, by_2 : (3,) mi.Float
-        Its derivatives by the two unknowns.
+        Derivatives of the direction with respect to the two unknowns.
 
     Returns
     -------
     Pixel
-        Pixels, with derivatives by both.
+        Pixels, with derivatives with respect to the two unknowns.
     """
     r = parameter[:9]
     (cx, cy, cz), (cx_b, cy_b, cz_b), (cx_p, cy_p, cz_p) = (

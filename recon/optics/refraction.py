@@ -1,16 +1,18 @@
-"""Refraction at a round canister in closed form: the readable reference, in float64 NumPy.
+"""Refraction at a round canister in closed form: the readable float64 reference in NumPy.
 
-Concentric cylinders about z conserve two optical invariants along a ray with optical direction ``p = n d`` (``|p| =
-n``): ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i = sqrt(n_i^2 - p_z^2)``,
-the ray's horizontal impact parameter in medium i is ``b_i = L / h_i``. Between the radii r1 > r2 it covers the
-horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius
-r its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``. All functions use the camera's azimuth frame: the
-canister frame rotated about z so that the camera's centre is at (rho, 0, z_cam). A camera without a tank is then
-defined by (rho, z_cam), and the unknowns of a projection are ``p_z`` and ``w = b_air / R_o``, which lies in (-1, 1) for
-every ray that meets the canister. Through the flat wall of a tank, lines of sight do not originate from one point:
-`recon.optics.tank` computes them in the liquid (`Approach`), and from there on the equations are the same.
+Concentric cylinders about z conserve two optical invariants along a ray with the optical direction ``p = n d`` (``|p| =
+n``). The invariants are ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i =
+sqrt(n_i^2 - p_z^2)``, the ray's horizontal impact parameter in medium i is ``b_i = L / h_i``. Between the radii r1 >
+r2, the ray covers the horizontal length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and rises by ``p_z / h_i *
+s_i``. At a wall of radius r, its horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``.
 
-`recon.optics.projection` implements the same mathematics as a Dr.Jit kernel; a test compares the two.
+All functions use the camera's azimuth frame, which is the canister frame rotated about z such that the camera centre is
+at (rho, 0, z_cam). A camera without a tank is then defined by (rho, z_cam). The unknowns of a projection are ``p_z``
+and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the canister. Through the flat wall of a tank,
+lines of sight do not originate from one point. `recon.optics.tank` computes these lines in the liquid (`Approach`), and
+from there on the equations are the same.
+
+`recon.optics.projection` implements the same mathematics as a Dr.Jit kernel. A test compares both implementations.
 """
 
 from dataclasses import dataclass, replace
@@ -23,19 +25,23 @@ from rhizotwin.scenes.model import Scene, Tank
 Array = NDArray[np.float64]
 
 _SINGLE = 0.97
-"""Points within this fraction of R_o / n_water of the axis have one image (`images` finds all images of others)."""
+"""Distance from the axis, in units of R_o / n_water, within which points have exactly one image. `images` finds all
+images of points farther from the axis."""
 _NEWTON_STEPS = 12
-"""Maximum number of steps; rays not within a thousand times `_CLOSE_MM` after them are rejected."""
+"""Maximum number of Newton steps of `image`. Rays that are then farther from the point than a thousand times
+`_CLOSE_MM` are rejected."""
 _START = 0.9
-"""Initial impact parameters are limited to this fraction of the largest one: beyond, the first step may leave the
-range."""
+"""Maximum initial impact parameter, as a fraction of the largest possible one. Beyond this fraction, the first Newton
+step may leave the valid range."""
 _SCANNED = 96
-"""Number of steps in the scan of `images`; pairs of images within one step are found by `_near_fold`."""
+"""Number of intervals in which `images` searches the impact parameter. Pairs of images within one interval are found by
+`_near_fold`."""
 _MOST_IMAGES = 3
-"""Maximum number of images: two in the marginal zone beyond 0.75 of the radius, otherwise one; the extra one would
-reveal an error."""
+"""Number of images for which memory is allocated per point. Points in the marginal zone beyond 0.75 of the radius may
+have two images, and other points have one. The additional image would reveal an error."""
 _CLOSE_MM = 1e-7
-"""Distance from the point at which Newton's method ends: far below the 3e-4 mm of the fast kernel."""
+"""Distance of the ray from the point below which Newton's method ends, mm. It is far below the tolerance of the fast
+kernel, 3e-4 mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,40 +49,45 @@ class Optics:
     """The canister as an optical system."""
 
     outer_radius_mm: float
+    """Outer radius of the canister, mm."""
     inner_radius_mm: float
+    """Inner radius of the canister, mm."""
     n_wall: float
+    """Refractive index of the canister's wall."""
     n_water: float
+    """Refractive index of the water."""
     floor_z_mm: float
-    """Lowest height at which a ray may enter the water."""
+    """Lowest height at which a ray may enter the water, mm."""
     water_z_mm: float
-    """Highest height at which a ray may enter the water."""
+    """Highest height at which a ray may enter the water, mm."""
     bottom_z_mm: float
-    """Underside of the canister: lowest height at which a ray may enter the wall."""
+    """Lowest height at which a ray may enter the wall, mm, which is the underside of the canister."""
     tank: Tank | None = None
-    """None if there is no tank."""
+    """Tank around the canister; None if there is no tank."""
 
     @property
     def straight(self) -> bool:
-        """Whether rays are straight: wall and water have the index of the surroundings."""
+        """Return whether rays are straight because wall and water have the refractive index of the surroundings."""
         return self.tank is None and self.n_wall == self.n_water == 1.0
 
     @property
     def n_around(self) -> float:
-        """Refractive index of the surroundings of the canister."""
+        """Return the refractive index of the medium around the canister."""
         return 1.0 if self.tank is None else self.tank.n_liquid
 
     @property
     def w_limit(self) -> float:
-        """Largest impact parameter in the surroundings, relative to the outer radius, of rays that reach the water.
+        """Return the largest impact parameter of rays that reach the water, relative to the outer radius.
 
-        In air it is 1 unless an index is near 1.
+        The impact parameter is that in the surroundings of the canister. In air, the limit is 1 unless a refractive
+        index is close to 1.
         """
         to_water = self.inner_radius_mm / self.outer_radius_mm * min(self.n_wall, self.n_water) / self.n_around
         return min(1.0, to_water) * (1.0 - 1e-9)
 
     @staticmethod
     def from_scene(scene: Scene) -> "Optics":
-        """Return the optics of a scene."""
+        """Return the optics of the canister, the water and the tank in a scene."""
         can, around = scene.canister, scene.surroundings.n
         return Optics(
             outer_radius_mm=can.outer_radius_mm,
@@ -91,67 +102,74 @@ class Optics:
 
 
 class _HeadedLines:
-    """Lines with a horizontal heading."""
+    """Base class of straight lines with a horizontal heading."""
 
     heading_rad: Array
+    """Azimuth of the horizontal direction, rad."""
 
     @property
     def t(self) -> Array:
-        """Horizontal unit directions (..., 2)."""
+        """Return the horizontal unit directions (..., 2)."""
         return np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad)], axis=-1)
 
     @property
     def nu(self) -> Array:
-        """Horizontal unit normals (..., 2) with P . nu = b on the line."""
+        """Return the horizontal unit normals (..., 2), with P . nu = b for points P on the line."""
         return np.stack([np.sin(self.heading_rad), -np.cos(self.heading_rad)], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Approach(_HeadedLines):
-    """Straight lines of sight before they meet the canister, in the camera's azimuth frame."""
+    """Straight lines of sight outside the canister, in the camera's azimuth frame."""
 
     b_mm: Array
-    """Impact parameter: signed distance from the axis."""
+    """(...) impact parameter, which is the signed distance from the axis, mm."""
     p_z: Array
-    """Vertical component of the optical direction, whose length is the index of the surroundings."""
+    """(...) vertical component of the optical direction, whose length is the refractive index of the surroundings."""
     heading_rad: Array
-    """Azimuth of the horizontal direction."""
+    """(...) azimuth of the horizontal direction, rad."""
     foot_z_mm: Array
-    """Height at which the line, extended, passes nearest to the axis."""
+    """(...) height of the point at which the extended line is nearest to the axis, mm."""
 
 
 def reach_mm(optics: Optics, p_z: Array) -> Array:
-    """Return the largest impact parameter (...) in the surroundings of lines that reach the water."""
+    """Return the largest impact parameter (...) of lines that reach the water, mm.
+
+    The impact parameter is that in the surroundings of the canister.
+    """
     around2 = optics.n_around**2 - p_z**2
     total = [optics.inner_radius_mm * np.sqrt((n**2 - p_z**2) / around2) for n in (optics.n_wall, optics.n_water)]
     return np.asarray(np.minimum(optics.outer_radius_mm, np.minimum(*total)) * (1.0 - 1e-9))
 
 
 def clip_to_water(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
-    """Clip lines to a fraction of the water's width; results for clipped lines are not meaningful."""
+    """Clip the impact parameters of lines to a fraction of the water's width.
+
+    Results computed from clipped lines are not meaningful.
+    """
     limit_mm = share * reach_mm(optics, approach.p_z)
     return replace(approach, b_mm=np.clip(approach.b_mm, -limit_mm, limit_mm))
 
 
 def reaches_water(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
-    """Return which lines (...) pass within a fraction of the water's width."""
+    """Return whether each line (...) passes within a fraction of the water's width."""
     return np.asarray(np.abs(approach.b_mm) < share * reach_mm(optics, approach.p_z))
 
 
 def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z: Array) -> Approach:
-    """Return rays (...) through the air from a camera at (rho, 0, z_cam).
+    """Return rays (...) through the air from a camera at (rho, 0, z_cam) up to the canister.
 
     Parameters
     ----------
     rho_mm, z_cam_mm : (...) array or float
         Position of the camera.
     b_mm, p_z : (...) array
-        Impact parameter and climb of the rays.
+        Impact parameter, mm, and vertical component of the rays.
 
     Returns
     -------
     Approach
-        Lines up to the outside of the canister.
+        Lines of sight outside the canister.
     """
     climb = p_z / np.sqrt(1.0 - p_z**2)
     foot_z = z_cam_mm + climb * np.sqrt(rho_mm**2 - b_mm**2)
@@ -160,27 +178,27 @@ def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z:
 
 @dataclass(frozen=True, kw_only=True)
 class WaterLine(_HeadedLines):
-    """Straight lines of sight in the water, in the camera's azimuth frame; fields have the shape of the rays."""
+    """Straight lines of sight in the water, in the camera's azimuth frame."""
 
     b_mm: Array
-    """Signed distance from the axis: P . nu = b on the line."""
+    """(...) signed distance from the axis, mm: P . nu = b for points P on the line."""
     heading_rad: Array
-    """Azimuth of the horizontal direction t."""
+    """(...) azimuth of the horizontal direction t, rad."""
     slope: Array
-    """Climb per horizontal mm, p_z / h_water."""
+    """(...) rise per horizontal distance, p_z / h_water."""
     entry_z_mm: Array
-    """Height at which the line enters the water at the inner wall."""
+    """(...) height at which the line enters the water at the inner wall, mm."""
     outer_z_mm: Array
-    """Height at which the ray meets the outer wall."""
+    """(...) height at which the ray meets the outer wall, mm."""
 
 
 def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Array, p_z: Array) -> WaterLine:
-    """Compute the lines in the water of rays from a camera without a tank.
+    """Trace rays from a camera without a tank into the water.
 
     Parameters
     ----------
     rho_mm, z_cam_mm : float64 array or float
-        Horizontal distance of the camera from the axis, and its height, canister frame.
+        Horizontal distance of the camera from the axis, and height of the camera in the canister frame, mm.
     w : (...) float64 array
         Impact parameter in air relative to the outer radius, in (-1, 1).
     p_z : (...) float64 array
@@ -190,7 +208,7 @@ def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Arr
 
 
 def follow(optics: Optics, approach: Approach) -> WaterLine:
-    """Compute lines of sight through the canister's wall into the water; NaN for those that do not reach it."""
+    """Trace lines of sight through the canister's wall into the water; NaN for lines that do not reach it."""
     r_o, r_i, p_z, b_a = optics.outer_radius_mm, optics.inner_radius_mm, approach.p_z, approach.b_mm
     h_a = np.sqrt(optics.n_around**2 - p_z**2)
     h_g = np.sqrt(optics.n_wall**2 - p_z**2)
@@ -205,7 +223,7 @@ def follow(optics: Optics, approach: Approach) -> WaterLine:
 
 
 def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
-    """Return which lines (...) enter the water through the wall."""
+    """Return whether each line (...) enters the water through the wall."""
     with np.errstate(invalid="ignore"):
         inside = (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
         inside &= np.isfinite(line.heading_rad)
@@ -215,8 +233,9 @@ def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
 def transmittance(optics: Optics, approach: Approach) -> Array:
     """Return the transmittance (...) of unpolarised light along rays into the water and out again.
 
-    Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius
-    r: ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
+    The result is the product of Fresnel's equations at the four interfaces. With ``a_i = n_i cos(theta_i) = sqrt(h_i^2
+    - (L / r)^2)`` at the radius r, the reflectances are ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1
+    - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
     """
     p_z, around = approach.p_z, optics.n_around
     momentum = approach.b_mm * np.sqrt(around**2 - p_z**2)
@@ -230,15 +249,15 @@ def transmittance(optics: Optics, approach: Approach) -> Array:
 
 
 def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
-    """Return the height (...) of each line at the horizontal position (..., 2), azimuth frame."""
+    """Return the height (...) of each line at a horizontal position (..., 2) in the azimuth frame, mm."""
     along = np.sum(points_xy_mm * line.t, axis=-1)
     return line.entry_z_mm + line.slope * (along + np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2))
 
 
 def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
-    """Solve f2 for p_z at given w: the ray of impact w whose line in the water has the point's height beside it.
+    """Solve f2 for p_z at a given impact parameter w.
 
-    The function is monotonic in p_z.
+    The result is the p_z of the ray that passes the point at the point's height. f2 is monotonic in p_z.
     """
     p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
     step = 1e-6
@@ -251,32 +270,32 @@ def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Arr
     return p_z
 
 
-def _side(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
-    """Return f1 = P . nu - b (horizontal distance of the point from the line of impact w) and that line's p_z."""
+def _horizontal_miss(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
+    """Return f1 = P . nu - b, the horizontal distance of points from lines of impact w, and the p_z of the lines."""
     p_z = _p_z_through(optics, rho, z_cam, w, points)
     line = trace(optics, rho, z_cam, w, p_z)
     return np.sum(points[..., :2] * line.nu, axis=-1) - line.b_mm, p_z
 
 
 def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Find all images of points in the water in one camera, by a scan of w and bisection.
+    """Find all images of points in the water in one camera, by a search over w and bisection.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        Points with x^2 + y^2 < R_i^2, azimuth frame.
+        Points with x^2 + y^2 < R_i^2, azimuth frame, mm.
 
     Returns
     -------
     w, p_z : (N, 3) float64 array
-        NaN where there are fewer images; ordered by w.
+        Invariants of the rays to the images, ordered by w; NaN for missing images.
     count : (N,) int64 array
-        Number of images.
+        Number of images of each point.
     """
     n = len(points_mm)
     grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, _SCANNED + 1)) * optics.w_limit
     at = np.repeat(points_mm[:, None, :], len(grid), axis=1)
-    f = _side(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, len(grid))), at)[0]
+    f = _horizontal_miss(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, len(grid))), at)[0]
     row, cell = np.nonzero(np.signbit(f[:, :-1]) != np.signbit(f[:, 1:]))
     low, high = grid[cell], grid[cell + 1]
     f_low = f[row, cell]
@@ -288,7 +307,7 @@ def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> 
     p_z = np.zeros_like(low)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        f_mid, p_z = _side(optics, rho_mm, z_cam_mm, middle, points_mm[row])
+        f_mid, p_z = _horizontal_miss(optics, rho_mm, z_cam_mm, middle, points_mm[row])
         same = np.signbit(f_mid) == np.signbit(f_low)
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     found_w = np.full((n, _MOST_IMAGES), np.nan)
@@ -305,24 +324,27 @@ def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> 
 
 
 def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array]:
-    """Find one image of points in the water in one camera, fast, by Newton's method from the axis outwards.
+    """Find one image of points in the water in one camera, by Newton's method.
+
+    This function is faster than `images`. The initial value is computed as if the point were near the axis.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        Points with x^2 + y^2 < R_i^2, azimuth frame.
+        Points with x^2 + y^2 < R_i^2, azimuth frame, mm.
 
     Returns
     -------
     w, p_z : (N,) float64 array
-        NaN for points far from the axis, which may have two images or none, and for points that no ray reaches.
+        Invariants of the rays. NaN for points far from the axis, which may have two images or none, and for points that
+        no ray reaches.
     """
     single_mm = _SINGLE * optics.outer_radius_mm / optics.n_water
     w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -_START * optics.w_limit, _START * optics.w_limit)
     step = 1e-6
     for _ in range(_NEWTON_STEPS):
-        f, p_z = _side(optics, rho_mm, z_cam_mm, w, points_mm)
-        slope = (_side(optics, rho_mm, z_cam_mm, w + step, points_mm)[0] - f) / step
+        f, p_z = _horizontal_miss(optics, rho_mm, z_cam_mm, w, points_mm)
+        slope = (_horizontal_miss(optics, rho_mm, z_cam_mm, w + step, points_mm)[0] - f) / step
         w = np.clip(w - f / slope, -0.999 * optics.w_limit, 0.999 * optics.w_limit)
         if np.abs(f).max(initial=0.0) < _CLOSE_MM:
             break
@@ -335,7 +357,11 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
 def _near_fold(
     optics: Optics, rho: float, z_cam: float, points_mm: Array, grid: Array, f: Array
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Find pairs of images so close to the caustic that both lie between neighbours of a local extremum of f1."""
+    """Find pairs of images so close to the caustic that both lie within two intervals of the search.
+
+    Such pairs lie next to a local extremum of f1. Return row indices, lower and upper bounds of w, and f1 at the lower
+    bounds.
+    """
     size, same = np.abs(f), np.signbit(f)
     dip = (size[:, 1:-1] < size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
     dip &= (same[:, 1:-1] == same[:, :-2]) & (same[:, 1:-1] == same[:, 2:])
@@ -346,10 +372,10 @@ def _near_fold(
     low, high = left.copy(), right.copy()
     for _ in range(45):
         a, b = high - golden * (high - low), low + golden * (high - low)
-        f_a, f_b = (sign * _side(optics, rho, z_cam, w, points_mm[row])[0] for w in (a, b))
+        f_a, f_b = (sign * _horizontal_miss(optics, rho, z_cam, w, points_mm[row])[0] for w in (a, b))
         low, high = np.where(f_a < f_b, low, a), np.where(f_a < f_b, b, high)
     middle = 0.5 * (low + high)
-    f_mid = _side(optics, rho, z_cam, middle, points_mm[row])[0]
+    f_mid = _horizontal_miss(optics, rho, z_cam, middle, points_mm[row])[0]
     pair = np.signbit(f_mid) != same[row, cell]
     row, left, right, middle, f_left, f_mid = row[pair], left[pair], right[pair], middle[pair], f[row[pair], cell[pair]], f_mid[pair]
     return np.concatenate([row, row]), np.concatenate([left, middle]), np.concatenate([middle, right]), np.concatenate([f_left, f_mid])
@@ -361,16 +387,16 @@ def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array
     Parameters
     ----------
     rho_mm : float
-        Distance of the camera from the axis.
+        Horizontal distance of the camera from the axis, mm.
     outer_radius_mm : float
-        Outer radius of the canister.
+        Outer radius of the canister, mm.
     w, p_z : (...) array
-        Impact parameter relative to the radius, and climb.
+        Impact parameter relative to the outer radius, and vertical component.
 
     Returns
     -------
     (..., 3) array
-        Unit vectors.
+        Unit directions.
     """
     h_a = np.sqrt(1.0 - p_z**2)
     d_y = w * outer_radius_mm * h_a / rho_mm
@@ -378,7 +404,7 @@ def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array
 
 
 def invariants(rho_mm: float, outer_radius_mm: float, directions: Array) -> tuple[Array, Array]:
-    """Return (w, p_z) of unit directions (..., 3) in air from the camera, azimuth frame.
+    """Return the invariants (w, p_z) of unit directions (..., 3) in air from the camera, in the azimuth frame.
 
     Rays with |w| >= 1 miss the canister.
     """

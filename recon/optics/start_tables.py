@@ -1,7 +1,7 @@
-"""Tables of initial values for Newton's method, and of the distance to points shown twice or not at all.
+"""Start tables: initial values for Newton's method, and distances to points with two images or none.
 
-A fan of lines of sight of one climb sweeps over the canister's cross-section. The number of lines through a point is
-the number of its images, and the adjacent lines give the initial ray.
+A fan of lines of sight with the same vertical component is swept over the canister's cross-section. The number of lines
+through a point is the number of its images, and the adjacent lines of the fan yield the initial ray.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ from rhizotwin.recon.optics.refraction import Array, Optics, WaterLine
 from rhizotwin.recon.optics.tank import TankView
 
 CELL_MM = 1.0
-"""Cell size of the tables; Newton's steps refine."""
+"""Cell size of the start tables, mm. Newton's method refines the interpolated values."""
 _SINES = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193))
-"""Impact parameters of a fan, relative to the largest: at most half a cell apart, and densest where refraction is
-strongest."""
+"""Impact parameters of a fan, relative to the largest. The lines are at most half a cell apart, and densest where
+refraction is strongest."""
 _NAMES = np.linspace(-0.9, 0.9, 4001)
-"""Values of q_y from which a fan is selected, beyond the range of a tank's front (64 degrees to either side)."""
+"""Values of the ray component q_y from which the lines of a fan are selected. The range exceeds that of a tank's front
+(64 degrees to either side)."""
 
 
 def view_table(view: View, optics: Optics) -> Array:
-    """Tabulate a view over positions in its azimuth frame.
+    """Compute the start table of a view over positions in its azimuth frame.
 
     Returns
     -------
     (ny, nx, 2) float64 array
-        The initial value (impact parameter in air in mm, or q_y through a tank), and the horizontal distance to the
-        nearest point where the view is blind or shows two images, mm. Without a tank, rows are |y| from -1 mm, since y
-        < 0 mirrors y > 0.
+        Initial value (impact parameter in air, mm, or q_y through a tank), and horizontal distance to the nearest point
+        at which the view is blind or shows two images, mm. Without a tank, rows are |y| from -1 mm, because y < 0
+        mirrors y > 0.
     """
     return _direct_table(view, optics) if optics.tank is None else _tank_table(view, optics)
 
@@ -66,21 +67,24 @@ def _tank_table(view: View, optics: Optics) -> Array:
 
 
 def _positions(optics: Optics, *, low_mm: float | None = None) -> Array:
-    """Return positions (ny, nx, 2) over the cross-section, from y = ``low_mm``."""
+    """Return the positions (ny, nx, 2) of the table's cells, mm.
+
+    The positions cover the cross-section of the canister, starting at y = ``low_mm``.
+    """
     most = np.ceil(optics.inner_radius_mm) + 1.0
     y = np.arange(-most if low_mm is None else low_mm, most + 1.0, CELL_MM)
     return np.stack(np.meshgrid(np.arange(-most, most + 1.0, CELL_MM), y), axis=-1)
 
 
 def _round_fan(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:
-    """Tabulate b_a and the number of images over (x, y >= 0) for rays of one climb."""
+    """Tabulate b_a, mm, and the number of images over (x, y >= 0) for rays with the same p_z."""
     w = _SINES * optics.w_limit
     line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
     return _sweep(_positions(optics, low_mm=-1.0), line, w * optics.outer_radius_mm)
 
 
 def _tank_fan(at: TankView, q_z: float) -> tuple[Array, Array]:
-    """Tabulate q_y and the number of images over (x, y) for rays of one q_z."""
+    """Tabulate q_y and the number of images over (x, y) for rays with the same q_z."""
     wide = tank.approach(at, _NAMES, np.full_like(_NAMES, q_z))[0]
     q_y = np.interp(_SINES, wide.b_mm / refraction.reach_mm(at.optics, wide.p_z), _NAMES)
     line = refraction.clip_to_water(at.optics, tank.approach(at, q_y, np.full_like(q_y, q_z))[0])
@@ -93,9 +97,9 @@ def _sweep(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
     Returns
     -------
     found : (ny, nx) float64 array
-        Parameter of the line through the position, interpolated; the last one if there are several.
+        Parameter ``name`` of the line through each position, interpolated; that of the last line if there are several.
     count : (ny, nx) float64 array
-        Number of lines.
+        Number of lines through each position.
     """
     count = np.zeros(at.shape[:2])
     found = np.zeros(at.shape[:2])

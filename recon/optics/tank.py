@@ -1,16 +1,16 @@
-"""Lines of sight through the flat front of a tank around the canister, up to its round wall (float64 reference).
+"""Lines of sight through the flat front of a tank, up to the round wall of the canister in it (float64 reference).
 
-A flat wall conserves the components of the optical direction ``p = n d`` along it, here ``(q_y, q_z)`` in the tank's
-frame (that of the rig, rotated by ``turn_deg``; the front's normal is +x): with ``a_i = sqrt(n_i^2 - q_y^2 - q_z^2)``,
-a ray that crosses the thickness t of medium i is displaced by ``t q / a_i``. A camera ray given by (q_y, q_z) is
-therefore a known straight line in the liquid. In the canister's frame, which may be rotated, tilted and offset, its
-``p_z`` and its angular momentum ``L = x p_y - y p_x`` are those that the round walls conserve
-(`recon.optics.refraction`). The result is an `Approach`, as for a camera without a tank, independent of the camera's
-pose.
+A flat wall conserves the components of the optical direction ``p = n d`` along the wall. Here, these are ``(q_y, q_z)``
+in the tank's frame, which is the rig's frame rotated by ``turn_deg``, with the front's normal along +x. With ``a_i =
+sqrt(n_i^2 - q_y^2 - q_z^2)``, a ray that crosses a thickness t of medium i is displaced by ``t q / a_i``. A camera ray
+defined by (q_y, q_z) is therefore a known straight line in the liquid. The canister's frame may be rotated, tilted and
+offset. The line's ``p_z`` and angular momentum ``L = x p_y - y p_x`` in this frame are conserved by the round walls
+(`recon.optics.refraction`). As for a camera without a tank, the result is an `Approach`, which does not depend on the
+camera's pose.
 
-The point P lies on the line when ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``: two equations for (q_y, q_z),
-solved by Newton's method. If a liquid unlike the water gives a point several images, the one nearest to its straight
-line is used.
+The point P lies on the line if ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``. These two equations are solved
+for (q_y, q_z) by Newton's method. If the refractive indices of liquid and water differ, a point may have several
+images. The image nearest to the straight line to the point is then used.
 """
 
 from collections.abc import Callable
@@ -26,45 +26,48 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Tank
 
 _STEPS = 30
-"""Maximum number of Newton steps; damped ones may need some near the wall."""
+"""Maximum number of Newton steps. Damped steps near the wall converge slowly."""
 _CLOSE_MM = 1e-8
-"""Distance from the point at which a ray has converged."""
+"""Distance of a ray from the point below which the ray has converged, mm."""
 DIFFERENCE = 1e-7
-"""Step of the central differences in (q_y, q_z): half of double precision's digits."""
+"""Step of central differences in (q_y, q_z). The step keeps half of the digits of double precision."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TankView:
-    """Relative poses of a camera, a tank and a canister in a view."""
+    """Relative poses of the camera, the tank and the canister in a view."""
 
     tank: Tank
+    """Dimensions and refractive indices of the tank."""
     centre_mm: Array
-    """(3,) centre of the camera, tank's frame."""
+    """(3,) camera centre in the tank's frame, mm."""
     azimuth_from_tank: Array
-    """(4, 4) from the tank's frame to that of the lines of sight: the canister's, rotated about its axis."""
+    """(4, 4) transform from the tank's frame to the azimuth frame, which is the canister frame rotated about its axis.
+    """
     optics: Optics
+    """Optics of the canister in the tank."""
 
 
 def in_liquid(tank: Tank, centre_mm: Array, q_y: Array, q_z: Array) -> tuple[Array, Array, Array]:
-    """Compute rays from the camera through the front wall.
+    """Trace camera rays through the front wall of a tank into the liquid.
 
     Parameters
     ----------
     tank : Tank
-        Front wall and indices.
+        Position, thickness and refractive indices of the front wall.
     centre_mm : (..., 3) float64
-        Centre of the camera, tank's frame.
+        Camera centre in the tank's frame, mm.
     q_y, q_z : (...) float64
         Components of the unit direction in air along the front.
 
     Returns
     -------
     point : (..., 3) float64
-        Points at which rays enter the liquid, tank's frame.
+        Points at which the rays enter the liquid, tank's frame, mm.
     p : (..., 3) float64
         Optical directions in the liquid.
     front_z : (...) float64
-        Height at which they meet the front's outside, mm.
+        Heights at which the rays meet the outside of the front, mm.
     """
     x, y, z = np.moveaxis(centre_mm, -1, 0)
     q2 = q_y**2 + q_z**2
@@ -77,21 +80,22 @@ def in_liquid(tank: Tank, centre_mm: Array, q_y: Array, q_z: Array) -> tuple[Arr
 
 
 def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np.bool_]]:
-    """Compute camera rays through the tank's front.
+    """Trace camera rays through the front of a tank up to the canister.
 
     Parameters
     ----------
     at : TankView
-        The view.
+        Relative poses of the view.
     q_y, q_z : (...) float64
         Components of the unit direction in air along the front.
 
     Returns
     -------
     line : Approach
-        Lines in the liquid.
+        Lines of sight in the liquid.
     through : (...) bool
-        Whether the ray passes through the front: below the liquid's surface, above the bottom, between the side walls.
+        Whether each ray passes through the front below the liquid's surface, above the bottom, and between the side
+        walls.
     """
     tank = at.tank
     inside, p, front_z = in_liquid(tank, at.centre_mm, q_y, q_z)
@@ -108,7 +112,7 @@ def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np
 
 
 def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.bool_]]:
-    """Compute the lines in the water of camera rays (...) through the tank, and which enter by front and wall."""
+    """Trace camera rays (...) through the tank into the water; return whether each enters by front and wall."""
     line, through = approach(at, q_y, q_z)
     with np.errstate(invalid="ignore"):
         water = refraction.follow(at.optics, line)
@@ -116,7 +120,7 @@ def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.b
 
 
 def miss(at: TankView, points_mm: Array, q: Array) -> Array:
-    """Return the distances (f1, f2), mm, (N, 2) of rays q (N, 2) from points (N, 3); NaN if they miss the water."""
+    """Return the distances (f1, f2) (N, 2) of rays q (N, 2) from points (N, 3), mm; NaN if a ray misses the water."""
     line, _ = trace(at, q[:, 0], q[:, 1])
     beside = np.sum(points_mm[:, :2] * line.nu, axis=-1) - line.b_mm
     with np.errstate(invalid="ignore"):
@@ -124,7 +128,7 @@ def miss(at: TankView, points_mm: Array, q: Array) -> Array:
 
 
 def slopes(missed: Callable[[Array], Array], q: Array) -> Array:
-    """Return the derivatives (N, 2, 2) of the distances (rows) by q (columns)."""
+    """Return the derivatives (N, 2, 2) of the distances (rows) with respect to the components of q (columns)."""
     columns = []
     for k in (0, 1):
         step = np.zeros(2)
@@ -134,19 +138,19 @@ def slopes(missed: Callable[[Array], Array], q: Array) -> Array:
 
 
 def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the camera rays that end at points in the water.
+    """Find the camera rays to points in the water.
 
     Parameters
     ----------
     points_mm : (N, 3) float64
-        Points in the azimuth frame, inside the water's radius.
+        Points in the azimuth frame, mm, within the radius of the water.
 
     Returns
     -------
     q : (N, 2) float64
-        Components of the rays' unit directions in air along the tank's front; NaN if no ray ends there.
+        Components of the rays' unit directions in air along the tank's front; NaN if no ray reaches the point.
     visible : (N,) bool
-        Whether a ray was found that enters through the front and the wall.
+        Whether a ray through the front and the wall was found.
 
     Notes
     -----
@@ -190,7 +194,7 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
 
 
 def _pull_inside(at: TankView, q: Array, points_mm: Array) -> Array:
-    """Move rays that miss the water towards the ray that points at the axis, until they reach it."""
+    """Move rays that miss the water towards the ray through the axis, until they reach the water."""
     middle = frames.apply(frames.invert(at.azimuth_from_tank), np.array([[0.0, 0.0, at.optics.floor_z_mm]]))[0]
     x, y, _ = at.centre_mm
     aim = (middle[1] - y) / np.hypot(x - middle[0], middle[1] - y)

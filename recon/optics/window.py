@@ -1,4 +1,4 @@
-"""Lines of sight in a tank's liquid, from rays at its front, with derivatives (Dr.Jit, float32).
+"""Lines of sight in a tank's liquid, computed from rays at its front, with derivatives (Dr.Jit, float32).
 
 The mathematics and symbols are those of `recon.optics.tank`.
 """
@@ -14,7 +14,7 @@ from rhizotwin.recon.device import Bool, Float, Point3f, Vector3f
 from rhizotwin.scenes.model import Tank
 
 Pair = tuple[Float, Float]
-"""Derivatives by q_y and q_z."""
+"""Two numbers that refer to q_y and q_z, such as derivatives."""
 
 
 @dataclass(frozen=True)
@@ -22,19 +22,19 @@ class Place:
     """Relative poses of a view's camera, tank and canister, as kernel parameters."""
 
     centre: list[Float]
-    """(3,) centre of the camera, tank's frame, mm."""
+    """(3,) camera centre in the tank's frame, mm."""
     turn: list[Float]
-    """(9,) rotation from the tank's frame to the azimuth frame, row by row."""
+    """(9,) rotation matrix from the tank's frame to the azimuth frame, row by row."""
     shift: list[Float]
-    """(3,) shift of the same transform, mm."""
+    """(3,) translation from the tank's frame to the azimuth frame, mm."""
 
     def rotate(self, v: tuple[Float, Float, Float]) -> Vector3f:
-        """Return a direction of the tank's frame in the azimuth frame."""
+        """Rotate a direction from the tank's frame to the azimuth frame."""
         r = self.turn
         return mi.Vector3f(*(r[3 * i] * v[0] + r[3 * i + 1] * v[1] + r[3 * i + 2] * v[2] for i in range(3)))
 
     def to_tank(self, p: Point3f) -> tuple[Float, Float, Float]:
-        """Return a point of the azimuth frame in the tank's frame."""
+        """Transform a point, mm, from the azimuth frame to the tank's frame."""
         x, y, z = (p[i] - self.shift[i] for i in range(3))
         r = self.turn
         return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
@@ -42,29 +42,35 @@ class Place:
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line in the liquid, azimuth frame, and its derivatives; all mi.Float."""
+    """Straight line in the liquid, in the azimuth frame, with derivatives.
+
+    All fields are Dr.Jit arrays of type mi.Float, except ``through`` (mi.Bool).
+    """
 
     b: Float
     """Impact parameter, mm."""
     p: Float
-    """Climb p_z of the optical direction."""
+    """Vertical component p_z of the optical direction."""
     cos_h: Float
-    """Cosine of the heading minus pi."""
+    """Cosine of (heading minus pi)."""
     sin_h: Float
+    """Sine of (heading minus pi)."""
     foot_z: Float
-    """Height of the point nearest to the axis, mm."""
+    """Height of the point nearest to the canister's axis, mm."""
     b_q: Pair
+    """Derivatives of the impact parameter with respect to q_y and q_z, mm."""
     p_q: Pair
+    """Derivatives of the vertical component with respect to q_y and q_z."""
     h_q: Pair
-    """Derivatives of the heading."""
+    """Derivatives of the heading with respect to q_y and q_z, rad."""
     z_q: Pair
-    """Derivatives of the foot's height."""
+    """Derivatives of ``foot_z`` with respect to q_y and q_z, mm."""
     through: Bool
     """Whether the ray passes through the front below the liquid's surface."""
 
 
 def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
-    """Return (q_y, q_z) of the straight line of equal apparent depth to points in the azimuth frame."""
+    """Return (q_y, q_z) of the straight rays with the same apparent depth to points in the azimuth frame."""
     x, y, z = at.to_tank(point)
     c = at.centre
     depth = c[0] - tank.front_mm + tank.wall_mm / tank.n_wall + (tank.front_mm - tank.wall_mm - x) / tank.n_liquid
@@ -73,21 +79,21 @@ def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
 
 
 def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -> Line:
-    """Compute rays through the front.
+    """Trace rays through the front of a tank into the liquid.
 
     Parameters
     ----------
     tank, at : Tank, Place
-        The tank, and its pose relative to the camera.
+        Tank, and its pose relative to the camera and the canister.
     q_y, q_z : Float
-        Components of the ray in air along the front, tank's frame.
+        Components of the rays' unit directions in air along the front, tank's frame.
     bottom_z_mm : float
-        Underside of the canister.
+        Height of the canister's underside, mm.
 
     Returns
     -------
     Line
-        Lines in the tank's liquid with derivatives by q_y and q_z.
+        Lines in the tank's liquid, with derivatives with respect to q_y and q_z.
     """
     n, q = tank.n_liquid, (q_y, q_z)
     q2 = q_y * q_y + q_z * q_z

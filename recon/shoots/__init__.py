@@ -1,1 +1,1 @@
-"""Shoots in air: silhouettes above the net pot, visual hull, and measurements."""
+"""Reconstruction of shoots in air: silhouettes above the net pot, visual hull, and measurements."""

@@ -1,4 +1,4 @@
-"""Classification of a shoot's surface into blades, leaf by leaf, and stalks, by its local flatness and width."""
+"""Classification of a shoot's surface into leaf blades and stalks by its local flatness and width."""
 
 from __future__ import annotations
 
@@ -17,76 +17,80 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP_MM = 0.7
-"""Spacing of the points that sample the surface: two or three pixels of the usual camera, a third of a stalk."""
+"""Spacing of the points that sample the surface, mm. It corresponds to two or three pixels of the usual camera, and a
+third of the diameter of a stalk."""
 NEAR_MM = 4.0
-"""Radius of the neighbourhood in which shape is evaluated: larger than a petiole of 2 mm, smaller than a blade."""
+"""Radius of the neighbourhood in which the local shape is evaluated, mm. It is larger than a petiole (2 mm) and smaller
+than a blade."""
 _FLAT, _WIDE = 0.4, 0.15
-"""Thresholds on the variances a > b > c of nearby points along their principal axes. A blade has c near 0, a round
-stalk b = c, and a clump of stalks has three similar variances. A flat strip of width w has b / a = w^2 / (4 NEAR_MM^2)
-and counts as a stalk below 3.1 mm. On the true surface of the twin's default shoot, thresholds of 0.3 to 0.5 and 0.1 to
-0.2 all give its six leaves, and areas within 2 % of each other."""
+"""Two thresholds for the variances a > b > c of nearby points along their principal axes. A point is on a blade if c /
+b is below the first threshold and b / a exceeds the second. A blade has c near 0, a round stalk has b = c, and a clump
+of stalks has three similar variances. A flat strip of width w has b / a = w^2 / (4 NEAR_MM^2), so it is classified as a
+stalk below 3.1 mm. On the true surface of the twin's default shoot, thresholds of 0.3 to 0.5 and 0.1 to 0.2 all yield
+its six leaves, and areas within 2 % of each other."""
 _VOTE_MM = NEAR_MM / 2.0
-"""Radius of the majority vote that smooths the classification of points."""
+"""Radius of the majority vote that smooths the classification of points, mm."""
 _APART_MM = 1.6
-"""Maximum distance of neighbouring points of one blade: over twice `STEP_MM`, and less than the distance between two
-blades."""
+"""Maximum distance between neighbouring points of the same blade, mm. It is more than twice `STEP_MM`, and less than
+the distance between two blades."""
 _LEAST_MM2 = np.pi * NEAR_MM**2 / 2.0
-"""Minimum area of a piece that counts as a leaf (half of the disc in which shape is evaluated); smaller pieces
-contribute to the area only."""
+"""Minimum area of a connected piece that counts as a leaf, mm2. The value is half of the disc in which the local shape
+is evaluated. Smaller pieces only contribute to the total area."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Blades:
-    """Points that sample a surface, classified as blade or stalk."""
+    """Points on the surface of a shoot, classified as blade or stalk."""
 
     points_mm: Array = field(repr=False)
-    """(N, 3) points, evenly distributed over the surface."""
+    """(N, 3) points, evenly distributed over the surface, mm."""
     is_blade: Mask = field(repr=False)
-    """(N,) whether a point is on a blade."""
+    """(N,) whether each point is on a blade."""
     areas_mm2: tuple[float, ...]
-    """One-sided area of each connected piece, the largest first: one leaf, or several that touch."""
+    """One-sided area of each connected piece, in decreasing order, mm2. A piece is one leaf, or several touching
+    leaves."""
     area_mm2: float
-    """One-sided area of all blades."""
+    """Total one-sided area of all blades, mm2."""
 
     def near(self, points_mm: Array) -> Mask:
-        """Return which points (P, 3) are nearest to a blade."""
+        """Return whether the nearest surface point of each point (P, 3) is on a blade."""
         return np.asarray(self.is_blade[cKDTree(self.points_mm).query(points_mm)[1]], np.bool_)
 
 
 def find_blades(mesh: trimesh.Trimesh) -> Blades:
-    """Classify a closed surface into blades and stalks.
+    """Classify the closed surface of a shoot into blades and stalks.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Surface in mm, with both sides of each blade.
+        Surface, mm, which includes both sides of each blade.
     """
     count = max(1, int(mesh.area / STEP_MM**2))
     points = surface_sample.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
     each_mm2 = 0.5 * float(mesh.area) / len(points)  # area of one side
     tree = cKDTree(points)
-    spread = _spread(points, tree)
+    spread = _local_variances(points, tree)
     likely = (spread[:, 0] < _FLAT * spread[:, 1]) & (spread[:, 1] > _WIDE * spread[:, 2])
-    a, b = _both_ways(tree, _VOTE_MM)
+    a, b = _find_pairs(tree, _VOTE_MM)
     is_blade = np.bincount(a, weights=likely[b], minlength=len(points)) > 0.5 * np.bincount(a, minlength=len(points))
     blades = np.flatnonzero(is_blade)
     if not len(blades):
         return Blades(points_mm=points, is_blade=is_blade, areas_mm2=(), area_mm2=0.0)
-    a, b = _both_ways(cKDTree(points[blades]), _APART_MM)
+    a, b = _find_pairs(cKDTree(points[blades]), _APART_MM)
     pieces = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(len(blades),) * 2), directed=False)[1]
     areas = sorted((float(area) for area in each_mm2 * np.bincount(pieces) if area >= _LEAST_MM2), reverse=True)
     return Blades(points_mm=points, is_blade=is_blade, areas_mm2=tuple(areas), area_mm2=each_mm2 * len(blades))
 
 
-def _both_ways(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all ordered pairs of points within a distance, including each point with itself."""
+def _find_pairs(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return all ordered pairs of points within a distance, including pairs of a point with itself."""
     pairs, own = tree.query_pairs(within_mm, output_type="ndarray"), np.arange(tree.n)
     return np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
 
 
-def _spread(points: Array, tree: cKDTree) -> Array:
-    """Return the variances (N, 3) along the principal axes of each point's neighbourhood, in increasing order."""
-    a, b = _both_ways(tree, NEAR_MM)
+def _local_variances(points: Array, tree: cKDTree) -> Array:
+    """Return the variances (N, 3) along the principal axes of each point's neighbourhood, in increasing order, mm2."""
+    a, b = _find_pairs(tree, NEAR_MM)
     count = np.bincount(a, minlength=len(points)).astype(np.float64)
     away = points[b] - points[a]
     mean = np.stack([np.bincount(a, weights=away[:, k], minlength=len(points)) for k in range(3)], axis=1) / count[:, None]

@@ -1,4 +1,7 @@
-"""Reconstruction of the shoot from its pictures; only the marker strip is shared with that of the roots."""
+"""Reconstruction of the shoot from its pictures.
+
+The reconstruction shares only the marker strip with that of the roots.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 FINEST_MM = 0.27
-"""Edge of the finest nodes: one pixel of the usual camera at the plant."""
+"""Edge length of the finest octree nodes, mm. It is one pixel of the usual camera at the plant."""
 MUCH_ENCLOSED = 0.05
-"""Enclosed fraction of the hull beyond which the leaf area is not computed: with hulls of blades 0.7 mm thick, a ball
-with this fraction has a twenty-fifth of their area."""
+"""Fraction of the hull's volume enclosed by leaves above which the leaf area is not computed. For hulls of blades 0.7
+mm thick, a ball with this fraction of the volume has a twenty-fifth of the blades' area."""
 MUCH_HIDDEN = 0.05
-"""Fraction of hidden pixels beyond which a warning reports that the area is too small by more than its own error
+"""Fraction of hidden pixels above which a warning is issued. The missing area then exceeds the uncertainty of the area
 (docs/shoots.md)."""
 
 
@@ -32,20 +35,22 @@ def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tup
     Returns
     -------
     shoot : Shoot or None
-        None without pictures of a shoot, or if they cannot be used, which a warning explains.
+        Reconstructed shoot. None if there are no pictures of the shoot, or if they cannot be used, in which case a
+        warning states the reason.
     warnings : tuple of str
+        Warnings for the user.
     """
     if dataset.masks or not any(frame.kind == "shoot" for frame in dataset.frames):
         return None, ()
     try:
         shoot = _reconstruct(dataset, settings, monitor)
     except UserError as error:
-        return None, (f"the shoot is not reconstructed: {error}",)
+        return None, (f"the shoot could not be reconstructed: {error}",)
     return shoot, shoot.warnings
 
 
 def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
-    """Compute cameras, silhouettes and hull."""
+    """Calibrate the cameras, and reconstruct and measure the shoot."""
     pictures = verify_curve(read_pictures(dataset, kind="shoot", settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     with monitor.stage("shoot"):
@@ -82,20 +87,20 @@ def _reconstruct(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoo
 
 def _hidden_warning(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of the visible shoot is in front of the net pot, where its shape cannot be determined: "
-        "height and projected areas are valid, the surface is too small; lower the camera or raise the panel"
+        f"{100.0 * share:.0f} % of the visible shoot is in front of the net pot, where its shape cannot be determined. "
+        "The surface area is too small, but height and projected areas are valid. Lower the camera or raise the panel."
     )
 
 
 def _enclosed_warning(share: float) -> str:
     return (
-        f"{100.0 * share:.0f} % of the shoot's hull is thicker than leaves are: they enclose space that no picture shows, so that "
-        "leaf area could not be determined and the surface is too small; height and projected areas are valid; add a ring from higher above"
+        f"{100.0 * share:.0f} % of the shoot's hull is space between leaves that no picture shows. The leaf area could not be determined, "
+        "and the surface area is too small, but height and projected areas are valid. Add a higher ring."
     )
 
 
 def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
-    """Return the silhouettes of the used frames by number, ring by ring."""
+    """Return the silhouettes of the used frames, keyed by frame number, ring by ring."""
     views, drawn = cameras.by_frame, dict[int, Silhouette]()
     for ring in sorted({pictures.frames[k].ring for k in views}):
         members = [k for k in views if pictures.frames[k].ring == ring]
@@ -107,6 +112,6 @@ def _silhouettes(pictures: Pictures, cameras: Cameras) -> dict[int, Silhouette]:
 
 
 def _mm2_per_px(view: View) -> float:
-    """Return the area of a pixel at the distance of the canister's axis, perpendicular to the line of sight."""
+    """Return the area of a pixel at the canister's axis, perpendicular to the line of sight, mm2."""
     fx, fy = view.camera.focal_px
     return view.rho_mm**2 / (fx * fy)

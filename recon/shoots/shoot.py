@@ -1,4 +1,4 @@
-"""Reconstructed shoot: its hull in air, and measurements on the hull and the silhouettes."""
+"""Reconstructed shoot, with measurements of its hull and silhouettes."""
 
 from __future__ import annotations
 
@@ -17,80 +17,91 @@ class Shoot:
     """Reconstruction of the shoot above the net pot."""
 
     mesh: trimesh.Trimesh = field(repr=False)
-    """Surface of the visual hull, canister frame, mm."""
+    """Surface of the visual hull in air, canister frame, mm."""
     hull_mm3: float
-    """Volume of the visual hull, the upper limit for a shoot with these silhouettes; several times the volume of thin
-    leaves."""
+    """Volume of the visual hull, mm3. It is the upper limit for a shoot with these silhouettes, and several times the
+    volume of thin leaves."""
     blades_mm2: tuple[float, ...]
-    """One-sided area of each separate blade, the largest first; touching blades count as one."""
+    """One-sided area of each separate blade, in decreasing order, mm2. Touching blades count as one."""
     leaf_area_mm2: float | None
-    """One-sided area of all blades, as half of the hull's surface there: the hull of a blade is a thin lens about it,
-    with nearly the same area on both sides. None if leaves enclose space that no picture shows, as the hull is solid
-    there."""
+    """One-sided area of all blades, mm2, computed as half of the hull's surface area at the blades. The hull of a blade
+    is a thin lens around the blade, with nearly the same area on both sides. None if leaves enclose space that no
+    picture shows, because the hull is solid there."""
     stalks_mm3: float
-    """Volume of the hull's stem and petioles."""
+    """Volume of the stem and the petioles in the hull, mm3."""
     leaf_thickness_mm: float | None = None
-    """Measured thickness of blades; pictures do not resolve it."""
+    """Thickness of the blades, mm, measured by the user because the pictures do not resolve it; None if unknown."""
     pot_top_mm: float
-    """Height (z) of the net pot's top."""
+    """Height (z) of the net pot's top in the canister frame, mm."""
     covered_px: Mapping[str, float]
-    """Number of pixels covered by the shoot, by the frame's file."""
+    """Number of pixels that the shoot covers in each picture, keyed by the picture's file."""
     mm2_per_px: Mapping[str, float]
-    """Area of a pixel at the canister's axis, by the frame's file."""
+    """Area of a pixel at the canister's axis in each picture, mm2, keyed by the picture's file."""
     hidden_share: float
-    """Fraction of the covered pixels in front of the pot or beside the panel, where the hull is not constrained."""
+    """Fraction of the covered pixels that lie in front of the net pot or beside the panel, where the hull is not
+    constrained."""
     enclosed_share: float
-    """Fraction of the hull's volume that is deeper inside it than leaves and stalks permit."""
+    """Fraction of the hull's volume that lies deeper inside the hull than leaves and stalks do."""
     colour: Mapping[str, float] = field(default_factory=dict)
-    """Reflectance of the leaves in each range of wavelengths, relative to white paper, and vegetation indices, by the
-    field's name in `scenes.trait_table.COLOURS`; empty if the shoot was taken in one band."""
+    """Reflectance of the leaves in each wavelength range, relative to white paper, and vegetation indices, keyed by
+    their names in `scenes.trait_table.COLOURS`. Empty if the shoot was taken in one band."""
     warnings: tuple[str, ...] = ()
+    """Warnings for the user."""
 
     @property
     def projected_mm2(self) -> dict[str, float]:
-        """Area covered in each picture, at the scale of the canister's axis, by the frame's file."""
+        """Return the area covered in each picture, mm2, keyed by the picture's file.
+
+        The area is computed at the scale of the canister's axis.
+        """
         return {file: pixels * self.mm2_per_px[file] for file, pixels in self.covered_px.items()}
 
     @property
     def height_mm(self) -> float:
-        """Highest point above the net pot's top."""
+        """Return the height of the shoot's highest point above the top of the net pot, mm."""
         return float(self.mesh.vertices[:, 2].max()) - self.pot_top_mm
 
     @property
     def width_mm(self) -> tuple[float, float]:
-        """Widths of the bounding box along x and y of the canister frame."""
+        """Return the widths of the bounding box along x and y of the canister frame, mm."""
         x, y, _ = np.ptp(self.mesh.vertices, axis=0)
         return float(x), float(y)
 
     @property
     def surface_area_mm2(self) -> float:
-        """One-sided area of blades plus half the surface of stalks, which is half of the hull's surface."""
+        """Return half of the hull's surface area, mm2.
+
+        This is the one-sided area of the blades plus half of the surface area of the stalks.
+        """
         return 0.5 * float(self.mesh.area)
 
     @property
     def leaves(self) -> int:
-        """Number of separate blades, at most the number of leaves."""
+        """Return the number of separate blades, which is at most the number of leaves."""
         return len(self.blades_mm2)
 
     @property
     def volume_mm3(self) -> float | None:
-        """Volume of stalks, and of blades from their area and measured thickness; None if either is unknown."""
+        """Return the volume of the shoot, mm3; None if the leaf area or the leaf thickness is unknown.
+
+        The volume is that of the stalks plus the leaf area times the measured leaf thickness.
+        """
         if self.leaf_thickness_mm is None or self.leaf_area_mm2 is None:
             return None
         return self.stalks_mm3 + self.leaf_area_mm2 * self.leaf_thickness_mm
 
     @property
     def projected_mean_mm2(self) -> float:
-        """Mean projected area over the pictures."""
+        """Return the projected area, averaged over the pictures, mm2."""
         return sum(self.projected_mm2.values()) / max(1, len(self.covered_px))
 
     @property
     def convex_mm3(self) -> float:
-        """Volume of the convex hull."""
+        """Return the volume of the convex hull, mm3."""
         return float(ConvexHull(np.asarray(self.mesh.vertices)).volume)
 
     def summary(self) -> Json:
-        """Return the numbers for ``result.json``."""
+        """Return the measurements for ``result.json``, keyed by their names."""
         return {
             "height_mm": self.height_mm,
             "width_mm": list(self.width_mm),

@@ -21,44 +21,45 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import marker_corners
 
 _INSIDE_PX = 3
-"""Distance from the outline at which leaves are measured: within two pixels of it, blur adds light from the background.
-"""
+"""Distance inside the outline from which the brightness of leaves is measured, px. Within two pixels of the outline,
+blur adds light from the background."""
 _FACING = 0.7
-"""Minimum cosine of the angle between the paper's normal and the line of sight."""
+"""Minimum cosine of the angle between the normal of the paper and the line of sight."""
 _LEAST_LIGHT, _FULL = 0.02, 0.99
-"""Brightness of paper, as a fraction of full scale: below the first, noise would dominate; above the second, the camera
-is saturated (`rig.scanning.preflight.FULL`)."""
+"""Minimum and maximum brightness of white paper, as a fraction of full scale. Below the minimum, noise would dominate.
+Above the maximum, the camera is saturated (`rig.scanning.preflight.FULL`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Colour:
-    """Colour of a shoot."""
+    """Reflectance of a shoot's leaves, and vegetation indices."""
 
     values: Mapping[str, float]
-    """Reflectances in the ranges of `scenes.bands.RANGES_NM`, relative to the strip's white paper and averaged over the
-    leaves, and vegetation indices, by their names in `scenes.trait_table.COLOURS`."""
+    """Reflectances in the ranges of `scenes.bands.RANGES_NM`, relative to the white paper of the strip and averaged
+    over the leaves, and vegetation indices, keyed by their names in `scenes.trait_table.COLOURS`."""
     warnings: tuple[str, ...] = ()
+    """Warnings for the user."""
 
 
 def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: Mapping[int, View]) -> Colour:
-    """Measure the colour of a shoot in all bands whose panel is off.
+    """Measure the reflectance of a shoot's leaves in all bands in which the panel is off.
 
-    Leaves and paper are lit by the same lamp and cover the same pixels in all bands of a view, so that the strength of
-    the light and the inclination of the leaves cancel in the indices, which are computed from views that have both
-    bands. Bands with the panel on are excluded: leaves transmit half of its near infrared, which would count as
-    reflected light.
+    Leaves and paper are lit by the same lamp, and cover the same pixels in all bands of a view. The strength of the
+    light and the inclination of the leaves therefore cancel in the vegetation indices, which are computed from views
+    with both bands. Bands in which the panel is on are excluded, because leaves transmit half of its near infrared
+    light, which would be measured as reflected light.
 
     Parameters
     ----------
     pictures : Pictures
-        Pictures in the band of the silhouettes.
+        Pictures in the band from which the silhouettes were measured.
     drawn, views : mapping of Silhouette, mapping of View
-        Silhouettes and cameras of these pictures, by number of the frame.
+        Silhouettes and cameras of these pictures, keyed by frame number.
 
     Returns
     -------
     Colour
-        Colour of the leaves; empty if no view was taken in another band.
+        Reflectances and vegetation indices; empty if no view was taken in another band.
     """
     scene, unread = pictures.dataset.scene, list[str]()
     ranges = {band: name for name, band in _dark_bands(scene).items()}
@@ -77,7 +78,7 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
         else:
             of_band |= {} if ratio is None else {k: ratio}
     warnings = [
-        f"no view shows both leaves and well exposed paper in the range {name}; its reflectance could not be determined"
+        f"the reflectance in the range {name} could not be determined, because no view shows both leaves and well exposed paper"
         for name, found in ratios.items()
         if not found
     ]
@@ -85,7 +86,10 @@ def measure_colour(pictures: Pictures, drawn: Mapping[int, Silhouette], views: M
 
 
 def _average(ratios: Mapping[str, Mapping[int, float]]) -> dict[str, float]:
-    """Return mean reflectances, and indices of views that have both bands, from ratios by range and view."""
+    """Average reflectance ratios over the views, and compute vegetation indices from views with both bands.
+
+    ``ratios`` is keyed by wavelength range and frame number.
+    """
     values = {f"reflectance_{name}": float(np.mean([*found.values()])) for name, found in ratios.items() if found}
     for other in ("red", "red_edge"):
         near, far = ratios.get("nir", {}), ratios.get(other, {})
@@ -95,28 +99,32 @@ def _average(ratios: Mapping[str, Mapping[int, float]]) -> dict[str, float]:
 
 
 def _dark_bands(scene: Scene) -> dict[str, str]:
-    """Return the names of the bands whose panel is off, by range."""
+    """Return the names of the bands in which the panel is off, keyed by wavelength range."""
     return bands_by_range([band for band in scene.camera.bands if scene.lights_in(band.name).backlight_level == 0.0])
 
 
 def _lit_bands(scene: Scene) -> tuple[str, ...]:
-    """Return a warning for bands that would give an index if the panel were off."""
+    """Return a warning about bands from which an index could be computed if the panel were off in them."""
     needed, dark = bands_by_range(scene.camera.bands), _dark_bands(scene)
     lit = [needed[name] for name in ("red", "red_edge", "nir") if name in needed and name not in dark]
     if not lit or "nir" not in needed:
         return ()
+    bands = "bands" if len(lit) > 1 else "band"
     return (
-        f"the panel is on in the band{'s' if len(lit) > 1 else ''} {', '.join(lit)}: leaves transmit its light, so that reflectance and "
-        "vegetation indices could not be determined there; set panel_level = 0 for these bands and switch the panel off",
+        f"the panel is on in the {bands} {', '.join(lit)}. Leaves transmit its light, so reflectance and vegetation indices could not be "
+        f"determined. Set panel_level = 0 for the {bands}, and switch the panel off.",
     )
 
 
 def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View) -> float | None:
-    """Return the ratio of the mean light of the leaves to that of the strip's paper; None if either is not visible."""
+    """Return the ratio of the mean brightness of the leaves to that of the strip's paper.
+
+    Return None if leaves or well exposed paper are not visible.
+    """
     curve = pictures.curve
     picture = read_image(pictures.dataset, frame, curve=None if curve is None or curve.warning is None else curve.curve)
     image = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
-    leaves = _inside(silhouette)
+    leaves = _interior_mask(silhouette)
     paper = _paper_pixels(view, pictures.dataset.scene, image.shape)
     if not leaves.any() or not len(paper):
         return None
@@ -124,14 +132,14 @@ def _ratio(pictures: Pictures, frame: Frame, silhouette: Silhouette, view: View)
     return float(image[leaves].mean()) / white if _LEAST_LIGHT <= white <= _FULL else None
 
 
-def _inside(silhouette: Silhouette) -> Mask:
-    """Return the pixels (H, W) well inside the shoot."""
+def _interior_mask(silhouette: Silhouette) -> Mask:
+    """Return the mask (H, W) of pixels inside the shoot, at least `_INSIDE_PX` from its outline."""
     covered = ((silhouette.coverage > 0.99) & silhouette.usable).astype(np.uint8)
     return cv2.erode(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _INSIDE_PX + 1,) * 2)) > 0
 
 
 def _paper_pixels(view: View, scene: Scene, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return pixels (N, 2), x and y, of the white paper between markers of one row that face the camera."""
+    """Return pixels (N, 2), as x and y, of white paper that faces the camera between the markers of a row."""
     strip, pot = scene.strip, scene.net_pot
     half_rad = np.pi / strip.columns
     middles = []

@@ -23,34 +23,35 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 
 _DEEP_MM = NEAR_MM / 2.0
-"""Depth in the hull beyond which space is enclosed, larger than in blades and nearly all stalks: the hull of a blade 40
-mm wide, in views 9 degrees apart, is 1.6 mm thick. No part of the twin's default shoot is deeper than 1.5 mm, but 45 %
-of a cup of nine touching leaves."""
+"""Depth inside the hull above which space is treated as enclosed, mm. Blades and nearly all stalks are thinner: the
+hull of a blade 40 mm wide, in views 9 degrees apart, is 1.6 mm thick. No part of the twin's default shoot is deeper
+than 1.5 mm, whereas 45 % of a cup of nine touching leaves is deeper."""
 SLACK_PX = 0.3
-"""Error of the outlines, the same as for roots."""
+"""Assumed error of the outlines, px, which is the same as for roots."""
 _ROOM = 0.8
-"""Maximum extent of a shoot, as a fraction of the distance of the nearest camera."""
+"""Maximum radius of a shoot, as a fraction of the distance of the nearest camera."""
 
 
 def carve_shoot(
     drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene, *, finest_mm: float, monitor: Monitor
 ) -> tuple[Hull, trimesh.Trimesh]:
-    """Carve the hull of V silhouettes in the air above the net pot.
+    """Carve the visual hull of V silhouettes of a shoot in the air above the net pot.
 
     Parameters
     ----------
     drawn, views : (V,)
         Silhouettes and their cameras.
     scene : Scene
-        Scene with net pot and canister.
+        Scene with the net pot and the canister.
     finest_mm : float
-        Edge of the finest nodes.
+        Edge length of the finest octree nodes, mm.
     monitor : Monitor
-        Receives the progress.
+        Receives progress messages.
 
     Returns
     -------
     hull : Hull
+        Visual hull.
     mesh : trimesh.Trimesh
         Surface of the hull, canister frame, mm.
 
@@ -77,24 +78,24 @@ def carve_shoot(
     grid = room.grid(finest_mm)
     hull = carve.carve(ViewBank.pack(views, optics), maps, grid, room, slack_px=SLACK_PX)
     if hull.leaves.volume_mm3() == 0.0:
-        raise UserError("the shoot's silhouettes have no volume in common: the cameras do not match the pictures, or there is no shoot")
+        raise UserError("the shoot's silhouettes have no volume in common. The cameras do not match the pictures, or there is no shoot.")
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)
     return hull, surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
 
 
 def stalks_mm3(hull: Hull, blades: Blades) -> float:
-    """Return the volume of the part of a hull that is nearest to the stem or the petioles."""
+    """Return the volume of the part of a hull that is nearest to the stem or the petioles, mm3."""
     return hull.leaves.select(~blades.near(hull.leaves.middles_mm)).volume_mm3()
 
 
 def enclosed_share(hull: Hull, blades: Blades) -> float:
-    """Return the fraction of a hull's volume that is deeper inside it than leaves and stalks permit."""
+    """Return the fraction of a hull's volume that lies deeper inside the hull than leaves and stalks do."""
     depth_mm = cKDTree(blades.points_mm).query(hull.leaves.middles_mm, workers=-1)[0]
     return hull.leaves.select(depth_mm > _DEEP_MM).volume_mm3() / hull.leaves.volume_mm3()
 
 
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:
-    """Return the space in air that contains everything in the pictures, within the maximum extent of a shoot."""
+    """Return the space in air that contains everything in the silhouettes, up to the maximum radius of a shoot."""
     top_mm = scene.net_pot.top_mm
     reach_mm, high_mm = scene.net_pot.outer_radius_mm, top_mm
     for silhouette, view in zip(drawn, views, strict=True):

@@ -1,4 +1,8 @@
-"""Silhouettes of a shoot: dark against the panel, bright against the net pot's black top, unknown against the strip."""
+"""Silhouettes of a shoot in front of the panel and the net pot.
+
+The shoot is dark in front of the panel, and bright in front of the net pot's black top. In front of the marker strip,
+its coverage is unknown.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +22,30 @@ from rhizotwin.scenes.model import NetPot, Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 _PANEL_ORDER = 4
-"""Degree of the polynomial in column and row that is fitted to the light of the diffuse panel."""
+"""Degree of the polynomial in column and row that is fitted to the brightness of the diffuse panel."""
 _LIT = 0.95
-"""Minimum ratio of a pixel's upper quantile to the polynomial for the bare panel."""
+"""Minimum ratio of a pixel's upper percentile to the fitted polynomial for the pixel to count as the bare panel."""
 _UPPER = 90.0
-"""Percentile over a turn at which a pixel shows the bare panel behind the plant."""
+"""Percentile of a pixel's brightness over a turn that represents the bare panel behind the plant."""
 _EDGE_PX = 3
-"""Margin for the blur of the pot's rim; its position is known from the markers more precisely than this."""
+"""Margin at the net pot's rim, px, which allows for blur. The position of the rim is known more accurately from the
+markers."""
 _RIM_STEPS = 180
-"""Number of corners of the projected rim, whose polygon is within 0.02 % of the radius, far below a pixel."""
+"""Number of corners of the polygon that approximates the net pot's rim. The polygon deviates from the circle by less
+than 0.02 % of the radius, which is far below a pixel."""
 _OPAQUE = 0.5
-"""Minimum opacity, relative to that of the plant's interior, of pixels that count as interior when that is measured."""
+"""Minimum opacity of pixels that count as the plant's interior, from which the brightness of the plant is measured."""
 
 _FAINT = 0.1
-"""Minimum brightness above the felt, relative to that of a leaf, of pixels that show the plant in front of the pot's
-top: as for roots, coverage below a tenth is ignored; the noise of a bench is a hundredth."""
+"""Minimum brightness, above that of the felt, of pixels that show the plant in front of the net pot's top, relative to
+the brightness of a leaf. As for roots, coverage below a tenth is ignored. The noise of a bench is a hundredth."""
 _FELT_ORDER, _FELT_ROUNDS, _FELT_MADS, _LEAST_FELT = 2, 6, 4.0, 100
-"""Degree of the polynomial fitted to the light of the felt; number of fits; rejection threshold in median deviations;
-and minimum number of pixels. Four rounds remove a plant in front of a quarter of the top."""
+"""Four parameters of the polynomial fit to the brightness of the felt: the degree, the number of fits, the rejection
+threshold in median absolute deviations, and the minimum number of pixels. Four fits exclude a plant in front of a
+quarter of the net pot's top."""
 _INSIDE_PX = 2.5
-"""Maximum distance from a pixel of the outline to the plant's interior: one pixel, or two across a corner."""
+"""Maximum distance from a pixel of the outline to the plant's interior, px. The interior is one pixel away, or two
+pixels across a corner."""
 
 
 def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
@@ -50,28 +58,29 @@ def ring_silhouettes(images: Sequence[Grey], views: Sequence[View], scene: Scene
     views : sequence of View
         Cameras of the pictures.
     scene : Scene
-        Scene; its net pot determines where the pictures show panel, pot top, or strip and canister.
+        Scene with the net pot. The parts of the pictures in front of the panel, the net pot's top, and strip and
+        canister are determined from its dimensions.
 
     Returns
     -------
     list of Silhouette
-        Pixels in front of the panel are ``seen``: only there an empty pixel excludes a shoot. In front of the pot's
-        top, a shaded leaf may be missed; at its rim, the nearest pixels are used; in front of strip and canister,
-        coverage is unknown.
+        Silhouettes of the pictures. Only pixels in front of the panel are usable, because only there does an empty
+        pixel exclude a shoot. In front of the net pot's top, a shaded leaf may be missed. At the rim, the coverage of
+        the nearest pixels is used. In front of the strip and the canister, the coverage is unknown.
     """
     stack = np.stack([image.astype(np.float32) for image in images])
-    pot = [_pot(view, scene, stack.shape[1:]) for view in views]
+    pot = [_pot_masks(view, scene, stack.shape[1:]) for view in views]
     below, top = (np.stack([part[k] for part in pot]) for k in (0, 1))
-    panel, lit = _panel(stack, below | top)
+    panel, lit = _fit_panel(stack, below | top)
     gain = np.array([np.median((image / panel)[lit & ~hidden]) for image, hidden in zip(stack, below | top, strict=True)])
     return [
-        _silhouette(image / np.float32(g), panel, lit & ~hidden & ~before, before & ~hidden)
+        _measure_silhouette(image / np.float32(g), panel, lit & ~hidden & ~before, before & ~hidden)
         for image, g, hidden, before in zip(stack, gain, below, top, strict=True)
     ]
 
 
-def _pot(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
-    """Return the masks (H, W) of strip and canister, and of the pot's top."""
+def _pot_masks(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
+    """Return the masks (H, W) of the strip with the canister, and of the net pot's top."""
     pot = scene.net_pot
     rim, foot = _outline(view, pot, pot.top_mm), _outline(view, pot, -scene.canister.height_mm)
     top, whole = (np.zeros(shape, np.uint8) for _ in range(2))
@@ -84,7 +93,7 @@ def _pot(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
 
 
 def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
-    """Return the pixels (N, 2) of the pot's circular outline at a height."""
+    """Return the pixels (N, 2) of the net pot's circular outline at a height."""
     angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
     circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
     return cameras.direction_pixels(
@@ -92,14 +101,14 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
     )
 
 
-def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
-    """Return the bare panel's light (H, W), fitted smoothly to typical pixels, and the mask of the panel."""
+def _fit_panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
+    """Return the brightness of the bare panel (H, W), fitted by a smooth surface, and the mask of the panel."""
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
     height, width = usual.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
+    terms = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
     fitted = bright
     for _ in range(4):  # the plant's middle hides the panel in most of a turn, and is excluded step by step
         some = np.flatnonzero(fitted)[:: max(1, int(fitted.sum()) // 20_000)]
@@ -110,31 +119,34 @@ def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, M
     return np.maximum(np.where(fitted, usual, smooth), 1e-6).astype(np.float32), lit & (smooth > 0.5 * float(np.median(usual[fitted])))
 
 
-def _terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+def _polynomial_terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)])
 
 
-def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
-    """Return coverage: absorption before the panel and reflection before the pot, relative to the plant's interior."""
+def _measure_silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
+    """Measure the coverage in one picture, relative to the plant's interior.
+
+    The coverage is the absorption in front of the panel, and the reflection in front of the net pot's top.
+    """
     dark = silhouettes.opacity(image, panel, before_panel)
     wide = cv2.erode((dark > _OPAQUE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    felt = _felt(image, before_pot)
+    felt = _fit_felt(image, before_pot)
     green = np.float32(np.median(image[wide])) if wide.any() else np.float32(0.0)
     told = before_pot & (green > 2.0 * felt)  # plants as dark as the pot cannot be distinguished from it
-    inside = _inside(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
+    inside = _interior_mask(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
     before_light = np.where(inside, np.float32(1.0), silhouettes.measure(dark, before_panel).coverage)
-    coverage = np.maximum(before_light, _before_felt(image, felt, green, told))
+    coverage = np.maximum(before_light, _felt_coverage(image, felt, green, told))
     away_px, (row, column) = ndimage.distance_transform_edt(~(before_panel | told), return_indices=True)
     coverage = np.where(away_px <= _EDGE_PX + 0.5, coverage[row, column], 0.0)
-    rim = _near(before_panel) & _near(told) & ~before_panel & ~told
-    return Silhouette(np.where(rim, _at_rim(image, panel, felt, green), coverage).astype(np.float32), before_panel)
+    rim = _near_mask(before_panel) & _near_mask(told) & ~before_panel & ~told
+    return Silhouette(np.where(rim, _rim_mask(image, panel, felt, green), coverage).astype(np.float32), before_panel)
 
 
-def _felt(image: Image, before_pot: Mask) -> Image:
-    """Return the light (H, W) of the pot's bare top, fitted smoothly to pixels that are not brighter."""
+def _fit_felt(image: Image, before_pot: Mask) -> Image:
+    """Return the brightness (H, W) of the net pot's bare top, from a smooth fit to pixels without a plant."""
     height, width = image.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms, bare = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
+    terms, bare = _polynomial_terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
     smooth = np.full(image.shape, np.median(image[before_pot]) if before_pot.any() else 0.0, np.float32)
     for _ in range(_FELT_ROUNDS):
         away = np.abs(image - smooth)
@@ -146,14 +158,15 @@ def _felt(image: Image, before_pot: Mask) -> Image:
     return np.maximum(smooth, 0.0)
 
 
-def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
-    """Return coverage (H, W) before the pot's top: light above the felt's, relative to the plant's interior nearby.
+def _felt_coverage(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
+    """Return the coverage (H, W) in front of the net pot's top.
 
-    A stem in the shadow of a leaf reflects half as much light as the leaf, for the same coverage.
+    The coverage is the brightness above the felt, relative to that of the plant's interior nearby. At the same
+    coverage, a stem in the shadow of a leaf reflects half as much light as the leaf.
     """
     rise = np.where(told, image - felt, 0.0).astype(np.float32)
     plant = rise > _FAINT * (green - felt)
-    inside = _inside(np.where(plant, rise, 0.0).astype(np.float32))
+    inside = _interior_mask(np.where(plant, rise, 0.0).astype(np.float32))
     whole = green - felt
     if inside.any():
         away_px, (row, column) = ndimage.distance_transform_edt(~inside, return_indices=True)
@@ -161,26 +174,28 @@ def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Im
     return np.where(plant, np.clip(rise / np.maximum(whole, 1e-6), 0.0, 1.0), 0.0).astype(np.float32)
 
 
-def _inside(signal: Image) -> Mask:
-    """Return the pixels (H, W) inside the plant all of whose neighbours are also inside.
+def _interior_mask(signal: Image) -> Mask:
+    """Return the mask (H, W) of pixels whose neighbours are all inside the plant.
 
-    The signal is the darkening against the panel, or the brightening against the felt; 0 for the background. Pixels are
-    inside above half of the strongest signal nearby, as light varies over a leaf and from leaf to stem.
+    ``signal`` is the darkening relative to the panel, or the brightening relative to the felt, and 0 for the
+    background. A pixel is inside the plant if its signal exceeds half of the strongest signal nearby, because light
+    varies over a leaf and from leaf to stem.
     """
     most = cv2.dilate(signal, np.ones((5, 5), np.uint8))
     return cv2.erode(((signal > 0.5 * most) & (signal > 0.0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
-def _near(told: Mask) -> Mask:
-    """Return the pixels (H, W) within the rim's width of a pixel with known coverage."""
+def _near_mask(told: Mask) -> Mask:
+    """Return the mask (H, W) of pixels near a pixel with known coverage, within the width of the rim."""
     return cv2.dilate(told.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * _EDGE_PX + 3,) * 2)) > 0
 
 
-def _at_rim(image: Image, panel: Image, felt: Image, green: np.float32) -> Image:
-    """Return the pixels (H, W) of the plant at the lower edge of the panel, behind the pot's far rim.
+def _rim_mask(image: Image, panel: Image, felt: Image, green: np.float32) -> Image:
+    """Return the mask (H, W) of plant pixels at the lower edge of the panel, behind the far rim of the net pot.
 
-    They are darker than the panel and brighter than the felt, each by half. So are the mixed pixels of the rim itself,
-    a line one pixel wide, which is removed by a morphological opening.
+    These pixels are darker than the mean brightness of panel and plant, and brighter than the mean brightness of felt
+    and plant. The mixed pixels of the rim itself have the same brightness, but form a line one pixel wide, which is
+    removed by a morphological opening.
     """
     plant = (image < 0.5 * (panel + green)) & (image > 0.5 * (felt + green))
     return cv2.morphologyEx(plant.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 1), np.uint8)).astype(np.float32)

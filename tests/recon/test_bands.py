@@ -43,7 +43,7 @@ def test_the_band_with_the_largest_ratio_is_read(tmp_path: Path) -> None:
     assert pictures.bands["clear"] / pictures.bands["noisy"] == pytest.approx(10.0, rel=0.15), "as the noise"
     chosen = read_pictures(dataset, settings=PictureSettings(band="faint"), monitor=Monitor())
     assert {frame.band for frame in chosen.frames} == {"faint"}
-    with pytest.raises(UserError, match="no pictures of the root in the band blue"):
+    with pytest.raises(UserError, match="no root pictures in the band blue"):
         read_pictures(dataset, settings=PictureSettings(band="blue"), monitor=Monitor())
 
 
@@ -51,5 +51,5 @@ def test_a_band_that_lacks_a_view_is_not_chosen(tmp_path: Path) -> None:
     dataset = dataset_in(tmp_path, "faint", "clear")
     fewer = replace(dataset, frames=dataset.frames[:-1])
     assert list(read_pictures(fewer, monitor=Monitor()).bands) == ["faint"]
-    with pytest.raises(UserError, match="no band with panel and front light on has a picture of every view"):
+    with pytest.raises(UserError, match="no band in which the panel and the front light are on has a picture of every root view"):
         read_pictures(replace(dataset, frames=(dataset.frames[0], dataset.frames[3])), monitor=Monitor())

@@ -25,10 +25,10 @@ def test_unread_pictures_are_named_with_their_reason(scan: Callable) -> None:
     found = read(made, tolerant=True, leave_out=("view_003.png",))
     assert [frame.file for frame in found.frames] == [f"images/view_00{k}.png" for k in (0, 2, 4, 5)]
     assert [(frame.file[-5], reason.partition(";")[0].rpartition(": ")[2]) for frame, reason in found.left_out] == [
-        ("3", "as chosen"),
+        ("3", "it is named in --leave-out or in the setting pictures.leave_out"),
         ("1", "the picture is missing"),
     ]
-    assert found.warnings[0] == "images/view_003.png is left out: as chosen"
+    assert found.warnings[0] == "images/view_003.png is excluded: it is named in --leave-out or in the setting pictures.leave_out"
     cameras = Cameras(
         lens=found.dataset.scene.camera,
         optics=Optics.from_scene(found.dataset.scene),
@@ -41,9 +41,9 @@ def test_unread_pictures_are_named_with_their_reason(scan: Callable) -> None:
 
 def test_pictures_that_are_not_there_are_refused(scan: Callable) -> None:
     made = scan()
-    with pytest.raises(UserError, match=r"--leave-out view_9\.png: .* lists no such picture"):
+    with pytest.raises(UserError, match=r"--leave-out view_9\.png: .* lists no picture with this name"):
         read(made, leave_out=("view_9.png",))
-    with pytest.raises(UserError, match="every picture of the root is left out"):
+    with pytest.raises(UserError, match="all root pictures are excluded"):
         read(made, leave_out=tuple(f"view_00{k}.png" for k in range(6)))
 
 

@@ -57,7 +57,7 @@ def test_every_number_changes_what_a_stage_is_given() -> None:
         ("[trust]\nsway_mm = [0.2, 0.1]", r"sway_mm = \[0.2, 0.1\]: the second limit must not be below the first"),
         ("[trust]\ndim = [0.1, 0.2]", r"dim = \[0.1, 0.2\]: the second limit must not be above the first"),
         ("voxel_mm = ", "not valid TOML"),
-        (None, "no such file"),
+        (None, "does not exist"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(tmp_path: Path, text: str | None, named: str) -> None:

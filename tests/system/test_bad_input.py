@@ -103,9 +103,11 @@ def test_views_with_few_markers_or_without_a_root_are_left_out_and_named(
     words = ("reconstruct", dataset, "-o", tmp_path / "result", *FAST)
     command.fails(*words, named=["view_004.png", "empty silhouette (1 of 8", "--leave-out"])
     done = command.works(*words, "--leave-out", "view_004.png")
-    warnings = [line for line in done.out.splitlines() if line.startswith("warning: ") and "left out" in line]
-    assert any("view_002.png is left out: no markers were found" in line for line in warnings), done.out
-    assert any("view_005.png is left out: " in line and "only 2 markers, at least 4 are needed" in line for line in warnings), done.out
+    warnings = [line for line in done.out.splitlines() if line.startswith("warning: ") and "is excluded" in line]
+    assert any("view_002.png is excluded: no markers were found" in line for line in warnings), done.out
+    assert any("view_005.png is excluded: " in line and "only 2 markers were found, at least 4 are needed" in line for line in warnings), (
+        done.out
+    )
     assert "7 of 10 views used" in done.out, done.out
     nothing_left(tmp_path, "dataset", "result")
 

@@ -58,5 +58,5 @@ def test_given_cameras_do_not_say_how_the_tank_stands(tmp_path: Path) -> None:
     dataset = simulate(scene, tmp_path / "scan", profile_name="clean", seed=0)
     posed = tuple(replace(frame, cam_from_canister=tuple(map(tuple, np.eye(4).tolist()))) for frame in dataset.frames)
     pictures = read_pictures(replace(dataset, frames=posed), monitor=Monitor.of(None))
-    with pytest.raises(UserError, match="the pose of the tank is estimated from the markers"):
+    with pytest.raises(UserError, match="the position of the tank can only be estimated from the markers"):
         find_cameras(pictures, monitor=Monitor.of(None))

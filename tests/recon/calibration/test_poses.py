@@ -121,7 +121,7 @@ def test_views_that_cannot_be_used_are_left_out_and_wrong_corners_of_single_mark
     made.markers[4].corners_px[[1, 6]] = made.markers[4].corners_px[[6, 1]]
     found = made.found()
     assert [k for k, view in enumerate(found.views) if not view.used] == [3, 5, 6]
-    assert found.views[3].reason == "only 3 markers, at least 4 are needed"
+    assert found.views[3].reason == "only 3 markers were found, at least 4 are needed"
     assert {"moved,", "px"} <= set(found.views[5].reason.split())
     assert found.views[6].reason.startswith("markers of another strip")
     assert (found.views[2].outliers, found.views[4].outliers) == (1, 2)
