@@ -83,14 +83,14 @@ class CellSet:
         return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)
 
     def neighbours(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-        """Yield 13 steps (3,), each with the indices (M,) of cells and of their neighbours in that direction.
+        """Yield step (3,), cell indices (M,) and neighbour indices (M,) for 13 of the 26 neighbour directions.
 
-        The other 13 of the 26 neighbour directions are the reverse of these.
+        The other 13 directions are the reverse of these.
         """
         place = np.arange(len(self.number))
         for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
             wanted = self.number + int(step @ self.box.step)
-            # This step is one further along z than the previous step: same place in `number`, or the next.
+            # This step is one cell further along z than the previous step: same index in `number`, or the next.
             onward = np.minimum(place + (self.number[place] == wanted - 1), len(self.number) - 1)
             place = self._place(wanted) if step[2] < 0 else onward
             some = np.flatnonzero(self.number[place] == wanted)

@@ -62,9 +62,10 @@ class Water:
 
 
 def spread(count: int) -> list[int]:
-    """Return the indices of the views in an order in which successive views are far apart on the turn.
+    """Return view indices, ordered so that successive views are far apart on the turn.
 
-    The steps between successive views follow the golden ratio. With this order, most nodes are carved early.
+    Successive views differ by a fixed fraction of a turn, the inverse of the golden ratio. With this order, most nodes
+    are carved early.
     """
     return [int(k) for k in np.argsort((np.arange(count) * _GOLDEN) % 1.0, kind="stable")]
 
@@ -76,7 +77,7 @@ def carve(
     water: Water,
     *,
     min_votes: int | None = None,
-    slack_px: float = 0.3,  # as `HullSettings`
+    slack_px: float = 0.3,  # same default as in `HullSettings`
     ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
 ) -> Hull:
@@ -130,9 +131,9 @@ class _Classified:
     """Classification of octree nodes of equal size."""
 
     index: Index
-    """Lowest corner of each node that is part of the shape, shape (N, 3), in finest nodes."""
+    """Lowest corner of each node that is part of the shape, shape (N, 3), in units of the finest nodes."""
     size: Index
-    """Edge length of each node, shape (N,), in finest nodes."""
+    """Edge length of each node, shape (N,), in units of the finest nodes."""
     occupancy: NDArray[np.float32]
     """Occupied fraction of each node, shape (3, N): best estimate, with outlines moved in, and with outlines moved
     out."""

@@ -17,7 +17,8 @@ _SKELETON_MM = 0.5
 """Approximate edge length of the voxels used for thinning, mm. Finer voxels cause spurious branches on rough
 surfaces."""
 _SPACING_MM = 0.16
-"""Maximum spacing of points along a centre line, mm, at which spheres in roots of 0.5 mm overlap by more than half."""
+"""Maximum spacing of points along a centre line, mm. Spheres in roots with a diameter of 0.5 mm then overlap by more
+than half."""
 _BESIDE = 1.5
 """Distance from a known centre line, in voxels, within which a voxel found on the shifted lattice is a duplicate."""
 
@@ -49,7 +50,9 @@ def centre_lines(leaves: Leaves) -> Array:
 
 def _shifted_curves(volume: NDArray[np.float32], curves: Array) -> Array:
     """Return the curve voxels (M, 3) of a lattice shifted by half a voxel that are absent from known curves (N, 3)."""
-    aside = ndimage.uniform_filter(volume, 2, mode="constant") > 0.5  # element i covers the last half of i - 1, the first of i
+    aside = (
+        ndimage.uniform_filter(volume, 2, mode="constant") > 0.5
+    )  # element i covers the last half of voxel i - 1 and the first half of voxel i
     others = np.argwhere(morphology.skeletonize(aside))
     if not len(others) or not len(curves):
         return np.asarray(others - 0.5)

@@ -20,8 +20,7 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.monitor import Monitor
 
 TELLS_PX = 1e-3 * UNSEEN_PX
-"""Threshold of the interpolated distance above which a pixel is unusable, px: the interpolation then includes
-`UNSEEN_PX`."""
+"""Interpolated distance above which a pixel is unusable, px, since the interpolation includes `UNSEEN_PX`."""
 _VOTES, _FEWEST = 0.3, 3
 """Minimum fraction of the views, and minimum number of views, that must show a point of the shape.
 
@@ -90,7 +89,7 @@ class DistanceMaps:
         values = aligned_empty(len(views) * samples, np.dtype(np.float16))
 
         def draw(view: int) -> None:
-            # `UNSEEN_PX` becomes infinite. NumPy takes five times as long, and twenty times for infinite values.
+            # `UNSEEN_PX` becomes infinite. NumPy takes five times as long, and twenty times as long for infinite values.
             drawn = cv2.multiply(outline(views[view].cut(window)), 1.0, dtype=cv2.CV_16F)
             values[view * samples : (view + 1) * samples] = drawn.ravel()
 

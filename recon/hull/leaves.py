@@ -53,9 +53,9 @@ class Leaves:
 
     grid: Grid
     index: Index
-    """Lowest corner of each leaf, shape (N, 3), in finest nodes."""
+    """Lowest corner of each leaf, shape (N, 3), in units of the finest nodes."""
     size: Index
-    """Edge length of each leaf, shape (N,), in finest nodes. It is a power of two."""
+    """Edge length of each leaf, shape (N,), in units of the finest nodes. It is a power of two."""
     occupancy: NDArray[np.float32]
     """Fraction of each leaf that lies inside the shape, shape (N,)."""
 

@@ -55,7 +55,7 @@ def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) ->
     reference = int(np.argmax([float(one.coverage[one.usable].sum(dtype=np.float64)) for one in silhouettes]))
     edge_mm = free.grid.size_mm * free.size.astype(np.float64)
     objection = agreement.compare(bank, silhouettes, free.middles_mm, edge_mm).excluded.mean(axis=0)
-    objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # at an equal number of views, the distance of the strictest
+    objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # of cells excluded by equally many views, the nearest to the outline
     added = _cover(bank.select([reference]), silhouettes[reference], kept, free, objection)
     added |= _connect(kept, free, objection, added)
     index, size = np.concatenate([kept.index, free.index[added]]), np.concatenate([kept.size, free.size[added]])

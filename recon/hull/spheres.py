@@ -43,9 +43,9 @@ def subdivide_leaves(
     Returns
     -------
     index : (N, 3) int32 array
-        Lowest corner of each leaf, in finest nodes.
+        Lowest corner of each leaf, in units of the finest nodes.
     size : (N,) int32 array
-        Edge length of each leaf, in finest nodes.
+        Edge length of each leaf, in units of the finest nodes.
     hull : (N,) float32 array
         Occupancy of each leaf in the hull.
     inside : (N,) float32 array

@@ -21,7 +21,7 @@ def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np
     Parameters
     ----------
     units : int
-        Edge length of a voxel in finest nodes, a power of two.
+        Edge length of a voxel in units of the finest nodes, a power of two.
 
     Returns
     -------

@@ -35,20 +35,20 @@ outline and smaller on a ridge."""
 _REACH_PX = 0.75
 """Distance on both sides of a pixel at which the slope of a distance map is evaluated, px: one and a half samples."""
 _MISSING = 0.02
-"""Minimum difference between a leaf's occupancies in the hull and in the spheres for the leaf to be examined.
-Occupancies are linear in the depth and not more accurate than this."""
+"""Minimum difference between a leaf's occupancies in the hull and in the spheres for the leaf to be examined. The
+occupancy is approximated as linear in the depth and is not more accurate than this."""
 _STEPS_MM = (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025)
 """Step lengths of the search for sphere centres, mm. Their sum of 1.4 mm is half a skeleton voxel plus the deviation of
-the skeleton in wide roots. The last step is a tenth of the thinnest roots."""
+the skeleton in wide roots. The last step is a tenth of the diameter of the thinnest roots."""
 _TIGHT_PX = 0.4
 """Maximum distance between a sphere and an outline for the outline to bound the sphere, px. It allows for noise of the
-outlines and for the rounding of the crease by sampling. The weight of the bound is 1 at half this distance and 0 at one
-and a half times this distance."""
+outlines, and for rounding of the distance map's crease by sampling. The weight of the bound is 1 at half this distance
+and 0 at one and a half times this distance."""
 _TIGHT_SHARE = 0.05
-"""Minimum of the same distance as a fraction of the sphere's radius.
+"""Lower limit of `_TIGHT_PX` for large spheres, as a fraction of the radius.
 
 An off-the-shelf canister that is half a millimetre out of round moves outlines by half a pixel or more. With 0.4 px
-alone, no sphere covered the upper half of a carrot of 18 mm."""
+alone, no sphere covered the upper half of a carrot with a diameter of 18 mm."""
 _HELD = 0.25, 5.0 / 12.0
 """Two thresholds of the fraction of views that bound a sphere. Below the first, the sphere is removed. Above the
 second, it is kept. In between, it is shrunk.
@@ -162,7 +162,7 @@ def _move_to_maximum(bank: ViewBank, maps: DistanceMaps, points: Array, directio
 
 
 def _find_largest(points: Array, radius: Array) -> NDArray[np.int64]:
-    """Return the indices of spheres that are not smaller than any sphere whose centre they contain."""
+    """Return the indices of the spheres that are at least as large as every sphere centred inside them."""
     inside = cKDTree(points).query_ball_point(points, radius, workers=-1)
     return np.array([k for k, near in enumerate(inside) if radius[k] > 0 and radius[k] >= radius[near].max()], np.int64)
 
@@ -189,7 +189,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
 
 
 def _bounding_fraction(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
-    """Return the fraction (N,) of the views showing a sphere that bound it."""
+    """Return the fraction (N,) of views that bound each sphere, among the views that show its centre."""
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, usable = _view_radius(bank, maps, view, point, sharpen=False)

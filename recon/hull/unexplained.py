@@ -25,10 +25,10 @@ _DEEP_PX = 0.75
 """Depth inside an outline at which an unexplained pixel requires the hull to be kept, px. The weight of the pixel is 0
 at two thirds of this depth and 1 at four thirds."""
 _NEAREST = 1.5, 2.5
-"""Distance range behind the nearest node on the same line of sight, in node edges, over which a node's weight decreases
-from 1 to 0.
+"""Range of a distance difference, in node edges, over which the weight of a node decreases from 1 to 0. The difference
+is that between the node's distance from the spheres and the smallest such distance on the same line of sight.
 
-Nodes of the same cross-section of a line of sight are up to 1.4 edges apart."""
+Nodes in the cross-section of a single line of sight are up to 1.4 edges apart."""
 _LEAST_EDGE_PX = 0.5
 """Minimum width of a line of sight, px: one sample of the distance maps."""
 
@@ -36,7 +36,7 @@ _LEAST_EDGE_PX = 0.5
 def required_fraction(
     bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres
 ) -> NDArray[np.float32]:
-    """Return the fraction of uncertain nodes that the silhouettes require but the trimmed shape does not explain.
+    """Return the fraction (N,) of each uncertain node that the silhouettes require beyond the trimmed shape.
 
     The second-largest residual over all views is used, since a single view may be wrong. Of all nodes on a line of
     sight, a view requires those nearest to the spheres. A node of a solid is the nearest in views perpendicular to the
@@ -92,12 +92,12 @@ def required_fraction(
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
-    """Return the smallest distance from the spheres among the nodes on each node's line of sight, in node edges.
+    """Return the smallest distance from the spheres among all nodes on each node's line of sight, in node edges.
 
     A line of sight is as wide as a node, ``edge_px``.
     """
     width, height = (int(count / edge_px) + 1 for count in maps.image_wh)
-    # Opaque: as literals, they would cause a new kernel for every view.
+    # Opaque, since literal values would require a new kernel for every view.
     last, edge = (mi.Vector2f(*(dr.opaque(mi.Float, part) for part in pair)) for pair in ([n - 1.0 for n in maps.image_wh], [edge_px] * 2))
     place = dr.clip(px + 0.5, 0.0, last) / edge
     at = mi.UInt32(place.y) * dr.opaque(mi.UInt32, width) + mi.UInt32(place.x)
@@ -130,5 +130,5 @@ def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> 
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
     visible = p.visible & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
     scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
-    dr.eval(p.px, scale, visible)  # evaluated together, to project once
+    dr.eval(p.px, scale, visible)  # evaluated together, so that points are projected only once
     return p.px, scale, visible

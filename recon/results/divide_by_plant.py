@@ -95,7 +95,7 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
     """Return the 90 % interval of a plant's volume, mm3.
 
-    ``least_mm3`` and ``most_mm3`` are the volumes without and with all parts of uncertain assignment.
+    ``least_mm3`` is the volume without, and ``most_mm3`` the volume with all parts that may belong to another plant.
     """
     (low, _), (_, high) = (part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part) for part in (least_mm3, most_mm3))
     return low, high

@@ -28,7 +28,7 @@ OF_CHECK = {
 }
 """Reason code of each check of a scan, which applies if the state of the check is ``bad``."""
 NO_UNCERTAINTY = "no_uncertainty"
-"""Reason code: the method does not estimate an uncertainty, such as the baseline methods."""
+"""Reason code: the method used, such as a baseline method, does not estimate an uncertainty."""
 FEW_VIEWS = "few_views"
 """Reason code: the number of used views is less than the setting ``trust.least_views``."""
 WIDE = "wide_interval"

@@ -32,10 +32,11 @@ _BEYOND_MM = 3.0
 """Length by which the crown extends beyond the outermost plants, mm, so that these plants are also attached to it as
 laterals."""
 _LEFT = 0.5
-"""Minimum radius of a node of a real root, as a fraction of the median radius of its branch. Artificial nodes within
-the field of view cover empty pixels, so that the fit shrinks them below this limit."""
+"""Minimum radius for a node to be part of a real root, relative to the median radius of its branch. Artificial nodes
+within the field of view cover empty pixels, so that the fit shrinks them below this limit."""
 _FEW = 3
-"""Minimum number of views that show a node of a real root. Two views barely determine the position of a point."""
+"""Minimum number of views that must show a node for it to be part of a real root. Two views barely determine the
+position of a point."""
 
 
 def tops(scene: Scene) -> tuple[Top, ...]:
@@ -144,7 +145,7 @@ def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
     high = height_mm > top_mm - HIDDEN_MM
     held = (height_mm > top_mm) | (high & hidden)
     for nodes in system.tubes.branches:
-        if held[nodes[0]] and not held[nodes].all():  # below the net pot, the fit shrinks nodes that are not root
+        if held[nodes[0]] and not held[nodes].all():  # below the net pot, the fit shrinks nodes that are not part of a root
             own = nodes[int(np.argmin(held[nodes])) :]
             thick = radius_mm[own] > _LEFT * float(np.median(radius_mm[own]))
             above = own[: int(np.argmax(thick))]

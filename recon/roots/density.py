@@ -34,8 +34,8 @@ from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 Array = NDArray[np.float64]
 
 STEPS = 30
-"""Number of iterations. More iterations make roots thinner and darker, which the pictures do not constrain: with 60
-iterations, roots lose 8 % of their shadow area."""
+"""Number of iterations. With 60 iterations, roots become thinner and darker and lose 8 % of their shadow area, which
+the pictures do not constrain."""
 _VIEWS_A_STEP = 10
 """Number of views per iteration (ordered subsets). One pass over all views therefore comprises several iterations."""
 _THIN_OUT = (6, 12, 20)
@@ -43,7 +43,7 @@ _THIN_OUT = (6, 12, 20)
 _NOTHING = 1e-5
 """Shadow area below which a cell is negligible, as a fraction of the area of a cell's face."""
 _LEAST_RATIO, _MOST_RATIO = 0.05, 3.0
-"""Lower and upper bound of the factor by which one iteration changes a density."""
+"""Lower and upper bound of the factor by which one iteration changes a shadow."""
 _LEAST_COVERAGE = 3e-3
 """Lower bound of the coverage in the initial estimate, so that a single empty view does not exclude a cell."""
 _START = 2.5
@@ -117,7 +117,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     coverage = table.windows.cut(evidence, evidence.coverage)
     covered = dr.zeros(mi.Float, table.windows.pixels * len(every))
     while thick:
-        organ = thick.pop()  # large, and not needed afterwards
+        organ = thick.pop()  # released at once, since it is large
         covered = Table(organ, table.windows).shadows(every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
         del organ
     dr.eval(covered)
@@ -131,7 +131,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
             kept = dr.compress(shadow > _NOTHING * cells.grid.size_mm**2)
             number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.select(kept)
             dr.eval(shadow)
-            release()  # the steps of later passes are over more views
+            release()  # kernels of later passes process more views
         done += count
     found = cells.select(number)
     return replace(found, shadow_mm2=np.array(shadow, np.float32), tops_mm=evidence.tops_mm), number

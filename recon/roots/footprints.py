@@ -23,7 +23,8 @@ from rhizotwin.recon.optics import projection
 Array = NDArray[np.float64]
 
 _STEPS = 65535
-"""Number of steps into which the longer side of a picture is divided to store positions: 1/80 px for 800 px."""
+"""Number of quantisation steps along the longer side of a picture for stored positions. One step is 1/80 px for a side
+of 800 px."""
 _PIXELS_AT_ONCE = 1_000_000
 """Maximum number of window pixels for which shadows are summed at once, unless a single view has more. Each thread
 needs four numbers per pixel."""
@@ -50,7 +51,7 @@ class Windows:
 
     @staticmethod
     def around(*several: Footprints) -> Windows:
-        """Return windows that contain all footprints, including the four pixels between which each is interpolated."""
+        """Return windows that contain all footprints, including the pixels needed for bilinear interpolation."""
         bounds = [footprints.bounds() for footprints in several]
         low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
         used = (high >= low).all(axis=1)  # a view may contain no cell

@@ -71,5 +71,5 @@ def compute_support(drawn: Rendering) -> Support:
         alone += dr.square(c) * usable
     step = reach_px * (2.0 / (_SAMPLES - 1))
     totals = [cut.spread(total * step) for total in (explained, left, alone)]
-    dr.eval(totals)  # together, as they use the same profiles
+    dr.eval(totals)  # evaluated together, since they use the same profiles
     return Support(*(np.array(total, np.float64).reshape(cut.shape).sum(axis=0) for total in totals))

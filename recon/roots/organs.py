@@ -90,7 +90,7 @@ def _inner_radius(core: Core, points_mm: Array) -> Array:
     found, depth, edge_mm = np.zeros(len(points_mm)), core.depth_mm, core.cells.grid.size_mm
     if not len(depth):
         return found
-    highest = depth.copy()  # about each cell
+    highest = depth.copy()  # maximum depth around each cell
     for _, here, there in CellSet.from_cells(core.cells.index).neighbours():
         np.maximum.at(highest, here, depth[there])
         np.maximum.at(highest, there, depth[here])
@@ -133,7 +133,7 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
     """
     (width, height), views = evidence.image_wh, evidence.bank.count
     covered = np.zeros((views, height, width), bool)
-    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # it hides the cells within
+    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # the rim hides all inner cells
     points = vectors(rim.centre_mm)
     for view in range(views if len(rim.index) else 0):
         p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))

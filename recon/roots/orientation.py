@@ -34,7 +34,7 @@ def orient_branches(tubes: Tubes, branches: list[Index | None]) -> list[Index | 
         Node indices (n,) of each branch, or None for removed branches. The list is modified in place and returned.
     """
     centre = tubes.centre_mm
-    owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
+    owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # path length (N,) along the roots to the top, mm
     _find_ways(centre, branches, owner, way, 0)
     for _ in range(_ROUNDS):
         turned = False

@@ -81,7 +81,10 @@ def check_assignment(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_m
 
 
 def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> PlantedRoots:
-    """Concatenate the roots of several trees, and convert parent indices from their tree to the whole."""
+    """Concatenate the roots of several trees.
+
+    Parents are indices within each tree in the input, and indices in the whole list in the output.
+    """
     made: list[Root] = []
     for tree in trees:
         first = len(made)
@@ -124,7 +127,7 @@ def _divide(tree: Tree, at_mm: Array) -> list[Tree]:
 
 
 def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:
-    """Return the root index and the point index of the tree's nearest point to a position."""
+    """Return root index and point index of the point of a tree that is nearest to a given position."""
     away = [np.linalg.norm(root.points_mm - point_mm, axis=1) for root in tree.roots]
     number = int(np.argmin([one.min() for one in away]))
     return number, int(np.argmin(away[number]))

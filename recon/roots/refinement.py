@@ -20,8 +20,8 @@ Mask = NDArray[np.bool_]
 _SEARCHES = 2
 """Number of searches of the residual. The second search finds laterals of roots that were found in the first."""
 _STEPS = 4
-"""Number of iterations of each fit. Tubes that remain in the tree are fitted again, and new tubes are assessed before
-convergence."""
+"""Number of iterations of each fit. Full convergence is not required, since new tubes are assessed before and all
+remaining tubes are fitted repeatedly."""
 
 
 @dataclass(frozen=True)

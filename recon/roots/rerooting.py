@@ -35,7 +35,7 @@ class Tree:
         return [cls(_renumber(roots, chosen)) for chosen in members]
 
     def joint(self, line: int) -> Place:
-        """Return the place on its parent at which a root begins."""
+        """Return the place at which a root is attached to its parent."""
         root = self.roots[line]
         parent = self.roots[root.parent].points_mm
         return root.parent, int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))

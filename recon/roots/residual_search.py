@@ -37,7 +37,7 @@ _OWN_CELLS = 0.9
 """Distance from a centre line, in cell edges, within which a cell contains the root regardless of its radius. Half the
 diagonal of a cell is 0.87 edges."""
 _LEAST_VIEWS = 4.0
-"""Minimum weight for an estimate, in views: the sum of u^2."""
+"""Minimum sum of the weights u^2 over all views for the residual coverage of a point to be estimated."""
 _THINNEST_MM = 0.05
 """Minimum radius of a new root, mm."""
 _LEAST_MM = 0.4
@@ -45,7 +45,7 @@ _LEAST_MM = 0.4
 _BEGIN_MM = 1.0
 """Cost of beginning a new branch on the flank of a root, expressed as an additional length at the root's tip, mm."""
 _TIP_MM = 0.4
-"""Distance from a tip within which a new branch extends the old one, mm."""
+"""Maximum distance between the beginning of a new branch and a tip for the branch to extend the existing root, mm."""
 
 
 def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
@@ -77,7 +77,7 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Arra
 
 
 def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
-    """Add the roots that the tubes leave unexplained to a tree.
+    """Add to a tree the roots that its tubes leave unexplained.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
     away, nearest = cKDTree(line).query(cells.centre_mm, distance_upper_bound=float(reach.max()), workers=-1)
     nearest = np.minimum(nearest, len(line) - 1)  # the distance is infinite where no node is near
-    # Few views resolve the flank of a thick root: no branch begins there that the density did not contain.
+    # Few views resolve the flank of a thick root, so that no branch may begin there.
     beside = ~((away < reach[nearest]) & thick[node[nearest]])
     cells, away, nearest = cells.select(beside), away[beside], nearest[beside]
     centre = cells.centre_mm  # evaluated once, as the property is not cached

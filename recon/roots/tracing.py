@@ -42,7 +42,7 @@ axis."""
 CLAIM_CELLS = 1.5
 """Distance from a traced root within which cells are assigned to the root, in cells."""
 _STILL_OPEN = 0.5
-"""Fraction of unclaimed cells below which the k-d tree of unclaimed cells is rebuilt. With a fraction of one half, each
+"""Fraction of unclaimed cells in the k-d tree below which the tree is rebuilt. With a fraction of one half, each
 rebuild costs as much as all later rebuilds together."""
 _CORE_CLAIM_MM = 0.65
 """Distance beyond the core within which a path in a taproot or hypocotyl claims cells, mm."""
@@ -83,7 +83,7 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_m
     if not len(core):
         return depth
     full = CellSet.from_cells(core)
-    rim, beyond = full.faces()  # the nearest cell of the other kind shares a face with this kind
+    rim, beyond = full.faces()  # only cells with a face in common with the other kind can be nearest
     inside, size_mm = full.contains(cells.index), cells.grid.size_mm
     deep = cKDTree(beyond).query(cells.index[inside], distance_upper_bound=most_mm / size_mm, workers=-1)[0]
     depth[inside] = np.minimum(deep * size_mm, most_mm)
@@ -93,7 +93,7 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_m
 
 
 def trace(cells: Cells, depth_mm: Array) -> list[Path]:
-    """Trace the branches of a density.
+    """Trace branches in a field of root density.
 
     Parameters
     ----------
@@ -146,8 +146,8 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
 def _bridge_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
     """Return graph edges (N, N) across the gap behind the net pot, at the cost of empty cells.
 
-    Part of the search space is connected if its dense cells are no farther from a plant's top than a hidden base is
-    long.
+    A part of the search space is connected to a plant if the distance of its dense cells from the plant's top does not
+    exceed the maximum length of a hidden base.
     """
     centre, part = cells.centre_mm, CellSet.from_cells(cells.index).components()
     begun, top_mm = np.isin(part, part[starts]), centre[starts, 2].min()
@@ -181,7 +181,7 @@ def _smooth(cells: Cells) -> Array:
     """Return the density (N,) of cells, shadow per volume in 1/mm, smoothed with a Gaussian of 0.7 cells."""
     density = cells.shadow_mm2.astype(np.float64) / cells.grid.size_mm**3
     beside = np.exp(-0.5 / _SMOOTH_CELLS**2)
-    middle = 1.0 / (1.0 + 2.0 * beside)  # cut off at the neighbours
+    middle = 1.0 / (1.0 + 2.0 * beside)  # the Gaussian is truncated after the neighbours
     smooth = middle**3 * density
     for step, here, there in CellSet.from_cells(cells.index).neighbours():
         share = middle**3 * beside ** np.abs(step).sum()

@@ -363,7 +363,7 @@ class System:
     def _scatter(self, change: Array) -> Array:
         """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
         root = self.root
-        own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums nodes by root
+        own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums the nodes of each root
         scores = []
         for v in range(len(self.by)):
             shift, width = self._remaining_residuals(change, v)

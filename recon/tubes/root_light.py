@@ -47,8 +47,8 @@ _MOST_BLUR_PX = 0.8
 _MOST_HAIRS = 4.0
 """Maximum strength of root hairs, relative to those of radish. Hairs four times as dark absorb most of the light."""
 _MOST_INDEX = 0.07
-"""Maximum excess of the roots' refractive index, relative to water. Pure cell walls have 1.425 (Appl. Opt. 13:109),
-1.069 times the index of water."""
+"""Maximum relative excess of the roots' refractive index over that of water. Pure cell walls have an index of 1.425
+(Appl. Opt. 13:109), which is 1.069 times that of water."""
 _BOUNDS = np.array([[np.log(FAINTEST), 0.0, 0.0, 0.0], [np.log(DARKEST), _MOST_BLUR_PX**2, _MOST_HAIRS, _MOST_INDEX]])
 """Lower and upper bounds of the light parameters, in the order of `LIGHT`."""
 ROUNDING = 1e-9
@@ -64,7 +64,7 @@ _CHANGES, _WIDER = (0.01, 0.005, 0.02, 0.002), 0.005
 """Steps of the difference quotients with respect to the light parameters and to the logarithm of the radii. They change
 pictures by less than 0.01, and pictures are accurate to 1e-6."""
 _RIDGE = 1e-4
-"""Curvature that regularises nodes without a profile as a lone root, 1/mm2. A node's own curvature is about 100/mm2, of
+"""Curvature that regularises nodes without a profile of a lone root, 1/mm2. A node's own curvature is about 100/mm2, of
 which a thousandth remains along the valley in which the node follows the light parameters."""
 LEAST_VARIANCE = 1e-5
 """Minimum variance of the coverage. It corresponds to a standard deviation of 0.003, which is one grey level of 8
@@ -74,7 +74,7 @@ LEAST_LONE = 1500
 blur is fitted, to all profiles.
 
 An opaque print in 40 pictures of 400x300 px has 1,140 profiles of few roots, and the residual of an opaque model is
-1.15 times as large. Translucent plants have 30,000 profiles or more."""
+1.15 times as large as that of a translucent model. Translucent plants have 30,000 profiles or more."""
 HAIRY = 1.0, 0.5
 """Prior mean and standard deviation of the strength of hairs around translucent roots, which are young. Radish in water
 has hairs of 0.1 to 0.5 mm, between half and one and a half times as dark as the mean."""
@@ -134,7 +134,7 @@ def with_light(evidence: Evidence, light: Array) -> Evidence:
 
 
 def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
-    """Adjust the radii of tubes so that they absorb the same light with another attenuation and other hairs.
+    """Adjust the radii of tubes so that they absorb the same light after a change of attenuation and hairs.
 
     The absorption is that of roots viewed from the side.
 

@@ -226,7 +226,7 @@ def _table() -> tuple[Array, Array]:
     x, by_angle = np.cos(angle), np.sin(angle) * share
     chord = np.sqrt(1.0 - np.square(x) * (1.0 - np.square(_RIM[:, None])))
     powers = np.stack([(2 * k + 1) * by_angle * x ** (2 * k) for k in range(2 * LAYERS)], axis=1)
-    # of s^2, weighted with s dh: (4, R, T)
+    # moments of s^2, weighted with s dh: (4, R, T)
     moment = np.stack([-np.expm1(-2.0 * _TAU[:, None] * one) @ powers for one in chord]).transpose(2, 0, 1)
     mean = moment[1] / moment[0]
     variance = np.maximum(moment[2] / moment[0] - mean**2, _LEAST_SPREAD)

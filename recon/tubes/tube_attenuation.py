@@ -39,11 +39,11 @@ if the difference is also significant (`_TELLING`).
 The excess over 1 is half of that of `CLEARLY`. Opaque plants of the twin have 1.01 to 1.03, and an opaque bean has
 1.09."""
 _TELLING, _EXCLUDED = 2.0, 3.0
-"""Minimum difference between two models, in standard deviations computed from the scatter of roots and views, for the
-difference to be significant; and difference above which hairs half as strong as those of radish are excluded.
+"""Two thresholds of a difference in standard deviations, which are computed from the scatter of roots and views.
 
-Opaque plants of the twin have differences of 0.2 to 1.7, and thin translucent plants 2.8 to 12. The first limit also
-applies to the difference between the attenuation and its upper bound."""
+Above the first, the difference between two models, or between the attenuation and its upper bound, is significant.
+Above the second, hairs half as strong as those of radish are excluded. Opaque plants of the twin have differences of
+0.2 to 1.7, and thin translucent plants of 2.8 to 12."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,9 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
     glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
     tubes = root_light.match_absorption(opaque.tubes, thick, evidence, glassy)
     prior = Prior.from_evidence(glassy, learned_per_mm)
-    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))  # some combination with an index looks like any edge
+    prior = replace(
+        prior, free=prior.free & (np.arange(len(prior.free)) != INDEX)
+    )  # with a free index, some combination would match any edge
     translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
     losses, lone = _losses(opaque, translucent, thick)
     if losses[0].sum() > _PERHAPS * losses[1].sum():  # the opaque fit had fewer steps

@@ -117,7 +117,7 @@ def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, li
                 evidence, change = root_light.with_light(evidence, now + step), equations.by_light @ step
         tubes = _step(tubes, residual, smooth, change)
         tubes = with_geometry(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _limit_radii(tubes)))
-    release()  # no other tree's kernels have these sizes
+    release()  # kernels of other trees have other sizes
     return Fit(evidence, tubes, residual, system, light, few)
 
 

@@ -34,7 +34,8 @@ from rhizotwin.recon.tubes.tubes import Tubes
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of a square pixel, px."""
 _NARROWEST_PX = 0.1
-"""Minimum width of the boxes, px. Without blur, an edge along the rows would have a box of zero width."""
+"""Minimum width of the two boxes whose convolution is the projection of a pixel, px. Without blur, an edge along the
+rows would have a box of zero width."""
 _LEAST_PX = 1e-3
 """Minimum length of a segment in a picture, px. The direction of shorter segments is undefined."""
 _NOTHING, _ENDS = 1e-4, 4.0
@@ -72,7 +73,7 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     if strips is None:
         return dr.exp(-depth)
     (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way
-    # Opaque, since every literal value of blur would compile a new kernel.
+    # Opaque, since every literal value of the blur would require a new kernel.
     sigma, spread = dr.opaque(mi.Float, float(np.hypot(evidence.blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * evidence.blur_px**2)
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))

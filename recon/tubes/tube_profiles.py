@@ -112,11 +112,11 @@ class Sections:
         return int(dr.width(self.place))
 
     def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
-        """Return the offset across the tube of sample k of a profile from ``-reach_px`` to ``reach_px``, px."""
+        """Return the offset of sample k across the tube, px, in a profile from ``-reach_px`` to ``reach_px``."""
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
 
     def at_edge(self, k: UInt32 | int) -> Float:
-        """Return the offset across the tube of sample k of `_SAMPLES` samples around its two edges, px.
+        """Return the offset of sample k across the tube, px, out of `_SAMPLES` samples around its two edges.
 
         Adjacent samples at one edge are `edge_step` apart.
         """
@@ -152,7 +152,7 @@ class ResidualGradient:
     gradient: Array
     """Right-hand side g of each node for x, y, z and radius, shape (N, 4)."""
     visible: Array
-    """Fraction of each node's coverage, summed over the views, that nothing hides, shape (N,)."""
+    """Fraction of each node's coverage that no other tube hides, summed over the views, shape (N,)."""
 
     def select(self, nodes: NDArray[np.int64]) -> ResidualGradient:
         """Return the equations of a subset of the nodes (M,)."""
@@ -188,7 +188,7 @@ class HostProfiles:
     """Product of the residual and the derivative with respect to the shift, shape (V, N)."""
     width: Array
     shown: Array
-    """Coverage of the node that nothing hides, shape (V, N)."""
+    """Coverage of the node that no other tube hides, shape (V, N)."""
     whole: Array
 
 
@@ -218,8 +218,7 @@ class LightProfiles:
     by_width: tuple[Float, ...]
     """Products of the derivatives with respect to `LIGHT` and to the width, for all profiles."""
     shift_radius: Float
-    """Product of the derivatives with respect to the radius (from `Changes`) and to the shift, px/mm. Other products
-    with the radius derivative have the same unit."""
+    """Product of the derivatives with respect to the radius (from `Changes`) and to the shift, px/mm."""
     radius_2: Float
     radius: Float
     """Product of the residual and the derivative with respect to the radius."""
@@ -383,7 +382,7 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
         of_light = () if changes is None else _light_terms(cut, o, changes, shift, width, d)
         return k + 1, *(total + term for total, term in zip(sums, (*terms, *about, *of_light), strict=True))
 
-    many = _size(changes) - 5  # without direction, scale and lone
+    many = _size(changes) - 5  # excluding direction, scale and lone
     begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(many + 3))
     sums = list(dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:])
     uncovered, passing, passing_alone = sums[7:10]
@@ -394,14 +393,14 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
     factors = [weight] * 5 + [step] * 2 + [weight] * of_all + [weight * alone] * (many - 7 - of_all)
     summed = [total * factor for total, factor in zip(sums[:7] + sums[10:], factors if changes else factors[:7], strict=True)]
     found = [cut.spread(part) for part in (*cut.across, cut.scale, alone, *summed)]
-    dr.eval(found)  # evaluated together, to traverse the profiles once
+    dr.eval(found)  # evaluated together, so that the profiles are traversed only once
     return _assemble(cut.shape, found, changes)
 
 
 def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
     """Yield the contributions of the sample at offset ``o`` to `LightProfiles`, in the order of its fields."""
     (radius,) = cut.read(o, changes.radius)
-    radius *= cut.scale / cut.half_px  # by mm
+    radius *= cut.scale / cut.half_px  # derivative per mm
     light = [cut.read(o, changes.light[k])[0] if k in changes.light else mi.Float(0.0) for k in range(len(LIGHT))]
     yield from (shift * part for part in light)
     yield from (width * part for part in light)

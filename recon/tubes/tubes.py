@@ -23,8 +23,8 @@ TANGENT_NODES = 4
 """Number of nodes over which the tangent of a branch is computed."""
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that smooths the steps between cells in a traced path, mm."""
-_FEW = 16  # nearest nodes tested first for one that precedes a path
-_OBLIQUE = 3.0  # maximum ratio of path to straight distance from a parent's axis to a lateral: 20 degrees
+_FEW = 16  # number of nearest nodes among which a preceding node is searched first
+_OBLIQUE = 3.0  # maximum ratio of path length to distance between a parent's axis and a lateral, for 20 degrees
 _STUB_MM = 0.7  # slightly more than the node spacing
 
 
@@ -198,7 +198,7 @@ def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
     near = cKDTree(centre).query(points, k=min(_FEW, len(centre)))[1].reshape(len(points), -1)
     allowed = near < count[:, None]
     found = np.where(allowed.any(axis=1), near[np.arange(len(near)), allowed.argmax(axis=1)], 0)
-    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all near ones come later
+    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all of the nearest nodes come later
         found[k] = np.linalg.norm(centre[: count[k]] - points[k], axis=1).argmin()
     return np.asarray(found, np.int64)
 
