@@ -89,7 +89,7 @@ class DistanceMaps:
         values = aligned_empty(len(views) * samples, np.dtype(np.float16))
 
         def draw(view: int) -> None:
-            # `UNSEEN_PX` becomes infinite. NumPy takes five times as long, and twenty times as long for infinite values.
+            # `UNSEEN_PX` becomes infinite. NumPy takes 5 times as long, and 20 times for infinite values.
             drawn = cv2.multiply(outline(views[view].cut(window)), 1.0, dtype=cv2.CV_16F)
             values[view * samples : (view + 1) * samples] = drawn.ravel()
 

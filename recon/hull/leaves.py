@@ -137,20 +137,20 @@ class Hull:
 
     leaves: Leaves
     outer: NDArray[np.float32]
-    """Occupied fraction of each leaf for outlines moved out by their uncertainty, shape (N,)."""
+    """Occupied fraction of each leaf if all outlines are moved out by their uncertainty, shape (N,)."""
     moved_in_mm3: float
-    """Volume for outlines moved in by their uncertainty, mm3."""
+    """Volume of the hull if all outlines are moved in by their uncertainty, mm3."""
     blind_mm3: float
     """Volume of the water that too few views show, mm3."""
 
     @property
     def widest(self) -> Leaves:
-        """Return the hull for outlines moved out by their uncertainty."""
+        """Return the hull that results if all outlines are moved out by their uncertainty."""
         return Leaves(self.leaves.grid, self.leaves.index, self.leaves.size, self.outer)
 
     @property
     def moved_out_mm3(self) -> float:
-        """Return the volume for outlines moved out by their uncertainty, mm3."""
+        """Return the volume of the hull if all outlines are moved out by their uncertainty, mm3."""
         return self.leaves.volume_mm3(self.outer)
 
 

@@ -25,10 +25,11 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _STEP = 1e-3
-"""Cost of each cell of a path, added to the fraction of views that exclude the cell. Of equally good paths, it selects
-the shortest."""
+"""Cost of each cell of a path, added to the fraction of views that exclude the cell. It selects the shortest of several
+equally good paths."""
 _INSIDE = 1e-9
-"""Cost of each cell of a path inside the hull. A cost of zero would not be an edge of the sparse graph."""
+"""Cost of each cell of a path inside the hull. It is not zero, since an edge without a cost would be missing from the
+sparse graph."""
 
 
 def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) -> Leaves:

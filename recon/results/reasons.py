@@ -26,7 +26,7 @@ OF_CHECK = {
     "resolution": "coarse_pictures",
     "corrections": "contradicted_corrections",
 }
-"""Reason code of each check of a scan, which applies if the state of the check is ``bad``."""
+"""Reason code for each check of a scan, used if the state of the check is ``bad``."""
 NO_UNCERTAINTY = "no_uncertainty"
 """Reason code: the method used, such as a baseline method, does not estimate an uncertainty."""
 FEW_VIEWS = "few_views"

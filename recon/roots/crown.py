@@ -122,7 +122,7 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
 
 
 def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
-    """Mark the nodes that no view shows as solid: the crown of several plants, or the base of a single plant.
+    """Mark as solid the nodes that no view shows: the crown of several plants, or the base of a single plant.
 
     Solid nodes are not part of any root and add no volume.
 

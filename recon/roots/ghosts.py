@@ -23,8 +23,8 @@ FLANK_PX = 1.0
 """Margin around taproot and hypocotyl, whose spheres are less precise than tubes, and around the root's upper end where
 it leaves the field of view, px."""
 _EXPLAINED = 0.5
-"""Minimum fraction of the coverage under a branch that the branch must explain. Below this fraction, the rest of the
-branch is a ghost."""
+"""Minimum fraction of the coverage in the pixels of a branch that the branch must explain. Below this fraction, the
+rest of the branch is a ghost."""
 _EXPLAINED_PX = 1.0
 """Minimum squared coverage that a node must explain, summed over all views, px."""
 _END_NODES = 3
@@ -79,9 +79,10 @@ def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
 
 
 def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
-    """Return the mask (N,) of nodes inside an earlier branch, or within the margin of an organ or of the upper end.
+    """Return the mask (N,) of nodes that lie inside an earlier branch.
 
-    Such nodes are parts of a second path along the same root.
+    Around taproot, hypocotyl and the upper end of the plant, nodes within a margin are included. All these nodes are
+    parts of a second path along the same root.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ estimated diameters vary by less than this ratio."""
 _ROUNDS = 10
 """Maximum number of iterations. Three or four usually suffice."""
 _BASAL_MM = 2.0
-"""Distance between the base of a lateral and its grandparent below which the lateral is reassigned to the grandparent,
-mm. Such a lateral merely runs along its parent at first."""
+"""Distance of a lateral's base from its grandparent, mm, below which the lateral is reassigned to the grandparent. Such
+a lateral merely runs along its parent at first."""
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:

@@ -256,7 +256,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
 
 
 def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: int, node: int) -> bool:
-    """Return whether the branch of a node, up to that node, is a second path along the root of branch ``first``."""
+    """Return whether the beginning of a branch, up to a given node, duplicates the root of branch ``first``."""
     second, place = int(tangents.owner[node]), int(tangents.place[node])
     line, beside = branches[first], branches[second]
     assert line is not None

@@ -126,7 +126,7 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
 
 
 def _sample_tubes(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return points (P, 3) along the tubes, their radii (P,) and the index of the nearest node of each (P,)."""
+    """Return points (P, 3) along the tubes, with tube radius (P,) and index of the nearest node (P,) at each point."""
     a, b = found.segments.T
     count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
     segment = np.repeat(np.arange(len(a)), count)

@@ -1,8 +1,7 @@
 """Removal of the hidden part of laterals inside thick roots.
 
-No view shows where a lateral begins inside a storage root. If it were traced to the axis of a wide root, its length
-would be overestimated. Since the tissue of a storage root grows around existing laterals, they are assumed to begin
-near its surface.
+No view shows where a lateral begins inside a storage root. A lateral that is traced to the axis of a wide root would be
+too long. Since the tissue of a storage root grows around existing laterals, they are assumed to begin near its surface.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ shows the flank of a tip before its end."""
 _LEAST_VIEWS = 4
 """Minimum number of usable views for a tip to be moved. Fewer views may all be affected by the same root."""
 _LEAST_LENGTH = 0.5
-"""Minimum fraction of its length that remains when an end is shortened. Ends are removed only as a whole."""
+"""Minimum fraction of an end's length that remains when the end is shortened. Ends are removed only as a whole."""
 
 
 def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
@@ -60,7 +60,7 @@ def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
 
 
 def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
-    """Return the distance (T,) by which each tip lies beyond its last node, mm; 0 where too few views are usable."""
+    """Return the distance (T,) of each tip beyond the last node of its branch, mm; 0 where too few views are usable."""
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = tree.centre_mm[tip] - tree.centre_mm[before]

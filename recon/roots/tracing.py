@@ -211,7 +211,7 @@ def _concatenate(parts: list[NDArray[T]]) -> NDArray[T]:
 
 
 def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
-    """Return the length (N,) of each cell's path to the top, mm, or -1 without a path, by pointer doubling."""
+    """Compute the path length (N,) from each cell to the top, mm, by pointer doubling; -1 for cells without a path."""
     start = before < 0
     jump = np.where(start, np.arange(len(before)), before)
     length = np.where(start, 0.0, np.linalg.norm(centre - centre[jump], axis=1))

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SAMPLES_A_NODE = 1.8
-"""Number of points per node edge, so that every node inside a tube contains some points."""
+"""Number of fill points per edge of a node, so that every node inside a tube contains some points."""
 _FINEST_SPACING_MM = 0.05
 """Minimum spacing of points that fill a tube, mm, to limit memory."""
 _WIDE_NODES = 4.0

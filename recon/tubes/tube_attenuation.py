@@ -33,11 +33,11 @@ _STEPS, _TRANSLUCENT_STEPS = 5, 8
 """Number of iterations of the fit for opaque roots and for translucent roots. Translucent roots need more, since log mu
 changes by at most 0.35 per iteration."""
 _PERHAPS = 1.1
-"""Residual of the opaque model, relative to that of the translucent model, above which roots are considered translucent
-if the difference is also significant (`_TELLING`).
+"""Ratio between the residuals of the opaque and the translucent model above which roots are considered translucent, if
+the difference is also significant (`_TELLING`).
 
-The excess over 1 is half of that of `CLEARLY`. Opaque plants of the twin have 1.01 to 1.03, and an opaque bean has
-1.09."""
+The excess of this ratio over 1 is half of that of `CLEARLY`. Opaque plants of the twin have ratios of 1.01 to 1.03, and
+an opaque bean has 1.09."""
 _TELLING, _EXCLUDED = 2.0, 3.0
 """Two thresholds of a difference in standard deviations, which are computed from the scatter of roots and views.
 
@@ -62,7 +62,8 @@ class TubeAttenuation:
     profiles: int
     """Number of profiles of lone roots in the comparison."""
     rival_per_mm: float | None = None
-    """Attenuation that explains the pictures better than opaque roots, but not clearly, 1/mm."""
+    """Attenuation with which translucent roots explain the pictures better, but not clearly better, than opaque roots,
+    1/mm."""
     hairs: Literal["none", "maybe", "there"] = "none"
     """Whether the roots have hairs. The value is "maybe" if pictures with and without hairs would look alike."""
 
@@ -115,9 +116,8 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
     glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
     tubes = root_light.match_absorption(opaque.tubes, thick, evidence, glassy)
     prior = Prior.from_evidence(glassy, learned_per_mm)
-    prior = replace(
-        prior, free=prior.free & (np.arange(len(prior.free)) != INDEX)
-    )  # with a free index, some combination would match any edge
+    # With a free index, some combination of parameters would match any edge.
+    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))
     translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
     losses, lone = _losses(opaque, translucent, thick)
     if losses[0].sum() > _PERHAPS * losses[1].sum():  # the opaque fit had fewer steps

@@ -130,9 +130,9 @@ class _Strips:
     start: UInt32
     """Offset of the view's picture in flattened pictures (mi.UInt32)."""
     begin: Vector2f
-    """Pixel of the first end (mi.Vector2f)."""
+    """Pixel coordinates of the segment's first end (mi.Vector2f)."""
     way: Vector2f
-    """Unit vector from the first to the second end (mi.Vector2f)."""
+    """Unit vector from the segment's first to its second end (mi.Vector2f)."""
     length: Float
     """Length of the segment, px (mi.Float)."""
     cuts: tuple[Vector2f, Vector2f]
@@ -142,7 +142,7 @@ class _Strips:
     angle. With perpendicular lines, bends had notches on their outside, and fits moved the nodes of wide tubes back and
     forth."""
     half_px: tuple[Float, Float]
-    """Half-widths at both ends, px (mi.Float)."""
+    """Half-widths at both ends of the segment, px (mi.Float)."""
     cap_px: Float
     """Length of the rounded tip after the segment, px (mi.Float). It is 0 where the branch continues."""
     layers: tuple[list[Layer], list[Layer]]

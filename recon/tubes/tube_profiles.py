@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 _SAMPLES = 14
 """Number of samples in a profile. Half of them are at each edge of the tube."""
 _MARGIN_PX = 1.8
-"""Distance on both sides of each edge of a tube, limited by the middle of the tube, over which a profile is compared,
-px. Elsewhere, the coverage does not depend on shift and width."""
+"""Distance on both sides of a tube's edge over which a profile is compared, px. Inside the tube, it is limited by the
+centre line. Elsewhere, the coverage does not depend on shift and width."""
 _INTERPOLATION_VARIANCE = 0.1
 """Variance of the blur caused by bilinear interpolation, px2."""
 _LEAST_SPEED_PX = 0.3
@@ -181,11 +181,12 @@ class HostProfiles:
     scale: Array
     """Image scale across the tube, shape (V, N), px/mm."""
     shift_2: Array
-    """Squared derivative of the coverage with respect to a lateral shift in px, shape (V, N). It is 0 without data."""
+    """Squared derivative of the coverage with respect to a lateral shift in px, shape (V, N). It is 0 if the view has
+    no data."""
     shift_width: Array
     width_2: Array
     shift: Array
-    """Product of the residual and the derivative with respect to the shift, shape (V, N)."""
+    """Product of the residual and the derivative of the coverage with respect to the shift, shape (V, N)."""
     width: Array
     shown: Array
     """Coverage of the node that no other tube hides, shape (V, N)."""
@@ -214,19 +215,20 @@ class LightProfiles:
     """
 
     by_shift: tuple[Float, ...]
-    """Products of the derivatives with respect to `LIGHT` and to the shift, for all profiles."""
+    """Products of two derivatives of the coverage, with respect to `LIGHT` and to the shift, for all profiles."""
     by_width: tuple[Float, ...]
-    """Products of the derivatives with respect to `LIGHT` and to the width, for all profiles."""
+    """Products of two derivatives of the coverage, with respect to `LIGHT` and to the width, for all profiles."""
     shift_radius: Float
-    """Product of the derivatives with respect to the radius (from `Changes`) and to the shift, px/mm."""
+    """Product of two derivatives of the coverage, with respect to the shift and to the radius (from `Changes`),
+    px/mm."""
     radius_2: Float
     radius: Float
-    """Product of the residual and the derivative with respect to the radius."""
+    """Product of the residual and the derivative of the coverage with respect to the radius."""
     by_radius: tuple[Float, ...]
     light_2: tuple[Float, ...]
-    """Products of the derivatives with respect to `LIGHT`, upper triangle of the matrix."""
+    """Products of the derivatives of the coverage with respect to `LIGHT`, upper triangle of the matrix."""
     light: tuple[Float, ...]
-    """Products of the residual and the derivatives with respect to `LIGHT`."""
+    """Products of the residual and the derivatives of the coverage with respect to `LIGHT`."""
 
 
 @dataclass(frozen=True)
