@@ -1,4 +1,4 @@
-"""Connection of several plants to a single tree by an artificial branch, the crown, behind the net pot.
+"""Connection of several plants into a single tree by an artificial branch, the crown, behind the net pot.
 
 Tracing and fitting require a single tree. The crown is its first branch. It runs from above the first plant to above
 the last, and every plant is attached to it as a branch. `mark_hidden` excludes the artificial nodes from the result.

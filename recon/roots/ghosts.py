@@ -125,12 +125,13 @@ def find_short_leaves(tubes: Tubes, organ: Mask) -> Mask:
 
 
 def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes of branch ends that probably have no tip.
+    """Return the mask (N,) of nodes at branch ends that are probably not root tips.
 
-    An end comprises the nodes from a branch's last lateral to its tip. The evidence for a tip combines three measures,
-    since a false tip may pass any single measure: the fraction of the tip that other roots do not hide, its distance
-    from other roots, and the residual around it. The residual is compared with that of other tips, which accounts for
-    noise and blur. An end that protrudes from its parent by less than its own diameter is a bulge and never has a tip.
+    An end comprises the nodes from a branch's last lateral to its last node. The evidence for a tip combines three
+    measures, since a false tip may pass any single measure: the fraction of the end that other roots do not hide, its
+    distance from other roots, and the residual around it. The residual is compared with that of other ends, which
+    accounts for noise and blur. An end that protrudes from its parent by less than its own diameter is a bulge and
+    never a tip.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def _move_up(roots: list[Root]) -> None:
 
 
 def _growth_cosine(parent: Root, points_mm: Array) -> float:
-    """Return the cosine between the first 5 mm of a line and the parent's direction of growth at its base."""
+    """Return the cosine of the angle between the first 5 mm of a line and its parent's direction of growth."""
     at = _nearest(parent, points_mm[0])
     along = parent.points_mm[min(at + 1, len(parent.points_mm) - 1)] - parent.points_mm[max(at - 1, 0)]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])

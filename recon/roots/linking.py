@@ -78,7 +78,7 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     Parameters
     ----------
     uncertain : (N,) bool array or None
-        Mask of nodes of ends that probably have no tip. Continuing such an end saves an additional cost.
+        Mask of nodes at branch ends that are probably not root tips. Continuing such an end saves an additional cost.
 
     Returns
     -------

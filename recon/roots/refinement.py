@@ -74,7 +74,7 @@ class TreeRefinement:
         return fit if stays.all() else self.fit(tree.keep(stays))
 
     def link_ends(self, tree: Tubes) -> Tubes:
-        """Link ends that probably have no tip to the branches in which they continue."""
+        """Link branch ends that are probably not root tips to the branches in which they continue."""
         drawn = Rendering.draw(self.evidence, tree)
         visible = tube_profiles.profiles(drawn).residual_gradient().visible
         tree, _ = linking.link(tree, ghosts.find_uncertain_ends(tree, visible, node_support.compute_support(drawn), self.thick(tree)))

@@ -53,7 +53,7 @@ class RootSystem(RootTree):
     """Refined root tree with assessed ends."""
 
     uncertain: Mask
-    """Mask of nodes of ends that probably have no tip, shape (N,)."""
+    """Mask of nodes at branch ends that are probably not root tips, shape (N,)."""
 
     @cached_property
     def rendering(self) -> Rendering:

@@ -179,7 +179,7 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
 
 
 def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
-    """Fit the tubes a last time, and mark the ends that probably have no tip."""
+    """Fit the tubes a last time, and mark branch ends that are probably not root tips."""
     with monitor.stage("last tubes"):
         light = Prior.from_evidence(tree.evidence, tree.learned_per_mm)
         steps = _LAST_STEPS if tree.evidence.mu_per_mm is None else _TRANSLUCENT_STEPS

@@ -1,4 +1,4 @@
-"""Combination of solids and tubes to a single shape on the lattice of the hull's finest nodes."""
+"""Combination of solids and tubes into a single shape on the lattice of the hull's finest nodes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SLACK_PX = 0.05
 
 @dataclass(frozen=True)
 class CombinedShape:
-    """Solids and tubes, combined to a single shape."""
+    """Solids and tubes, combined into a single shape."""
 
     leaves: Leaves
     thick: Leaves
@@ -50,7 +50,7 @@ class CombinedShape:
 
 
 def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
-    """Combine solids and tubes to a single shape.
+    """Combine solids and tubes into a single shape.
 
     Where they overlap, the larger occupancy of a node is used. Thick tubes are clipped to the hull.
     """

@@ -57,8 +57,8 @@ for a printed phantom, the estimate is 0.0027 too high with five standard deviat
 The reduction is computed from the linear system, since refitting the tubes reduces the distance by some per cent with
 any index, depending on the rounding of the pictures."""
 LEAST_NODES = 100
-"""Minimum number of nodes for an estimate, which corresponds to 60 mm of root. Fewer nodes come from one or two roots,
-whose scatter does not determine an uncertainty."""
+"""Minimum number of nodes for an estimate, which corresponds to 60 mm of root. Fewer nodes come from only one or two
+roots, and their scatter is not sufficient for an estimate of the uncertainty."""
 MOST_NODES = 1500
 """Maximum number of nodes used, selected at equal intervals. More nodes add no information, since the nodes of a root
 are correlated."""

@@ -338,7 +338,7 @@ _NODE = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3,
 
 
 def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Array:
-    """Return symmetric matrices (N, K, K), given the products (N, P) at certain rows and columns."""
+    """Return symmetric matrices (N, K, K), given their elements (N, P) at specified rows and columns."""
     row, column = place
     size = int(column.max()) + 1
     found = np.empty((len(products), size, size))

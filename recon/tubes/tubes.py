@@ -127,7 +127,7 @@ class Tubes:
         return math.fsum(polyline.length_mm(self.centre_mm[b]) for b in self.branches)
 
     def keep(self, stays: NDArray[np.bool_]) -> Tubes:
-        """Return the tree with the nodes selected by a mask (N,) from `prune_mask`."""
+        """Return the tree restricted to the nodes of a mask (N,), as returned by `prune_mask`."""
         number = np.cumsum(stays) - 1
         kept = [branch[stays[branch]] for k, branch in enumerate(self.branches) if stays[self.own(k)].any()]
         return Tubes(self.centre_mm[stays], self.radius_mm[stays], tuple(number[branch] for branch in kept))
