@@ -19,8 +19,8 @@ _Point = tuple[Array, float]
 _REACH_MM = 5.0
 """Length over which directions and diameters beyond a fork are averaged, mm."""
 _THICKER = 1.25
-"""Ratio of diameters above which a lateral, instead of the continuing line, is the continuation of a root. Over 5 mm,
-estimated diameters vary by less than this ratio."""
+"""Minimum ratio between the diameters of a lateral and of the continuing line for the root to continue in the lateral.
+Over 5 mm, estimated diameters vary by less than this ratio."""
 _ROUNDS = 10
 """Maximum number of iterations. Three or four usually suffice."""
 _BASAL_MM = 2.0

@@ -19,8 +19,8 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 BURIED_MM = 1.0
-"""Maximum depth below the surface of its parent at which a lateral begins, mm. Laterals of thinner parents begin at the
-parent's axis.
+"""Maximum depth of a lateral's base below the surface of a thickened parent, mm. Laterals of thinner parents begin at
+the parent's axis.
 
 Secondary growth adds tissue outside the stele of the young root, which has a diameter of some millimetres and from
 which the laterals grew (Esau 1977, Anatomy of Seed Plants, chapter 15)."""

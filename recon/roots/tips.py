@@ -32,10 +32,10 @@ _LEAST_COVERAGE = 0.15
 """Minimum coverage of a root on its own axis, which corresponds to a width of a sixth of a pixel. Thinner roots show no
 edge."""
 _OTHERS = 0.1
-"""Maximum coverage by other roots in front of a tip for a view to be used."""
+"""Maximum coverage by other roots beyond a tip for a view to be used to locate the tip."""
 _LEAST_SINE = 0.5
-"""Minimum sine of the angle between the axis and the line of sight for a view to be used. At smaller angles, a view
-shows the flank of a tip before its end."""
+"""Minimum sine of the angle between a root's axis and the line of sight for a view to be used to locate the tip. At
+smaller angles, a view shows the flank of a tip before its end."""
 _LEAST_VIEWS = 4
 """Minimum number of usable views for a tip to be moved. Fewer views may all be affected by the same root."""
 _LEAST_LENGTH = 0.5

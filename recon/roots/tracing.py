@@ -49,8 +49,8 @@ _CORE_CLAIM_MM = 0.65
 _LEAST_MM = 1.0
 """Minimum length of a traced root, mm."""
 _TOP_MM, _RISE_MM = 1.0, 6.0
-"""Height below the highest cell within which the plant's top is searched, mm, and maximum height of laterals above the
-visible stem, mm."""
+"""Height below the highest cell within which the plant's top is searched, mm, and maximum height by which laterals may
+exceed the visible stem, mm."""
 _THIN_MM = (0.05, 0.3)
 """Range of initial radii derived from shadows, mm. The cells of thicker roots shade each other."""
 

@@ -42,8 +42,8 @@ _NOTHING, _ENDS = 1e-4, 4.0
 """Negligible optical depth, and distance beyond a tip at which the depth has decreased to this value, in standard
 deviations of the blur."""
 _STEEPEST = 1e-3
-"""Minimum sine of the angle between a segment and the rows and columns for exact clipping of the segment. At smaller
-angles, the clipping error is a hundredth of a pixel."""
+"""Lower limit of the sine of the angle between a segment and the pixel rows or columns. It causes a clipping error of a
+hundredth of a pixel for segments at smaller angles."""
 _FAR_PX = 3.0
 """Distance from an edge beyond which a pixel, including blur, lies entirely on one side of the edge, px."""
 _HIDDEN = 5.3

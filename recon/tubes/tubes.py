@@ -191,7 +191,7 @@ def place_nodes(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
 
 
 def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
-    """Return the index (M,) of the nearest of the first ``count`` (M,) centres to each point (M, 3).
+    """Return, for each point (M, 3), the index (M,) of the nearest among the first ``count`` (M,) centres.
 
     The index is 0 if ``count`` is 0.
     """
