@@ -91,8 +91,8 @@ class TubeAttenuation:
             return hairs
         return [
             *hairs,
-            f"the roots may be translucent (attenuation {self.rival_per_mm:.2g} per mm): a model of opaque roots has a residual "
-            f"{self.against_opaque:.2f} times as large, which may be due to chance; the roots are assumed opaque",
+            f"the roots may be translucent (attenuation {self.rival_per_mm:.2g} per mm): opaque roots explain the pictures less well "
+            f"(the residual is {self.against_opaque:.2f} times as large), but this may be due to chance, so the roots are assumed opaque",
         ]
 
 
