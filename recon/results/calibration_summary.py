@@ -18,7 +18,7 @@ SWAY_AT_MM = 100.0
 def summarize_cameras(cameras: Cameras) -> Json:
     """Return the calibration from all views as JSON values, for the key ``rig`` of a result.
 
-    The dictionary is empty if the cameras were not calibrated but given.
+    The dictionary is empty if the cameras were specified in the dataset and not calibrated.
     """
     found = {} if cameras.markers is None else _summarize_markers(cameras.markers)
     if found or cameras.roots is not None:

@@ -52,7 +52,7 @@ _TOP_MM, _RISE_MM = 1.0, 6.0
 """Height below the highest cell within which the plant's top is searched, mm, and maximum height by which laterals may
 exceed the visible stem, mm."""
 _THIN_MM = (0.05, 0.3)
-"""Range of initial radii derived from shadows, mm. The cells of thicker roots shade each other."""
+"""Range to which initial radii derived from shadows are limited, mm. The cells of thicker roots shade each other."""
 
 
 @dataclass(frozen=True)

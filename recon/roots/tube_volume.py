@@ -33,7 +33,7 @@ _DENT = 24.0
 """Coefficient of the mean dent between spheres: a union of spheres of radius r at a spacing of s is too thin by s^2 /
 (24 r) on average."""
 _SLACK_PX = 0.05
-"""Uncertainty of a tube's radius in the bounds of the volume, px."""
+"""Uncertainty of the tube radii assumed for the bounds of the volume, px."""
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def move_camera(view: View, step: Array) -> View:
 
 
 INDEX = Quantity("index of the water", "", 1e-4, _index)
-"""Refractive index of the water. The step is a tenth of the change over ten degrees."""
+"""Refractive index of the water. The step is a tenth of the change caused by ten degrees."""
 FOCUS = Quantity("focal length", "", 1e-4, _focus)
 """Relative focal length. The step is 0.01 %, which corresponds to 0.04 px at the edge of a picture."""
 CANISTER = tuple(

@@ -146,7 +146,7 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
 
 
 def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
-    """Return the response (N, 4, L) of the nodes to the light parameters that keeps the rendered tubes unchanged.
+    """Return the change (N, 4, L) of the nodes, per light parameter, that keeps the rendered tubes unchanged.
 
     Parameters
     ----------

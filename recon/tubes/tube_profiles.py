@@ -70,7 +70,7 @@ class Sections:
     columns: int
     rows: int
     px: Vector2f
-    """Pixel of the node (mi.Vector2f)."""
+    """Pixel coordinates of the node (mi.Vector2f)."""
     normal: Vector2f
     """Unit vector across the tube in the picture (mi.Vector2f)."""
     across: Vector3f
