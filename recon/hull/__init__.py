@@ -1,1 +1,1 @@
-"""The visual hull: carving with refraction, trimming to what the silhouettes require, and the surface."""
+"""Visual hull: octree carving with refraction, trimming to the volume that the silhouettes require, and its surface."""

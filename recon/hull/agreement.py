@@ -1,7 +1,7 @@
-"""Agreement of each view with a shape, and detection of views that contradict all others.
+"""Consistency of each view with a reconstructed shape, and detection of views that contradict all others.
 
-A shape is given as cubes. A view misses coverage that no cube explains, and excludes a cube that projects onto empty
-pixels.
+The shape is a set of cubes. Two kinds of inconsistency are measured in each view: coverage that no cube explains, and
+cubes that project onto empty pixels.
 """
 
 from __future__ import annotations
@@ -26,44 +26,50 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _NEAR_PX = 1.5
-"""Margin around a cube in a picture, for interpolation and rounding to whole pixels."""
+"""Tolerance added to the projected extent of a cube, px, to allow for interpolation and rounding to whole pixels."""
 _COVERED = 0.1
-"""Minimum coverage of root (`silhouettes`)."""
+"""Coverage above which a pixel shows a root (see `silhouettes`)."""
 _COARSE, _FINER = 32, 4
-"""The water is divided into about 32^3 cubes; those that at most one view excludes are divided into 4^3 each to compare
-views. In the canister of the thesis the finer cubes have 1 mm, 4 px in pictures of 800 pixels."""
+"""Number of coarse cubes along each edge of the water (about 32^3 in total), and number of fine cubes along each edge
+of a coarse cube (4^3 per cube).
+
+Only coarse cubes that at most one view excludes are divided into fine cubes, on which the views are compared. In the
+canister of the thesis, the fine cubes have an edge of 1 mm, or 4 px in pictures of 800 px."""
 _WRONG, _WRONG_TIMES = 0.1, 4.0
-"""A view is wrong if it misses more than this fraction of its coverage, or excludes more than this fraction of the
-cubes that all other views agree on, and this many times the median of the views. Views of a correct scan have up to
-0.013; a mirrored view of a printed root has 0.17 (`docs/decisions/one-wrong-picture.md`)."""
+"""Absolute and relative threshold of a view's inconsistency. A wrong view exceeds both; the second is a multiple of the
+median over all views.
+
+The inconsistency is the larger of two fractions: the coverage of the view that no cube explains, and the cubes accepted
+by all other views that the view excludes. The maximum in a correct scan is 0.013; a mirrored view of a printed root has
+0.17 (`docs/decisions/one-wrong-picture.md`)."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of each view with a shape."""
+    """Agreement of V views with a shape made of N cubes."""
 
     shown: Array
-    """(V,) total coverage of a view, in pixels."""
+    """Total coverage of the usable pixels of each view, shape (V,), px."""
     missed: Array
-    """(V,) part of it that no cube explains."""
+    """Coverage of each view that no cube explains, shape (V,), px."""
     sees: NDArray[np.bool_]
-    """(V, N) cubes that project onto usable pixels of a view."""
+    """Whether each cube projects onto usable pixels of each view, shape (V, N)."""
     excluded: NDArray[np.bool_]
-    """(V, N) cubes that project onto empty pixels of a view."""
+    """Whether each cube projects onto empty pixels of each view, shape (V, N)."""
 
     @property
     def missed_share(self) -> Array:
-        """Fraction (V,) of each view's coverage that is missed; 0 for a view without coverage."""
+        """Unexplained fraction of each view's coverage, shape (V,). It is 0 for a view without coverage."""
         return self.missed / np.maximum(self.shown, 1e-9)
 
     @property
     def share(self) -> float:
-        """Fraction of the coverage of all views that is missed."""
+        """Unexplained fraction of the total coverage of all views."""
         return float(self.missed.sum() / max(float(self.shown.sum()), 1e-9))
 
 
 def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array, edge_mm: Array) -> Agreement:
-    """Compare a shape with the silhouettes.
+    """Compare a shape made of cubes with the silhouettes of all views.
 
     Parameters
     ----------
@@ -74,7 +80,7 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
     middles_mm : (N, 3) array
         Centres of the cubes, canister frame.
     edge_mm : (N,) array
-        Edges of the cubes.
+        Edge lengths of the cubes, mm.
     """
     shown, missed, sees, excluded = [], [], [], []
     for k, silhouette in enumerate(silhouettes):
@@ -91,21 +97,21 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
 
 
 def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edge_mm: Array) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) of a single view that are covered but not explained by any cube.
+    """Return the mask (H, W) of covered pixels in a single view that no cube explains.
 
     Parameters
     ----------
     bank, silhouette : ViewBank, Silhouette
         A single view and its silhouette.
     middles_mm, edge_mm : (N, 3) array, (N,) array
-        Centres and edges of the cubes.
+        Centres and edge lengths of the cubes, mm.
     """
     away = _ProjectedCubes.project(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
     return np.asarray(silhouette.usable & (silhouette.coverage > 0.5) & (away > 0.5))
 
 
 def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the pixel index (N,) of each point in a single view, and which points are in the picture.
+    """Return the flattened pixel index (N,) of each point in a single view, and the mask (N,) of points in the picture.
 
     Parameters
     ----------
@@ -123,8 +129,8 @@ def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[N
 def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> list[int]:
     """Return the indices of views that contradict all others, such as a mirrored or truncated picture.
 
-    The views are compared with the hull that ignores at most one view per cube; the worst is removed until none is
-    wrong.
+    The views are compared with a hull in which each cube may be excluded by at most one view. The least consistent view
+    is removed and the comparison is repeated, until no view is wrong.
 
     Parameters
     ----------
@@ -138,11 +144,11 @@ def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: W
     Returns
     -------
     list of int
-        Empty if no view is wrong, or if too many are.
+        Indices of the wrong views. Empty if no view is wrong, or if too many are.
     """
     left, wrong = list(range(bank.count)), list[int]()
     while len(left) > 2:
-        found = _worst(bank.select(left), [silhouettes[k] for k in left], water)
+        found = _find_worst(bank.select(left), [silhouettes[k] for k in left], water)
         if found is None:
             return wrong
         wrong.append(left.pop(found))
@@ -151,12 +157,12 @@ def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: W
     return []
 
 
-def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
-    """Return the view that contradicts the others most; None if no view is wrong."""
+def _find_worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
+    """Return the index of the view that contradicts the others most, or None if no view is wrong."""
     coarse_mm = float(np.cbrt(np.pi * water.radius_mm**2 * (water.top_mm - water.bottom_mm))) / _COARSE
     fine_mm = coarse_mm / _FINER
-    cubes, _ = _candidate_cubes(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
-    cubes, excluded = _candidate_cubes(bank, silhouettes, _cut(cubes, coarse_mm), fine_mm)
+    cubes, _ = _candidate_cubes(bank, silhouettes, _fill_with_cubes(water, coarse_mm), coarse_mm)
+    cubes, excluded = _candidate_cubes(bank, silhouettes, _subdivide(cubes, coarse_mm), fine_mm)
     if not len(cubes):
         return None
     missed = compare(bank, silhouettes, cubes, np.full(len(cubes), fine_mm)).missed_share
@@ -166,22 +172,22 @@ def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> i
 
 
 def _candidate_cubes(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the cubes (M, 3) visible in enough views and excluded by at most one, and the exclusions (V, M)."""
+    """Return the cubes (M, 3) that enough views show and at most one view excludes, with their exclusions (V, M)."""
     found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
     kept = (found.excluded.sum(axis=0) <= 1) & (found.sees.sum(axis=0) >= least_votes(bank.count))
     return cubes[kept], found.excluded[:, kept]
 
 
-def _cubes(water: Water, edge_mm: float) -> Array:
-    """Return the centres (N, 3) of cubes that fill the water."""
+def _fill_with_cubes(water: Water, edge_mm: float) -> Array:
+    """Return the centres (N, 3) of equal cubes that fill the water."""
     across = np.arange(-water.radius_mm + 0.5 * edge_mm, water.radius_mm, edge_mm)
     along = np.arange(water.bottom_mm + 0.5 * edge_mm, water.top_mm, edge_mm)
     cubes = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
     return cubes[np.hypot(cubes[:, 0], cubes[:, 1]) < water.radius_mm]
 
 
-def _cut(cubes: Array, edge_mm: float) -> Array:
-    """Divide cubes (N, 3) into finer ones (M, 3)."""
+def _subdivide(cubes: Array, edge_mm: float) -> Array:
+    """Divide each cube into `_FINER`^3 smaller cubes, and return their centres (M, 3)."""
     steps = ((np.arange(_FINER) + 0.5) / _FINER - 0.5) * edge_mm
     offset = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return (cubes[:, None] + offset).reshape(-1, 3)
@@ -189,17 +195,18 @@ def _cut(cubes: Array, edge_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class _ProjectedCubes:
-    """Projection of cubes into one view."""
+    """Projection of N cubes into one view."""
 
     shape: tuple[int, ...]
     edge_mm: Array
     row: NDArray[np.int64]
     column: NDArray[np.int64]
-    """(N,) nearest pixel; 0 for cubes outside the picture."""
+    """Column of the pixel nearest to each cube's centre, shape (N,). Both row and column are 0 for cubes outside the
+    picture."""
     reach_px: Array
-    """(N,) distance from a cube's centre to its corners."""
+    """Distance from each cube's projected centre to its farthest corner, shape (N,), px."""
     inside: NDArray[np.bool_]
-    """(N,) whether the cube is visible within the picture."""
+    """Whether the centre of each cube is visible within the picture, shape (N,)."""
 
     @staticmethod
     def project(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _ProjectedCubes:
@@ -213,7 +220,7 @@ class _ProjectedCubes:
         return _ProjectedCubes(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
 
     def distance(self) -> NDArray[np.float32]:
-        """Return the distance of each pixel (H, W) from the nearest projected cube; infinite if there is none."""
+        """Return the distance (H, W) of each pixel from the nearest projected cube, px; infinite without cubes."""
         beyond = np.full(self.shape, np.inf, np.float32)
         for edge in np.unique(self.edge_mm):
             chosen = (self.edge_mm == edge) & self.inside

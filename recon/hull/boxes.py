@@ -1,4 +1,4 @@
-"""Cells of a box encoded as single integers, to compare, join and look them up."""
+"""Sets of lattice cells, encoded as single integers for fast comparison, look-up and connectivity analysis."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Whole = NDArray[np.integer]
 
 @dataclass(frozen=True)
 class Box:
-    """A box of cells."""
+    """Axis-aligned box of cells on an integer lattice."""
 
     low: NDArray[np.int64]
-    """(3,) first cell."""
+    """Lowest cell index along x, y and z, shape (3,)."""
     span: NDArray[np.int64]
-    """(3,) number of cells along x, y, z."""
+    """Number of cells along x, y and z, shape (3,)."""
 
     @staticmethod
     def around(index: Whole) -> Box:
-        """Return the smallest box that contains cells (N, 3); one cell if there are none."""
+        """Return the smallest box that contains the cells (N, 3), or a box of a single cell if N is 0."""
         if not len(index):
             return Box(np.zeros(3, np.int64), np.ones(3, np.int64))
         low, high = (np.array([end(axis) for axis in index.T], np.int64) for end in (np.min, np.max))
@@ -32,16 +32,16 @@ class Box:
 
     @property
     def step(self) -> NDArray[np.int64]:
-        """Increments (3,) of a cell's number along x, y, z."""
+        """Difference between the numbers of adjacent cells along x, y and z, shape (3,)."""
         return np.array([self.span[1] * self.span[2], self.span[2], 1], np.int64)
 
     def number(self, index: Whole) -> NDArray[np.int64]:
-        """Return the numbers (N,) of cells (N, 3)."""
+        """Encode cell indices (N, 3) as cell numbers (N,)."""
         x, y, z = index.T  # an integer matrix product takes five times as long
         return np.asarray(x * self.step[0] + y * self.step[1] + (z - self.low @ self.step))
 
     def cell(self, number: Whole) -> NDArray[np.int64]:
-        """Return the cells (N, 3) of numbers (N,)."""
+        """Decode cell numbers (N,) to cell indices (N, 3)."""
         x, rest = np.divmod(number, self.step[0])
         y, z = np.divmod(rest, self.step[1])
         return np.stack([x, y, z], axis=1) + self.low
@@ -49,18 +49,21 @@ class Box:
 
 @dataclass(frozen=True)
 class CellSet:
-    """Sparse set of cells with look-up by position; memory is proportional to the number of cells."""
+    """Sparse set of cells with fast look-up by position.
+
+    The memory required is proportional to the number of cells.
+    """
 
     box: Box
-    """Bounding box of the cells, with a layer of empty ones."""
+    """Bounding box of the cells, enlarged by one layer of empty cells on each side."""
     number: NDArray[np.int64]
-    """(N,) numbers of the cells in the box, ascending."""
+    """Numbers of the cells within `box`, shape (N,), in ascending order."""
     order: NDArray[np.int64]
-    """(N,) index of each in the original order."""
+    """Position of each sorted cell in the original array of cells, shape (N,)."""
 
     @staticmethod
     def from_cells(index: Whole) -> CellSet:
-        """Sort distinct cells (N, 3)."""
+        """Create a set from distinct cell indices (N, 3)."""
         least = Box.around(index)
         box = Box(least.low - 1, least.span + 2)
         number = box.number(index)
@@ -68,7 +71,7 @@ class CellSet:
         return CellSet(box, number[order], order)
 
     def contains(self, index: Whole) -> NDArray[np.bool_]:
-        """Return which cells (M, 3) are in the set."""
+        """Return the mask (M,) of cells (M, 3) that are in the set."""
         inside = np.ones(len(index), bool)
         for axis, low, span in zip(index.T, self.box.low, self.box.span, strict=True):
             inside &= (axis >= low) & (axis < low + span)
@@ -76,27 +79,28 @@ class CellSet:
         return inside
 
     def contains_numbers(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which numbers (M,) in the box are those of cells in the set."""
+        """Return the mask (M,) of cell numbers (M,) that are in the set. All cells must lie in `box`."""
         return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)
 
     def neighbours(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-        """Yield 13 steps (3,), each with the cells (M,) that have a neighbour there, and these neighbours (M,).
+        """Yield step (3,), cell indices (M,) and neighbour indices (M,) for 13 of the 26 neighbour directions.
 
-        The 13 opposite steps are the inverse.
+        The other 13 directions are the reverse of these.
         """
         place = np.arange(len(self.number))
         for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
             wanted = self.number + int(step @ self.box.step)
-            # One further along z than the last: at the same place, or the next one.
+            # This step is one cell further along z than the previous step: same index in `number`, or the next.
             onward = np.minimum(place + (self.number[place] == wanted - 1), len(self.number) - 1)
             place = self._place(wanted) if step[2] < 0 else onward
             some = np.flatnonzero(self.number[place] == wanted)
             yield step, self.order[some], self.order[place[some]]
 
     def components(self) -> NDArray[np.int64]:
-        """Return the connected component (N,) of each cell.
+        """Return the label (N,) of the connected component of each cell, with 26 neighbours per cell.
 
-        Cells are merged into rows along z first; two rows touch where one of them begins.
+        Consecutive cells along z are first merged into rows. Two rows are connected if the first cell of either has a
+        neighbour in the other row.
         """
         first = np.append(True, np.diff(self.number) > 1)[: len(self.number)]
         row, begin = np.cumsum(first) - 1, self.number[first]
@@ -114,7 +118,7 @@ class CellSet:
         return found
 
     def faces(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the cells (M,) that share a face with an empty one, and these empty cells (K, 3)."""
+        """Return the indices (M,) of cells with an empty face neighbour, and the empty neighbours (K, 3)."""
         beside = [self.number + step for step in (*self.box.step, *-self.box.step)]
         empty = [~self.contains_numbers(number) for number in beside]
         beyond = np.unique(np.concatenate([number[some] for number, some in zip(beside, empty, strict=True)]))

@@ -1,13 +1,13 @@
-"""Octree carving with refraction: mark and refine a set of leaves (T3.4.4), in Dr.Jit.
+"""Octree carving with refraction (T3.4.4), implemented as Dr.Jit kernels.
 
-The water is divided into nodes. A node is *empty* if at least one view that shows all of it has its footprint entirely
-outside the silhouette, *full* if its footprint is inside in all views that show it, and is otherwise divided into
-eight, down to the finest size. A view that does not show a node (or shows it twice, or has unusable pixels there)
-neither carves it nor counts as a vote. Nodes with too few votes are *blind*: their volume is reported, and they are not
-part of the shape.
+The water is divided into nodes. A node is *empty* if its footprint lies entirely outside the silhouette in at least one
+view that shows the whole node. A node is *full* if its footprint lies inside the silhouette in all views that show it.
+Any other node is divided into eight, down to the finest size. A view neither carves a node nor counts as a vote if it
+does not show the node, shows it twice, or has unusable pixels there. Nodes with too few votes are *blind*: they are not
+part of the shape, and their total volume is reported.
 
-A node is its integer position on the grid of its level, so that neighbours, parents and children follow from arithmetic
-and no tree is stored: the thesis's dictionary of leaves becomes arrays of positions.
+A node is represented by its integer position on the lattice of its level. Neighbours, parents and children follow from
+arithmetic, so that no tree is stored: arrays of positions replace the dictionary of leaves in the thesis.
 """
 
 from __future__ import annotations
@@ -29,23 +29,26 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.memory import MIB, total_mib
 
 _BLIND_MM = 2.5
-"""Edge above which blind nodes are divided, since parts of them may be visible."""
+"""Edge length above which a blind node is divided, mm, since parts of it may be visible."""
 BY_PARENT_MM = 1.0
-"""Maximum edge of nodes that are projected with the Jacobian at their parent's centre (`marks.mark_nodes`)."""
+"""Maximum edge length of nodes that are projected with the Jacobian at their parent's centre, mm
+(`marks.mark_nodes`)."""
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
-"""Golden ratio; steps of this fraction of a turn leave the most even gaps for any number of steps."""
+"""Inverse of the golden ratio. Views at multiples of this fraction of a turn are evenly distributed for any number of
+views."""
 _HALF_DIAGONAL = 0.71
-"""Half the diagonal of a square, sqrt(2) / 2 of its edge."""
+"""Half the diagonal of a square with an edge length of 1, sqrt(2) / 2, rounded up."""
 _CHUNK = 1 << 21
-"""Number of nodes processed in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
+"""Maximum number of nodes processed by one kernel launch. This takes 0.3 GB (`_BYTES_A_NODE`)."""
 _BYTES_A_NODE = 150
-"""Measured memory per node of the finest level, until the shape is written. It is checked, since Dr.Jit aborts if
-memory is insufficient."""
+"""Measured peak memory per node of the finest level, bytes.
+
+The number of nodes is limited accordingly, since Dr.Jit aborts the process if memory is exhausted."""
 
 
 @dataclass(frozen=True)
 class Water:
-    """Space that may contain roots."""
+    """Cylinder of water that may contain roots."""
 
     radius_mm: float
     top_mm: float
@@ -57,16 +60,17 @@ class Water:
         return np.array([0.0, 0.0, 0.5 * (self.top_mm + self.bottom_mm)])
 
     def grid(self, size_mm: float) -> Grid:
-        """Return the lattice of nodes of a given edge that covers the water."""
+        """Return the lattice that covers the water with finest nodes of edge length ``size_mm``."""
         return Grid.over(
             np.array([-self.radius_mm, -self.radius_mm, self.bottom_mm]), np.array([self.radius_mm, self.radius_mm, self.top_mm]), size_mm
         )
 
 
 def spread(count: int) -> list[int]:
-    """Order views so that each is far from the preceding ones (golden-ratio steps around the turn).
+    """Return view indices, ordered so that successive views are far apart on the turn.
 
-    With this order, most nodes are carved early.
+    Successive views differ by a fixed fraction of a turn, the inverse of the golden ratio. With this order, most nodes
+    are carved early.
     """
     return [int(k) for k in np.argsort((np.arange(count) * _GOLDEN) % 1.0, kind="stable")]
 
@@ -78,7 +82,7 @@ def carve(
     water: Water,
     *,
     min_votes: int | None = None,
-    slack_px: float = 0.3,  # as `HullSettings`
+    slack_px: float = 0.3,  # same default as in `HullSettings`
     ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
 ) -> Hull:
@@ -87,15 +91,17 @@ def carve(
     Parameters
     ----------
     water : Water
-        Nodes outside are removed.
+        Volume to be carved. Nodes outside are removed.
     min_votes : int, optional
-        Minimum number of views that must show a node of the shape; by default `distance_maps.least_votes`.
+        Minimum number of views that must show a node for it to be part of the shape. The default is
+        `distance_maps.least_votes`.
     slack_px : float
-        Outline uncertainty, by which the outlines are moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
+        Uncertainty of the outlines, px. `Hull.moved_in_mm3` and ``moved_out_mm3`` are the volumes for outlines moved by
+        this distance.
     ignore_blindness : bool
-        Method of the thesis: a view that does not show a node carves it.
+        Whether a view that does not show a node carves it, as in the thesis.
     progress : callable, optional
-        Called after each level.
+        Function called after each level of the octree.
     """
     passes.add("carvings")
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
@@ -127,23 +133,24 @@ def carve(
 
 @dataclass(frozen=True)
 class _Classified:
-    """Classification of nodes of one size."""
+    """Classification of octree nodes of equal size."""
 
     index: Index
-    """(N, 3) lowest corner of nodes of the shape, in finest nodes."""
+    """Lowest corner of each node that is part of the shape, shape (N, 3), in units of the finest nodes."""
     size: Index
-    """(N,) edge in finest nodes."""
+    """Edge length of each node, shape (N,), in units of the finest nodes."""
     occupancy: NDArray[np.float32]
-    """(3, N) best, lower and upper estimate: with unchanged outlines, moved in, and moved out."""
+    """Occupied fraction of each node, shape (3, N): best estimate, with outlines moved in, and with outlines moved
+    out."""
     blind_mm3: float
-    """Volume of nodes visible in too few views."""
+    """Volume of nodes that too few views show, mm3."""
     split: list[Int32] | None
-    """Nodes to be divided; None on the finest level."""
+    """Nodes that must be divided further, or None on the finest level."""
 
 
 @dataclass(frozen=True)
 class _Carving:
-    """Input and parameters of carving."""
+    """Inputs and parameters of octree carving."""
 
     bank: ViewBank
     maps: DistanceMaps
@@ -154,12 +161,12 @@ class _Carving:
     ignore_blindness: bool
 
     def classify(self, part: list[Int32], level: int, *, by_parent: bool) -> _Classified | None:
-        """Classify nodes of a level; return None if all lie outside the water.
+        """Classify the nodes of one level, or return None if all of them lie outside the water.
 
         Parameters
         ----------
         part : list of mi.Int32
-            The nodes, or with ``by_parent`` their parents.
+            Nodes to classify, or their parents if ``by_parent`` is true.
         """
         grid, slack_px, water = self.grid, self.slack_px, self.water
         units, edge_mm = 2 ** (grid.levels - level), grid.edge_mm(level)
@@ -205,7 +212,7 @@ class _Carving:
         )
 
     def _inside(self, point: Point3f, edge_mm: float) -> Bool:
-        """Return which nodes lie at least partly in the water."""
+        """Return the mask of nodes that lie at least partly in the water."""
         water = self.water
         inside = dr.square(point.x) + dr.square(point.y) < dr.opaque(mi.Float, (water.radius_mm + _HALF_DIAGONAL * edge_mm) ** 2)
         return (
@@ -216,26 +223,26 @@ class _Carving:
 
 
 def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:
-    """Return the centres of nodes of one size."""
+    """Return the centres of nodes of equal size, canister frame, mm."""
     edge = dr.opaque(mi.Float, edge_mm)
     return mi.Point3f(*((mi.Float(nodes[a]) + 0.5) * edge + dr.opaque(mi.Float, float(grid.origin_mm[a])) for a in range(3)))
 
 
 def _compress(arrays: list[Kernel], mask: Bool) -> list[Kernel]:
-    """Return the entries of a mask."""
+    """Return the entries of each array selected by a mask."""
     chosen = dr.compress(mask)
     return [dr.gather(type(a), a, chosen) for a in arrays]
 
 
 def _check_memory(count: int) -> None:
-    """Raise a MemoryError if this number of nodes does not fit in memory."""
+    """Raise a MemoryError if ``count`` nodes do not fit in memory."""
     fitting = int(total_mib() * MIB) // _BYTES_A_NODE
     if count > fitting:
-        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit in memory")
+        raise MemoryError(f"carving requires {count} octree nodes, but only {fitting} fit in memory")
 
 
 def _split(nodes: list[Int32]) -> list[Int32]:
-    """Divide nodes into eight; children of one node are consecutive."""
+    """Return the eight children of each node. Siblings are consecutive."""
     lane = dr.arange(mi.UInt32, 8 * dr.width(nodes[0]))
     parent, child = lane >> 3, lane & 7
     bits = [(child >> 2) & 1, (child >> 1) & 1, child & 1]

@@ -1,4 +1,4 @@
-"""Centre lines of a hull by thinning."""
+"""Extraction of the hull's centre lines by morphological thinning."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from rhizotwin.recon.hull.surface import paint, to_voxels
 Array = NDArray[np.float64]
 
 _SKELETON_MM = 0.5
-"""Approximate edge of the voxels that are thinned: finer voxels give spurious branches on rough surfaces."""
+"""Approximate edge length of the voxels used for thinning, mm. Finer voxels cause spurious branches on rough
+surfaces."""
 _SPACING_MM = 0.16
-"""Maximum spacing of points along a curve: spheres of roots of 0.5 mm overlap by more than half."""
+"""Maximum spacing of points along a centre line, mm. Spheres in roots with a diameter of 0.5 mm then overlap by more
+than half."""
 _BESIDE = 1.5
-"""Maximum distance of a voxel from a curve, in voxels, for it to belong to the curve."""
+"""Distance from a known centre line, in voxels, within which a voxel found on the shifted lattice is a duplicate."""
 
 
 def centre_lines(leaves: Leaves) -> Array:
-    """Thin the hull to curves and sample them densely: (N, 3) points in the canister frame, mm.
+    """Return densely spaced points (N, 3) on the hull's centre lines, canister frame, mm.
 
-    Thinning removes straight roots with an even width in voxels, and shortens others. Curves found on a lattice shifted
-    by half a voxel, where these widths are odd, are therefore added.
+    The hull is thinned to curves. Thinning deletes straight roots whose width is an even number of voxels, and shortens
+    other roots. Curves found on a second lattice, shifted by half a voxel so that these widths become odd, are
+    therefore added.
     """
     units = 2 ** max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25)))
     index, size, occupancy = to_voxels(leaves, units)
@@ -46,8 +49,10 @@ def centre_lines(leaves: Leaves) -> Array:
 
 
 def _shifted_curves(volume: NDArray[np.float32], curves: Array) -> Array:
-    """Return voxels (M, 3) on curves found on a lattice shifted by half a voxel but not on this one (N, 3)."""
-    aside = ndimage.uniform_filter(volume, 2, mode="constant") > 0.5  # element i covers the last half of i - 1, the first of i
+    """Return the curve voxels (M, 3) of a lattice shifted by half a voxel that are absent from known curves (N, 3)."""
+    aside = (
+        ndimage.uniform_filter(volume, 2, mode="constant") > 0.5
+    )  # element i covers the last half of voxel i - 1 and the first half of voxel i
     others = np.argwhere(morphology.skeletonize(aside))
     if not len(others) or not len(curves):
         return np.asarray(others - 0.5)

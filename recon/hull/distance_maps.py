@@ -1,4 +1,4 @@
-"""Signed distance of every pixel from the silhouette's outline in all views, and its interpolation at points."""
+"""Signed distance maps of all silhouettes: distances from the outline, and interpolation between pixels."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.scenes.monitor import Monitor
 
 TELLS_PX = 1e-3 * UNSEEN_PX
-"""Maximum interpolated distance of usable pixels; larger values include `UNSEEN_PX` in the interpolation."""
+"""Interpolated distance above which a pixel is unusable, px, since the interpolation includes `UNSEEN_PX`."""
 _VOTES, _FEWEST = 0.3, 3
-"""Minimum fraction of the views, and minimum number of views, that must show a point of the shape: two views do not
-constrain the direction along their lines of sight."""
+"""Minimum fraction of the views, and minimum number of views, that must show a point of the shape.
+
+Two views alone do not constrain the shape along their lines of sight."""
 
 
 @dataclass(frozen=True)
 class DistanceMaps:
-    """Signed distances to the outlines of all views, positive inside, in pixels.
+    """Signed distance to the silhouette's outline in all views, px, positive inside.
 
-    The value is `UNSEEN_PX` for unusable pixels.
+    Unusable pixels have the value `UNSEEN_PX`.
     """
 
     values: Kernel
-    """mi.Float16, (V, 2 h, 2 w) flattened: values in a window (w, h) that contains all usable pixels; infinite for
-    `UNSEEN_PX`.
+    """Flattened distance maps of all views, mi.Float16, shape (V, 2 h, 2 w), with infinity in place of `UNSEEN_PX`.
+    They cover a window of w x h pixels that contains all usable pixels.
 
-    Half precision has a relative accuracy of 1/2048: 0.0003 px within a pixel of an outline, and 0.03 px at a hundred
-    pixels, where the maps themselves are accurate to 0.4 px."""
+    Half precision has a relative accuracy of 1/2048: 0.0003 px within one pixel of an outline, and 0.03 px at a
+    distance of 100 px, where the maps themselves are accurate to 0.4 px."""
     image_wh: tuple[int, int]
     window: Window
     _low: Vector2f = field(init=False, repr=False)
@@ -48,7 +49,7 @@ class DistanceMaps:
     def __post_init__(self) -> None:
         """Store the sizes that kernels need as opaque variables.
 
-        As literals, they would cause new kernels for every scan.
+        Literal values would require new kernels for every scan.
         """
         object.__setattr__(self, "_low", mi.Vector2f(*(dr.opaque(mi.Float, low) for low in self.window.low_px)))
         object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
@@ -56,12 +57,14 @@ class DistanceMaps:
 
     @staticmethod
     def from_arrays(maps: NDArray[np.floating], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
-        """Transfer maps (V, 2 h, 2 w) to the device, infinite or `UNSEEN_PX` for unusable pixels.
+        """Transfer distance maps (V, 2 h, 2 w) to the device. Unusable pixels are infinite or `UNSEEN_PX`.
 
         Parameters
         ----------
-        image_wh, window : tuple of int or None, Window or None
-            Size of the pictures, and their part that the maps show; by default all of it.
+        image_wh : tuple of int or None
+            Width and height of the pictures. By default, the maps cover whole pictures.
+        window : Window or None
+            Part of the pictures that the maps cover. By default, whole pictures.
         """
         size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
         values = mi.Float16(numbers(maps))
@@ -72,21 +75,21 @@ class DistanceMaps:
     def compute(
         views: Sequence[Silhouette], name: str, monitor: Monitor, outline: Callable[[Silhouette], Image] = silhouettes.signed_distance
     ) -> DistanceMaps:
-        """Compute the distance maps of all views, within the window that contains all usable pixels.
+        """Compute the distance maps of all views within the window that contains all usable pixels.
 
         Parameters
         ----------
         name : str
-            Name of the progress bar.
+            Label of the progress bar.
         outline : callable
-            Function from a silhouette to its signed distance (2 H, 2 W), pixels.
+            Function that returns the signed distance (2 H, 2 W) of a silhouette, px.
         """
         (height, width), window = views[0].coverage.shape, Window.around(views)
         samples = UPSAMPLING**2 * window.size_px[0] * window.size_px[1]
         values = aligned_empty(len(views) * samples, np.dtype(np.float16))
 
         def draw(view: int) -> None:
-            # `UNSEEN_PX` becomes infinite. NumPy takes five times as long, and twenty times for infinite values.
+            # `UNSEEN_PX` becomes infinite. NumPy takes 5 times as long, and 20 times for infinite values.
             drawn = cv2.multiply(outline(views[view].cut(window)), 1.0, dtype=cv2.CV_16F)
             values[view * samples : (view + 1) * samples] = drawn.ravel()
 
@@ -95,30 +98,33 @@ class DistanceMaps:
 
     @property
     def samples_wh(self) -> tuple[int, int]:
-        """Return the number of samples of a map, columns and rows."""
+        """Return the width and height of a distance map in samples."""
         return self.window.size_px[0] * UPSAMPLING, self.window.size_px[1] * UPSAMPLING
 
     def select_views(self, which: Sequence[int]) -> DistanceMaps:
-        """Return the maps of a subset of the views."""
+        """Return the distance maps of a subset of the views."""
         return replace(self, values=select_parts(self.values, which, self.samples_wh[0] * self.samples_wh[1]))
 
     def picture(self, view: int) -> Image:
-        """Return a view's map, (2 H, 2 W) of its window, infinite for unusable pixels."""
+        """Return one view's distance map with 2 h rows and 2 w columns, px. Unusable pixels are infinite."""
         width, height = self.samples_wh
         return np.array(mi.Float(self.select_views([view]).values)).reshape(height, width)
 
     def sample(self, px: Vector2f) -> Vector2f:
-        """Return the coordinates (mi.Vector2f) of pixels on a map, whose samples are at integers: mi.Vector2f."""
+        """Convert pixel coordinates to sample coordinates of a map (both mi.Vector2f).
+
+        Samples are at integer coordinates.
+        """
         return (px - self._low + 0.5) * UPSAMPLING - 0.5
 
     def at(self, view: UInt32, px: Vector2f, active: Bool) -> Float:
-        """Interpolate bilinearly at pixels (mi.Vector2f)."""
+        """Return the bilinearly interpolated distance at pixel coordinates (mi.Vector2f), px."""
         place = dr.clip(self.sample(px), 0.0, mi.Vector2f(self._samples) - 1.001)  # within the last sample
         begin = view * (self._samples.y * self._samples.x)
         return bilinear(self.values, begin, self._samples.x, place.x, place.y, active, most=UNSEEN_PX)
 
     def contains(self, px: Vector2f) -> Bool:
-        """Return which pixels (mi.Vector2f) lie in the pictures."""
+        """Return the mask of pixel coordinates (mi.Vector2f) that lie within the pictures."""
         return dr.all((px > -0.5) & (px < self._image - 0.5))
 
 
@@ -130,7 +136,7 @@ def least_votes(count: int) -> int:
 def project_and_read(
     bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool
 ) -> tuple[projection.Projected, Float, Bool]:
-    """Project points into a view and read its distance map.
+    """Project points into a view, and read its distance map at the projected positions.
 
     Parameters
     ----------
@@ -139,31 +145,31 @@ def project_and_read(
     maps : DistanceMaps
         Distance maps of the same views.
     view, point, active : UInt32, Point3f, Bool
-        View index and point per lane, and active lanes.
+        View index and point for each lane, and mask of active lanes.
 
     Returns
     -------
     Projected, mi.Float, mi.Bool
-        The projection, the distance in px, and whether the pixel is usable.
+        Projections, distances to the outline in px, and mask of usable pixels.
     """
     p = projection.project(bank, view, point, active)
     return p, *read(maps, view, p.px, p.visible)
 
 
 def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[Float, Bool]:
-    """Read a view's distance map.
+    """Read a view's distance map at given pixels.
 
     Parameters
     ----------
     maps : DistanceMaps
         Distance maps of all views.
     view, px, active : UInt32, Vector2f, Bool
-        View index and pixel per lane, and active lanes.
+        View index and pixel coordinates for each lane, and mask of active lanes.
 
     Returns
     -------
     mi.Float, mi.Bool
-        The distance in px, and whether the pixel is usable.
+        Distances to the outline in px, and mask of usable pixels.
     """
     usable = active & maps.contains(px)
     distance = maps.at(view, px, usable)

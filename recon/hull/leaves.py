@@ -1,4 +1,4 @@
-"""Cubic subdivision of space: the grid of the finest nodes, occupied leaves of several sizes, and the hull."""
+"""Octree leaves: the lattice of the finest nodes, occupied leaves of several sizes, and the visual hull."""
 
 from __future__ import annotations
 
@@ -14,22 +14,28 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 _COARSEST_MM = 4.6
-"""Maximum edge of the coarsest nodes: 33 across the canister."""
+"""Maximum edge length of the coarsest nodes, mm. The canister is 33 such nodes wide."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The cubic lattice of the finest nodes: node (i, j, k) covers origin + size * [i, i + 1] and so on."""
+    """Cubic lattice of the finest octree nodes.
+
+    Node (i, j, k) extends from ``origin_mm + size_mm * [i, j, k]`` to ``origin_mm + size_mm * [i + 1, j + 1, k + 1]``.
+    """
 
     origin_mm: Array
     size_mm: float
     levels: int
-    """Number of times the coarsest nodes are halved."""
+    """Number of times that the coarsest nodes are halved to obtain the finest nodes."""
     coarse_shape: tuple[int, int, int]
 
     @staticmethod
     def over(low_mm: Array, high_mm: Array, size_mm: float) -> Grid:
-        """Cover a box between two corners (3,) with a lattice whose planes x = 0 and y = 0 are node faces."""
+        """Return a lattice that covers the box between two corners (3,).
+
+        The planes x = 0 and y = 0 are faces of nodes.
+        """
         levels = max(0, int(np.floor(np.log2(_COARSEST_MM / size_mm))))
         coarse = size_mm * 2**levels
         first = np.floor(np.asarray(low_mm) / coarse)
@@ -37,30 +43,30 @@ class Grid:
         return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
 
     def edge_mm(self, level: int) -> float:
-        """Return the edge of the nodes of a level; level 0 is the coarsest."""
+        """Return the edge length of the nodes of a level, mm. Level 0 is the coarsest."""
         return self.size_mm * 2.0 ** (self.levels - level)
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """Occupied, non-overlapping leaves of different sizes, in units of the grid's finest nodes."""
+    """Occupied, non-overlapping octree leaves of different sizes."""
 
     grid: Grid
     index: Index
-    """(N, 3) lowest corner."""
+    """Lowest corner of each leaf, shape (N, 3), in units of the finest nodes."""
     size: Index
-    """(N,) edge length, a power of two."""
+    """Edge length of each leaf, shape (N,), in units of the finest nodes. It is a power of two."""
     occupancy: NDArray[np.float32]
-    """(N,) fraction inside the shape."""
+    """Fraction of each leaf that lies inside the shape, shape (N,)."""
 
     @property
     def middles_mm(self) -> Array:
-        """Centres (N, 3) of the leaves, canister frame."""
+        """Centres of the leaves, shape (N, 3), canister frame, mm."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5 * self.size[:, None]) * self.grid.size_mm
 
     @property
     def filled_volume(self) -> Array:
-        """Volumes (N,) of the leaves inside the shape, in finest nodes."""
+        """Occupied volume of each leaf, shape (N,), in volumes of a finest node."""
         return np.asarray(self.occupancy.astype(np.float64) * self.size.astype(np.float64) ** 3)
 
     def select(self, chosen: NDArray[np.generic] | slice) -> Leaves:
@@ -68,7 +74,7 @@ class Leaves:
         return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
 
     def near(self, points_mm: Array, margin_mm: float) -> Leaves:
-        """Return the leaves within a margin of points (M, 3)."""
+        """Return the leaves within a distance of ``margin_mm`` of any point (M, 3)."""
         near = np.zeros(len(self.size), bool)
         if len(points_mm):
             reach_mm = margin_mm + 0.5 * self.grid.size_mm * (self.size - 1)
@@ -80,14 +86,17 @@ class Leaves:
         return self.select(near)
 
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
-        """Return the total volume, optionally with other occupancies (N,) of the same leaves."""
+        """Return the occupied volume of all leaves, mm3. Other occupancies (N,) of the same leaves may be given."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
         return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
 
 
 def unite(first: Leaves, second: Leaves) -> Leaves:
-    """Unite leaves of one grid: leaves within a larger one are removed, and of two equal ones the fuller is kept."""
-    parts = (first.select(~_within(first, second)), second.select(~_within(second, first)))
+    """Return the union of two sets of leaves on the same lattice.
+
+    Leaves inside a larger leaf are removed. Of two identical leaves, the one with the higher occupancy is kept.
+    """
+    parts = (first.select(~_find_within(first, second)), second.select(~_find_within(second, first)))
     index, size, occupancy = (np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy"))
     _, place, which = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True)
     fuller = np.zeros(len(place), np.float32)
@@ -96,8 +105,12 @@ def unite(first: Leaves, second: Leaves) -> Leaves:
 
 
 def intersect(first: Leaves, second: Leaves) -> Leaves:
-    """Intersect leaves of one grid: leaves within a larger one are kept, and of two equal ones the emptier."""
-    inside = _within(first, second), _within(second, first)
+    """Return the intersection of two sets of leaves on the same lattice.
+
+    Leaves inside a larger leaf of the other set are kept. Of two identical leaves, the one with the lower occupancy is
+    kept.
+    """
+    inside = _find_within(first, second), _find_within(second, first)
     rest = [leaves.select(~within) for leaves, within in zip((first, second), inside, strict=True)]
     index, size, occupancy = (np.concatenate([getattr(part, name) for part in rest]) for name in ("index", "size", "occupancy"))
     _, place, which, count = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True, return_counts=True)
@@ -108,8 +121,8 @@ def intersect(first: Leaves, second: Leaves) -> Leaves:
     return Leaves(first.grid, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy")))
 
 
-def _within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
-    """Return which leaves (N,) lie within larger ones of others."""
+def _find_within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
+    """Return the mask (N,) of leaves that lie inside a larger leaf of another set."""
     within = np.zeros(len(leaves.size), bool)
     for edge in np.unique(others.size):
         smaller = np.flatnonzero(leaves.size < edge)
@@ -120,29 +133,29 @@ def _within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Hull:
-    """Result of carving."""
+    """Visual hull carved from the silhouettes."""
 
     leaves: Leaves
     outer: NDArray[np.float32]
-    """(N,) fraction of the leaves inside with every outline moved out by its uncertainty."""
+    """Occupied fraction of each leaf if all outlines are moved out by their uncertainty, shape (N,)."""
     moved_in_mm3: float
-    """Volume with every outline moved in by its uncertainty."""
+    """Volume of the hull if all outlines are moved in by their uncertainty, mm3."""
     blind_mm3: float
-    """Volume of the water visible in too few views."""
+    """Volume of the water that too few views show, mm3."""
 
     @property
     def widest(self) -> Leaves:
-        """Return the hull with every outline moved out by its uncertainty."""
+        """Return the hull that results if all outlines are moved out by their uncertainty."""
         return Leaves(self.leaves.grid, self.leaves.index, self.leaves.size, self.outer)
 
     @property
     def moved_out_mm3(self) -> float:
-        """Return the volume with every outline moved out by its uncertainty."""
+        """Return the volume of the hull if all outlines are moved out by their uncertainty, mm3."""
         return self.leaves.volume_mm3(self.outer)
 
 
 def to_unit_cubes(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Divide cubes of several sizes into unit cubes: (M, 3) indices."""
+    """Divide cubes of several sizes into unit cubes, and return their indices (M, 3)."""
     parts = []
     for edge in np.unique(size):
         offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
@@ -151,5 +164,5 @@ def to_unit_cubes(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[
 
 
 def spread_values(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the values (M,) of the unit cubes that `to_unit_cubes` makes of cubes with values (N,)."""
+    """Repeat the values (N,) of cubes for each of their unit cubes (M,), in the order of `to_unit_cubes`."""
     return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values

@@ -1,4 +1,4 @@
-"""Classification of nodes by all views: empty, partly outside, or inside, with the number of votes."""
+"""Classification of octree nodes by all views: empty, partly outside, or inside, with the number of votes."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
 _EMPTY, _PARTIAL = 1 << 31, 1 << 30
-"""Bits of `Marks.flags` above the votes."""
+"""Bit masks for `Marks.empty` and `Marks.partial` in the packed flags. The lower bits contain the number of votes."""
 
 
 def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
-    """Return an upper bound of the distance in pixels from a cube's centre to any of its points."""
+    """Return an upper bound of the projected distance from a cube's centre to any of its points, px."""
     reach = mi.Float(0.0)
     for sy, sz in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         du = p.du.x + sy * p.du.y + sz * p.du.z
@@ -33,34 +33,35 @@ def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
 
 @dataclass
 class Marks:
-    """Classification of nodes by the views."""
+    """Classification of octree nodes by all views."""
 
     empty: Bool
-    """mi.Bool, whether at least one view classifies a node as empty."""
+    """Whether a node is empty in at least one view (mi.Bool)."""
     partial: Bool
-    """mi.Bool, whether at least one view classifies it as partly outside."""
+    """Whether a node is partly outside the silhouette in at least one view (mi.Bool)."""
     votes: UInt32
-    """mi.UInt32, number of views that show the centre."""
+    """Number of views that show a node's centre (mi.UInt32)."""
     depth: Float
-    """mi.Float, signed distance in mm of the centre to the hull: the minimum over the views that show it."""
+    """Signed distance from a node's centre to the hull's surface, mm (mi.Float). It is the minimum over the views that
+    show the centre."""
     scale: Float
-    """mi.Float, px per mm in the view of the minimum."""
+    """Image scale in the view that determines `depth`, px/mm (mi.Float)."""
 
     def add_view(self, distance: Float, visible: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
-        """Add a view to nodes that are not empty yet.
+        """Update the classification of nodes that are not yet empty with one view.
 
         Parameters
         ----------
         distance, visible : Float, Bool
-            Distance in px, and whether it is usable.
+            Signed distance from the outline in px, and whether it is usable.
         clear : Bool
             Whether the whole node lies outside the view's blind zone.
         reach : Float
-            Half the size of the node in the picture, px.
+            Half the size of the projected node, px.
         slack_px : Float
-            Uncertainty of outlines.
+            Uncertainty of the outlines, px.
         px_per_mm : Float
-            Scale at the node.
+            Image scale at the node, px/mm.
         """
         open_ = ~self.empty
         visible &= open_
@@ -72,7 +73,7 @@ class Marks:
         self.empty |= visible & clear & (distance < -reach - slack_px)
 
     def flags(self) -> UInt32:
-        """Return votes, `_EMPTY` and `_PARTIAL` packed into one integer."""
+        """Return the number of votes with the bits `_EMPTY` and `_PARTIAL`, packed into one integer per node."""
         zero = mi.UInt32(0)
         return self.votes | dr.select(self.empty, mi.UInt32(_EMPTY), zero) | dr.select(self.partial, mi.UInt32(_PARTIAL), zero)
 
@@ -80,24 +81,24 @@ class Marks:
 def mark_nodes(
     bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float, ignore_blindness: bool
 ) -> Marks:
-    """Classify nodes in every view, until one view finds them empty.
+    """Classify nodes in all views, stopping at the first view in which a node is empty.
 
-    Only ``point`` is projected through the water; nodes beside it are placed with the Jacobian. The error is half the
-    change of the scale over the offset (3 % per mm, as in `_footprint_px`) times the offset: at most 0.011 of an edge
-    for edges below `carve.BY_PARENT_MM`.
+    Only ``point`` is projected through the water. Nodes around it are located with the Jacobian of that projection. The
+    error is half the change of the scale over the offset (3 % per mm, as in `_footprint_px`) times the offset. It is at
+    most 0.011 of an edge for edges shorter than `carve.BY_PARENT_MM`.
 
     Parameters
     ----------
     parts : list of mi.Vector3f
-        Offsets from the point to the centres of the nodes: eight for the children of a node at the point, or a single
-        zero for the node itself.
+        Offsets from ``point`` to the centres of the nodes: eight offsets for the children of a node centred at
+        ``point``, or a single zero offset for the node itself.
     half_mm : mi.Float
-        Half the edge of these nodes.
+        Half the edge length of the nodes to be classified, mm.
 
     Returns
     -------
     Marks
-        Marks of all nodes; nodes at the same point are consecutive.
+        Classification of all nodes. Nodes at the same point are consecutive.
     """
     width = dr.width(point)
 
@@ -133,9 +134,9 @@ def mark_nodes(
 
 
 def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, tested: Bool, min_votes: int) -> Bool:
-    """Return which nodes have a corner visible in enough views, although too few views show the centre.
+    """Return the mask of nodes for which enough views show a corner, although too few show the centre.
 
-    These nodes intersect the edge of the blind zone.
+    Such nodes intersect the boundary of the blind zone.
 
     Parameters
     ----------
@@ -144,16 +145,16 @@ def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half
     point : mi.Point3f
         Centres of the nodes.
     half_mm : Float
-        Half the nodes' edge.
+        Half the edge length of the nodes, mm.
     tested : Bool
-        Nodes to test.
+        Mask of the nodes to test.
     min_votes : int
-        Required number of views.
+        Minimum number of views that must show a corner.
 
     Returns
     -------
     mi.Bool
-        False for nodes not tested.
+        Mask of the partly visible nodes. It is false for nodes that were not tested.
     """
     result = dr.zeros(mi.Bool, dr.width(point))
     chosen = dr.compress(tested)
@@ -180,9 +181,9 @@ def find_partly_visible(bank: ViewBank, maps: DistanceMaps, point: Point3f, half
 
 
 def corners(half_mm: Float) -> list[Vector3f]:
-    """Return the offsets from a node's centre to its corners, in the order of `carve`'s children.
+    """Return the offsets from a node's centre to its eight corners, in the order of the children in `carve`.
 
-    The signs are opaque, so that all corners share one kernel.
+    The signs are opaque variables, so that all corners share one kernel.
     """
     signs = [dr.opaque(mi.Float, sign) for sign in (-1.0, 1.0)]
     return [mi.Vector3f(*(half_mm * signs[c] for c in corner)) for corner in np.ndindex(2, 2, 2)]

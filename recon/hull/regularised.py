@@ -1,9 +1,10 @@
-"""Regularised visual hull: repair parts lost in carving (Zheng et al. 2011, ICCV, page 2026).
+"""Regularised visual hull: restoration of parts lost in carving (Zheng et al. 2011, ICCV, page 2026).
 
-With camera errors of a pixel, the intersection over all views removes thin roots. The repair has two steps. First,
-every pixel of one picture's silhouette gets a voxel on its line of sight, the one that the fewest other views exclude.
-Second, separate parts are joined along the cells that the fewest views exclude. Only cells near the hull are
-considered: those of the hull of silhouettes dilated by some pixels, as the thesis proposes (T5.3).
+With camera errors of about one pixel, the intersection of all views loses thin roots. They are restored in two steps.
+First, for each uncovered pixel of one reference silhouette, the cell on its line of sight that the fewest other views
+exclude is added. Second, separate components are joined along paths of the cells that the fewest views exclude. Only
+cells near the hull are candidates: those inside the hull of silhouettes dilated by a few pixels, as proposed in the
+thesis (T5.3).
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _STEP = 1e-3
-"""Cost of a step, as an objection of a view: of equally good paths the shortest is chosen."""
+"""Cost of each cell of a path, added to the fraction of views that exclude the cell. It selects the shortest of several
+equally good paths."""
 _INSIDE = 1e-9
-"""Cost of a step within the hull; zero would not be an edge of the graph."""
+"""Cost of each cell of a path inside the hull. It is not zero, since an edge without a cost would be missing from the
+sparse graph."""
 
 
 def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) -> Leaves:
-    """Return the hull with the cells required by one silhouette and by connectedness.
+    """Add to a hull the cells required by one silhouette and by connectivity.
 
     Parameters
     ----------
@@ -39,12 +42,12 @@ def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) ->
     silhouettes : (V,) sequence of Silhouette
         Silhouettes of the same views.
     hull : Hull
-        Hull carved with a slack: leaves whose centre lies outside a silhouette are candidates.
+        Hull carved with a tolerance. Leaves whose centre lies outside a silhouette are candidates.
 
     Returns
     -------
     Leaves
-        Added leaves are fully occupied.
+        Regularised hull. Added leaves are fully occupied.
     """
     inside = hull.leaves.occupancy >= 0.5
     kept, free = hull.leaves.select(inside), hull.leaves.select(~inside)
@@ -53,7 +56,7 @@ def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) ->
     reference = int(np.argmax([float(one.coverage[one.usable].sum(dtype=np.float64)) for one in silhouettes]))
     edge_mm = free.grid.size_mm * free.size.astype(np.float64)
     objection = agreement.compare(bank, silhouettes, free.middles_mm, edge_mm).excluded.mean(axis=0)
-    objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # at an equal number of views, the distance of the strictest
+    objection += 1.0 - 0.5 * (free.occupancy + hull.outer[~inside])  # of cells excluded by equally many views, the nearest to the outline
     added = _cover(bank.select([reference]), silhouettes[reference], kept, free, objection)
     added |= _connect(kept, free, objection, added)
     index, size = np.concatenate([kept.index, free.index[added]]), np.concatenate([kept.size, free.size[added]])
@@ -61,7 +64,7 @@ def regularise(bank: ViewBank, silhouettes: Sequence[Silhouette], hull: Hull) ->
 
 
 def _cover(bank: ViewBank, silhouette: Silhouette, kept: Leaves, free: Leaves, objection: Array) -> NDArray[np.bool_]:
-    """Return the free cells (N,) that are best for each uncovered pixel of a single view's silhouette."""
+    """Return the mask (N,) of candidate cells that best explain the uncovered pixels of a single view's silhouette."""
     size_mm = kept.grid.size_mm
     missed = agreement.missed_pixels(bank, silhouette, kept.middles_mm, size_mm * kept.size.astype(np.float64))
     pixel, inside = agreement.pixels(bank, free.middles_mm, silhouette.coverage.shape)
@@ -74,10 +77,10 @@ def _cover(bank: ViewBank, silhouette: Silhouette, kept: Leaves, free: Leaves, o
 
 
 def _connect(kept: Leaves, free: Leaves, objection: Array, added: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the free cells (N,) that join the components of kept and added cells to the largest.
+    """Return the mask (N,) of candidate cells that join all components to the largest component.
 
-    Every component is one node of a graph, and so is every other free cell; paths are shortest from the largest
-    component.
+    Components consist of kept and added cells. Each component is one node of a graph, and each remaining candidate cell
+    is another. Shortest paths are computed from the largest component.
     """
     solid = np.concatenate([to_unit_cubes(kept.index, kept.size), free.index[added]])
     part = CellSet.from_cells(solid).components()

@@ -1,4 +1,4 @@
-"""Spheres inside roots, and their union."""
+"""Spheres inside roots, and the volume of their union."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ from rhizotwin.recon.hull.leaves import Grid, Leaves
 Array = NDArray[np.float64]
 
 _HALF_DIAGONAL = 0.87
-"""Half the diagonal of a cube, sqrt(3) / 2 of its edge: a cube with this depth lies entirely inside."""
+"""Half the diagonal of a cube with an edge length of 1, sqrt(3) / 2, rounded up. A cube whose centre is this deep lies
+entirely inside."""
 _BIN_MM = 4.0
-"""Edge of the bins in which spheres are looked up: a sphere no larger overlaps eight at most."""
+"""Edge length of the bins used to look up spheres, mm. A sphere with a diameter up to this length overlaps at most
+eight bins."""
 _NEIGHBOURS = 4
-"""Number of nearest centres tested among spheres of similar size (within a factor of two)."""
+"""Number of nearest centres tested in each group of spheres with similar radii (within a factor of two)."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +30,9 @@ class Spheres:
     """Spheres inside the roots."""
 
     centre_mm: Array
-    """(N, 3), canister frame."""
+    """Centres of the spheres, shape (N, 3), canister frame, mm."""
     radius_mm: Array
-    """(N,)"""
+    """Radii of the spheres, shape (N,), mm."""
 
 
 def subdivide_leaves(
@@ -40,7 +42,14 @@ def subdivide_leaves(
 
     Returns
     -------
-    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the spheres (N,).
+    index : (N, 3) int32 array
+        Lowest corner of each leaf, in units of the finest nodes.
+    size : (N,) int32 array
+        Edge length of each leaf, in units of the finest nodes.
+    hull : (N,) float32 array
+        Occupancy of each leaf in the hull.
+    inside : (N,) float32 array
+        Fraction of each leaf inside the spheres.
     """
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
@@ -63,7 +72,7 @@ def subdivide_leaves(
 
 
 def fill(spheres: Spheres, grid: Grid) -> Leaves:
-    """Fill spheres with leaves: as large as fit inside, and finest ones at the surface."""
+    """Fill spheres with leaves: leaves as large as possible inside, and finest nodes at the surface."""
     low, shape = np.asarray(grid.origin_mm), np.array(grid.coarse_shape)
     edge = 2**grid.levels
     if not len(spheres.radius_mm):
@@ -84,13 +93,13 @@ def fill(spheres: Spheres, grid: Grid) -> Leaves:
 
 
 def shared_volume_mm3(spheres: Spheres, leaves: Leaves) -> float:
-    """Return the volume of the intersection of spheres and leaves."""
+    """Return the volume of the intersection of spheres and leaves, mm3."""
     _, size, occupancy, inside = subdivide_leaves(spheres, leaves)
     return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
 
 
 def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
-    """Return the depth (N,) of points (N, 3) inside the union of spheres; negative outside."""
+    """Return the depth (N,) of points (N, 3) inside the union of spheres, mm. It is negative outside."""
     if not len(points_mm) or not len(spheres.radius_mm):
         return np.full(len(points_mm), -np.inf, np.float32)
     return _Bins.build(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
@@ -98,18 +107,18 @@ def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class _Bins:
-    """Spheres listed by the cubic bins that they overlap."""
+    """Spatial index of spheres: cubic bins, each with a list of the spheres that overlap it."""
 
     low_mm: Array
     shape: NDArray[np.int64]
     entries: UInt32
-    """x, y, z and radius of the spheres, bin after bin."""
+    """Centre coordinates and radius of the spheres in all bins, flattened bin by bin."""
     begins: UInt32
-    """mi.UInt32, first entry of each bin, and the end."""
+    """Index of the first entry of each bin, followed by the total number of entries (mi.UInt32)."""
 
     @staticmethod
     def build(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Bins:
-        """List spheres, dilated by ``beside_mm``, in bins that cover a box."""
+        """Create the index for the box from ``low`` to ``high``, with spheres dilated by ``beside_mm``."""
         shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
         reach = spheres.radius_mm[:, None] + beside_mm
         first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
@@ -125,7 +134,7 @@ class _Bins:
         return _Bins(low, shape, numbers(packed), wholes(begins))
 
     def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
-        """Return the depth (N,) of points (N, 3) inside the union of the spheres; negative outside."""
+        """Return the depth (N,) of points (N, 3) inside the union of spheres, mm. It is negative outside."""
         if not len(points_mm):
             return np.zeros(0, np.float32)
         shape = self.shape
@@ -142,7 +151,7 @@ class _Bins:
 
 
 def beyond_mm(spheres: Spheres, points: Array) -> Array:
-    """Return the distance (N,) of points (N, 3) outside the union of the spheres; approximate inside."""
+    """Return the distance (N,) of points (N, 3) from the union of spheres, mm. It is approximate for points inside."""
     beyond, octave = np.full(len(points), np.inf), np.floor(np.log2(spheres.radius_mm))
     for one in np.unique(octave):
         some = np.flatnonzero(octave == one)

@@ -1,4 +1,4 @@
-"""Conversion of leaves of several sizes to uniform voxels, and to a surface."""
+"""Conversion of octree leaves of several sizes to uniform voxels and to a triangle mesh."""
 
 from collections.abc import Iterator
 
@@ -11,25 +11,26 @@ from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.hull.leaves import Leaves
 
 _BRICK = 96
-"""Edge of the blocks, in voxels, in which the surface is computed: a block takes 3.5 MB and has 3 % overlap."""
+"""Edge length of the blocks in which the surface is extracted, in voxels. A block takes 3.5 MB, of which 3 % overlap
+with other blocks."""
 
 
 def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-    """Merge leaves into voxels of ``units`` finest nodes.
+    """Merge leaves into voxels with an edge of ``units`` finest nodes.
 
     Parameters
     ----------
     units : int
-        A power of two.
+        Edge length of a voxel in units of the finest nodes, a power of two.
 
     Returns
     -------
     index : (N, 3) int32 array
-        Lowest corner in voxels.
+        Lowest corner of each cube, in voxels.
     size : (N,) int32 array
-        Edge in voxels, 1 or more.
+        Edge length of each cube, in voxels (1 or more).
     occupancy : (N,) float32 array
-        Fraction inside.
+        Occupied fraction of each cube.
     """
     large = leaves.size >= units
     small = ~large
@@ -44,16 +45,18 @@ def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np
 
 
 def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
-    """Write leaves into a dense block, clipped to it, with one vectorised write per leaf size.
+    """Write the occupancies of leaves into a dense block, clipped to its bounds.
+
+    All leaves of one size are written at once.
 
     Parameters
     ----------
     volume : (X, Y, Z) float32 array
-        Block that is modified.
+        Block, modified in place.
     index, size : (N, 3), (N,) int32 array
-        Lowest cell and edge of each leaf, in cells of the block.
+        Lowest cell and edge length of each leaf, in cells of the block.
     occupancy : (N,) float32 array
-        Values to write.
+        Occupied fraction of each leaf.
     """
     for edge in np.unique(size):
         chosen = size == edge
@@ -67,9 +70,9 @@ def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[n
 def _bricks(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """Yield (lowest corner, dense block) for the parts of space that contain leaves.
+    """Yield the lowest corner (3,) and the dense occupancies of each block that contains leaves.
 
-    Blocks overlap by one layer and are padded.
+    Adjacent blocks overlap by one layer, and an empty layer surrounds all leaves.
     """
     low = index.min(axis=0) - 1
     # A leaf, smaller than a brick, overlaps one or two bricks per axis.
@@ -93,25 +96,25 @@ def _bricks(
 def surface(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32], *, origin_mm: NDArray[np.float64], voxel_mm: float
 ) -> trimesh.Trimesh:
-    """Return the surface at half occupancy as a closed mesh in the canister frame, mm.
+    """Return the surface at an occupancy of one half as a closed mesh, canister frame, mm.
 
-    The method is marching cubes, brick by brick.
+    The surface is extracted block by block with marching cubes.
 
     Parameters
     ----------
     index, size : (N, 3), (N,) int32 array
-        Lowest voxel and edge of each leaf, in voxels.
+        Lowest voxel and edge length of each leaf, in voxels.
     occupancy : (N,) float32 array
-        Values from 0 to 1.
+        Occupied fraction of each leaf, 0 to 1.
     origin_mm : (3,) array
-        Position of voxel 0, canister frame.
+        Lowest corner of voxel (0, 0, 0), canister frame.
     voxel_mm : float
-        Edge of a voxel.
+        Edge length of a voxel, mm.
 
     Returns
     -------
     trimesh.Trimesh
-        Without vertices if no voxel is at least half full.
+        Closed surface. It has no vertices if no voxel is at least half full.
     """
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     for corner, block in _bricks(index, size, occupancy):

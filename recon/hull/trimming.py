@@ -1,11 +1,11 @@
-"""Trim the hull to what the silhouettes require.
+"""Trimming of the visual hull to the volume that the silhouettes require.
 
-A visual hull is too large: where a root hides behind another in the views that would bound its flanks, its
-cross-section grows spikes and the crotches fill. However, the largest sphere about a point of a root's centre line that
-no view contradicts has the root's own radius, since it is bounded by every view that shows the root alone. The roots
-are therefore rebuilt as the union of these spheres along the hull's centre lines and compared with the pictures: where
-the spheres do not explain a silhouette (parts that are not tubes, roots thinner than the skeleton's voxels), the hull
-is kept.
+A visual hull is larger than the object. Where a root hides behind another in the views that would bound its sides, its
+cross-section grows spikes, and the gaps between branching roots are filled. However, the largest sphere around a point
+of a root's centre line that lies within all silhouettes has the radius of the root, since it is bounded by every view
+that shows the root alone. The roots are therefore rebuilt as the union of such spheres along the hull's centre lines
+and compared with the pictures. Where the spheres do not explain a silhouette (parts that are not tubular, or roots
+thinner than the skeleton's voxels), the hull is kept.
 """
 
 from __future__ import annotations
@@ -30,57 +30,63 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _FLAT = 0.01
-"""Minimum squared slope of a distance map (1 beside an outline) for a direction to be defined; it is smaller on a
-ridge."""
+"""Minimum squared slope of a distance map for its gradient direction to be defined. The squared slope is 1 beside an
+outline and smaller on a ridge."""
 _REACH_PX = 0.75
-"""Distance at which an outline's slope is read on both sides: one and a half samples of the map."""
+"""Distance on both sides of a pixel at which the slope of a distance map is evaluated, px: one and a half samples."""
 _MISSING = 0.02
-"""Minimum difference between the fill fractions of hull and spheres: the fraction, linear in the depth, is not more
-accurate."""
+"""Minimum difference between a leaf's occupancies in the hull and in the spheres for the leaf to be examined. The
+occupancy is approximated as linear in the depth and is not more accurate than this."""
 _STEPS_MM = (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025)
-"""Decreasing steps of the search for centres: 1.4 mm in total, half a skeleton voxel plus its deviation in wide roots;
-the last is a tenth of the thinnest roots."""
+"""Step lengths of the search for sphere centres, mm. Their sum of 1.4 mm is half a skeleton voxel plus the deviation of
+the skeleton in wide roots. The last step is a tenth of the diameter of the thinnest roots."""
 _TIGHT_PX = 0.4
-"""Distance beyond a sphere within which an outline bounds it: the noise of outlines, and rounding of the crease by
-sampling. The weight is 1 at half this distance and 0 at one and a half times."""
+"""Maximum distance between a sphere and an outline for the outline to bound the sphere, px. It allows for noise of the
+outlines, and for rounding of the distance map's crease by sampling. The weight of the bound is 1 at half this distance
+and 0 at one and a half times this distance."""
 _TIGHT_SHARE = 0.05
-"""The same as a fraction of the sphere's radius, if larger: a canister half a millimetre out of round, as bought, moves
-outlines by half a pixel and more, and with 0.4 px alone the upper half of a carrot of 18 mm was in no sphere."""
-_HELD = 0.25, 5.0 / 12.0
-"""Fractions of the views that bound a sphere: below the first, it is removed; above the second, it is kept; between
-them, it shrinks.
+"""Lower limit of `_TIGHT_PX` for large spheres, as a fraction of the radius.
 
-Every view that shows a root alone bounds its sphere. A sphere in a web between roots is only bounded by the few views
-that graze the web."""
+An off-the-shelf canister that is half a millimetre out of round moves outlines by half a pixel or more. With 0.4 px
+alone, no sphere covered the upper half of a carrot with a diameter of 18 mm."""
+_HELD = 0.25, 5.0 / 12.0
+"""Two thresholds of the fraction of views that bound a sphere. Below the first, the sphere is removed. Above the
+second, it is kept. In between, it is shrunk.
+
+Every view that shows a root alone bounds its sphere. A sphere in a web between roots is bounded only by the few views
+with lines of sight along the web."""
 _LEAST_CURVE = 12
-"""Minimum number of points of a curve; fewer (a sphere is thinned to one) may move in any direction."""
+"""Minimum number of points of a centre line for its direction to be estimated. On shorter lines, such as the single
+point to which a ball is thinned, points may move in any direction."""
 _EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
-"""The 26 directions to neighbouring cells."""
+"""Directions from a cell to its 26 neighbours, shape (26, 3)."""
 _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
 class TrimmedHull:
-    """Hull trimmed to what its silhouettes require."""
+    """Hull trimmed to the volume that the silhouettes require."""
 
     leaves: Leaves
     spheres: Spheres
     """Spheres along the centre lines."""
     doubtful: Spheres
-    """Spheres constrained by too few views, and those removed for that reason, with the radius the outlines allow."""
+    """Spheres bounded by too few views, including those removed for this reason, with the radius that the outlines
+    allow."""
     kept: NDArray[np.float32]
-    """(N,) part of the leaves' occupancies that remains hull, since the spheres do not explain a silhouette."""
+    """Part of each leaf's occupancy that is kept from the hull because the spheres do not explain a silhouette, shape
+    (N,)."""
 
     @property
     def kept_mm3(self) -> float:
-        """Return the volume that remains hull."""
+        """Return the volume kept from the hull, mm3."""
         return self.leaves.volume_mm3(self.kept)
 
 
 def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
-    """Trim a hull to what its silhouettes require.
+    """Trim a hull to the volume that its silhouettes require.
 
-    The occupancies of the trimmed shape are at most those of the hull.
+    No occupancy of the trimmed shape exceeds that of the hull.
     """
     points = centre_lines(leaves) if len(leaves.size) else np.zeros((0, 3))
     spheres, doubtful = grow_spheres(bank, maps, points)
@@ -100,9 +106,10 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> TrimmedHull:
 
 
 def _perpendicular(points: Array) -> Array:
-    """Return eight unit vectors (N, 8, 3) perpendicular to the local direction of points along curves.
+    """Return eight unit vectors (N, 8, 3) perpendicular to the local direction of the curve at each point (N, 3).
 
-    The reference is the axis least aligned with the direction, as a straight row of points defines no perpendicular.
+    They are constructed from the coordinate axis least aligned with the direction, since a straight curve has no
+    normal.
     """
     near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
     cloud = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -115,9 +122,10 @@ def _perpendicular(points: Array) -> Array:
 
 
 def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Spheres, Spheres]:
-    """Move points (N, 3) perpendicular to their curve to where the largest spheres fit into all silhouettes.
+    """Move points (N, 3) perpendicular to their centre line to where the largest spheres fit into all silhouettes.
 
-    Return the spheres, shrunk where few views bound them, and those with few bounds at full size.
+    Return two sets of spheres: all spheres, shrunk where few views bound them, and those bounded by few views, at full
+    size.
     """
     if not len(points):
         return Spheres(points, np.zeros(0)), Spheres(points, np.zeros(0))
@@ -125,7 +133,7 @@ def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Sph
     points, radius = _move_to_maximum(bank, maps, points, _perpendicular(points) if len(points) >= _LEAST_CURVE else everywhere)
     # Where a curve ends inside a solid, the largest sphere lies beyond its end: spheres that are local maxima move in
     # all directions.
-    largest = _largest(points, radius)
+    largest = _find_largest(points, radius)
     if len(largest):
         freed = _move_to_maximum(bank, maps, points[largest], everywhere[: len(largest)])
         points, radius = np.concatenate([points, freed[0]]), np.concatenate([radius, freed[1]])
@@ -139,9 +147,9 @@ def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Sph
 
 
 def _move_to_maximum(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
-    """Move points (N, 3) along any of their directions (N, D, 3) to where the largest spheres fit.
+    """Move points (N, 3) along any of their directions (N, D, 3) to the centres of the largest spheres.
 
-    Return the points and the radii (N,).
+    Return the new points (N, 3) and the radii of the spheres (N,), mm.
     """
     radius = _radius(bank, maps, points)
     for step_mm in _STEPS_MM:
@@ -153,20 +161,20 @@ def _move_to_maximum(bank: ViewBank, maps: DistanceMaps, points: Array, directio
     return points, radius
 
 
-def _largest(points: Array, radius: Array) -> NDArray[np.int64]:
-    """Return the indices of spheres that no sphere about a point inside them exceeds."""
+def _find_largest(points: Array, radius: Array) -> NDArray[np.int64]:
+    """Return the indices of the spheres that are at least as large as every sphere centred inside them."""
     inside = cKDTree(points).query_ball_point(points, radius, workers=-1)
     return np.array([k for k, near in enumerate(inside) if radius[k] > 0 and radius[k] >= radius[near].max()], np.int64)
 
 
 def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
-    """Return the radius in mm of the largest sphere about each point that every view allows.
+    """Return the radius (N,) of the largest sphere around each point (N, 3) inside all silhouettes, mm.
 
-    In a view, the distance D to the outline is along the outline's normal (a, b); the plane of sight through the
-    outline has the normal g = a du + b dv in space, so that the sphere's radius is D / |g|. On a root's centre line D
-    has a crease: |a| and |b| are those of the steeper side. The sampled map rounds the crease; ``sharpen`` restores its
-    height from the slopes on both sides, for points on it. Points visible in fewer than `distance_maps.least_votes`
-    views have the radius 0.
+    Let D be the distance of the projected point from the outline in a view, and (a, b) the outline's normal. The plane
+    of sight through the outline has the normal g = a du + b dv in space, so that the radius of the sphere is D / |g|.
+    On a root's centre line, D has a crease; |a| and |b| are those of the steeper side. Sampling rounds the crease. For
+    points on a crease, ``sharpen`` restores its height from the slopes on both sides. Points that fewer than
+    `distance_maps.least_votes` views show have the radius 0.
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
@@ -181,7 +189,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
 
 
 def _bounding_fraction(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
-    """Return the fraction (N,) of the views that bound spheres (N,), of those that show them."""
+    """Return the fraction (N,) of views that bound each sphere, among the views that show its centre."""
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, usable = _view_radius(bank, maps, view, point, sharpen=False)
@@ -196,9 +204,9 @@ def _bounding_fraction(bank: ViewBank, maps: DistanceMaps, points: Array, radius
 
 
 def _view_radius(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *, sharpen: bool) -> tuple[Float, Float, Bool]:
-    """Return the radius in mm of the largest sphere about a point that a view allows.
+    """Return the radius of the largest sphere around a point inside the silhouette of one view, mm.
 
-    Also return px/mm at the point, and whether the view shows it.
+    Also return the image scale at the point in px/mm, and whether the view shows the point.
     """
     p, distance, usable = distance_maps.project_and_read(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance

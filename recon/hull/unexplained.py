@@ -22,41 +22,42 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
 _DEEP_PX = 0.75
-"""Depth inside an outline at which unexplained pixels require the hull to be kept; the weight is 0 at two thirds of
-this depth and 1 at four thirds."""
+"""Depth inside an outline at which an unexplained pixel requires the hull to be kept, px. The weight of the pixel is 0
+at two thirds of this depth and 1 at four thirds."""
 _NEAREST = 1.5, 2.5
-"""Range behind the nearest node on the same line of sight, in node widths, over which the weight falls from 1 to 0.
+"""Range of a distance difference, in node edges, over which the weight of a node decreases from 1 to 0. The difference
+is that between the node's distance from the spheres and the smallest such distance on the same line of sight.
 
-Nodes in one line's cross-section are up to 1.4 widths apart."""
+Nodes in the cross-section of a single line of sight are up to 1.4 edges apart."""
 _LEAST_EDGE_PX = 0.5
-"""Minimum width of a line of sight: one sample of the maps."""
+"""Minimum width of a line of sight, px: one sample of the distance maps."""
 
 
 def required_fraction(
     bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres
 ) -> NDArray[np.float32]:
-    """Return the fraction of uncertain finest nodes that silhouettes require and the trimmed shape does not explain.
+    """Return the fraction (N,) of each uncertain node that the silhouettes require beyond the trimmed shape.
 
-    A single view may be wrong; the requirement of the view with the second-largest residual is used. Of all nodes on a
-    line of sight, a view requires those nearest to the spheres. A node of a solid is nearest for the views that look
-    perpendicular to the direction from it to its sphere; a spike of the hull, where a root hides behind another in
-    those views, is nearest for none.
+    The second-largest residual over all views is used, since a single view may be wrong. Of all nodes on a line of
+    sight, a view requires those nearest to the spheres. A node of a solid is the nearest in views perpendicular to the
+    direction from the node to its sphere. A spike of the hull, where a root hides behind another in those views, is not
+    the nearest in any view.
 
     Parameters
     ----------
     bank, maps : ViewBank, DistanceMaps
         Views, and the distance maps of their silhouettes.
     trimmed : Leaves
-        Certain part of the shape.
+        Trimmed shape, which is certain.
     uncertain : (N, 3) int array
-        Finest nodes that may be required.
+        Indices of finest nodes that may be required.
     spheres : Spheres
-        Spheres from which the distance of nodes is measured.
+        Spheres from which the distances of nodes are measured.
 
     Returns
     -------
     (N,) float32 array
-        Values from 0 to 1.
+        Required fraction of each node, 0 to 1.
     """
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
@@ -73,7 +74,7 @@ def required_fraction(
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), visible)
-        apart = 2.0 * edge_mm * _most(scale, visible) * UPSAMPLING  # samples between adjacent voxels of the solid
+        apart = 2.0 * edge_mm * _masked_maximum(scale, visible) * UPSAMPLING  # samples between adjacent voxels of the solid
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
         values = maps.picture(view)
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
@@ -83,7 +84,7 @@ def required_fraction(
         px, scale, visible = _project(bank, maps, view, places)
         lacks = dr.select(visible, DistanceMaps.from_arrays(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, visible), 0.0)
         dr.eval(lacks)
-        edge_px = max(edge_mm * _most(scale, lacks > 0.0), _LEAST_EDGE_PX)
+        edge_px = max(edge_mm * _masked_maximum(scale, lacks > 0.0), _LEAST_EDGE_PX)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
         most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
         dr.eval(most, second)
@@ -91,12 +92,12 @@ def required_fraction(
 
 
 def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
-    """Return the distance from the spheres of the nearest node on each node's line of sight, in edges of a node.
+    """Return the smallest distance from the spheres among all nodes on each node's line of sight, in node edges.
 
     A line of sight is as wide as a node, ``edge_px``.
     """
     width, height = (int(count / edge_px) + 1 for count in maps.image_wh)
-    # Opaque: as literals, they would cause a new kernel for every view.
+    # Opaque, since literal values would require a new kernel for every view.
     last, edge = (mi.Vector2f(*(dr.opaque(mi.Float, part) for part in pair)) for pair in ([n - 1.0 for n in maps.image_wh], [edge_px] * 2))
     place = dr.clip(px + 0.5, 0.0, last) / edge
     at = mi.UInt32(place.y) * dr.opaque(mi.UInt32, width) + mi.UInt32(place.x)
@@ -105,26 +106,29 @@ def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge
     return dr.gather(mi.Float, nearest, at, active)
 
 
-def _most(value: Float, active: Bool) -> float:
+def _masked_maximum(value: Float, active: Bool) -> float:
     return float(dr.max(dr.select(active, value, 0.0))[0])
 
 
 def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
-    """Dilate a picture (H, W) by a square of an odd edge, and smooth its steps."""
+    """Dilate an image (H, W) with a square of odd edge length, and smooth its steps."""
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 
 
 def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
-    """Return the centres of nodes of a given edge on the device."""
+    """Transfer the centres of nodes of a given edge length to the device."""
     centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
     return device.points(centres)
 
 
 def _project(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
-    """Project points into a view: pixels, px/mm, and whether they are visible on its distance map."""
+    """Project points into a view.
+
+    Return pixels, image scale (px/mm), and visibility within the view's distance map.
+    """
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
     visible = p.visible & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
     scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
-    dr.eval(p.px, scale, visible)  # evaluated together, to project once
+    dr.eval(p.px, scale, visible)  # evaluated together, so that points are projected only once
     return p.px, scale, visible

@@ -1,1 +1,1 @@
-"""Results in memory and as folders: numbers, traits and files."""
+"""Results of a reconstruction, in memory and as folders: numbers, traits and files."""

@@ -14,23 +14,25 @@ from rhizotwin.scenes.traits import Traits
 Pair = tuple[float, float]
 
 
-_PART_IS_WIDE = "the 90 % interval is too wide for a plant of this size: the uncertainty of all plants may concern this one"
+_PART_IS_WIDE = "the 90 % interval is too wide for a plant of this size, since it includes the uncertainty of all plants in the canister"
 
 
 def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = None) -> dict[str, Assessment]:
-    """Return the assessment of each trait, by its field in `Traits`.
+    """Return the assessment of each trait, keyed by its field in `Traits`.
 
-    Volume, length, tips and mean diameter have their own intervals; those of specific root length and tissue density
-    are derived from length and volume. The other traits are not assessed; they are not reliable if the volume is not.
+    Volume, length, tips and mean diameter have their own intervals. The intervals of specific root length and tissue
+    density are derived from those of length and volume. All other traits are not assessed. They are not reliable if the
+    volume is not reliable.
 
     Parameters
     ----------
     summary : Json
-        Content of ``result.json``.
+        Contents of ``result.json``.
     traits : Traits
-        Traits of the result, or of one of several plants.
+        Traits of the whole result, or of one of several plants.
     volume_interval_mm3 : (float, float), optional
-        Interval of the plant, if ``traits`` are those of one of several; only its volume is assessed then.
+        Interval of the plant's volume, mm3, if ``traits`` are those of one of several plants. In this case, only the
+        volume is assessed.
     """
     reason = str(summary["volume_verdict"]).removeprefix(NO_VOLUME)
     codes = reasons.reasons_for_volume(summary)

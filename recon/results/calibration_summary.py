@@ -1,4 +1,4 @@
-"""Parameters of the rig that were calibrated from the pictures, for ``result.json``."""
+"""Parameters of the rig that were calibrated from the pictures, in the form stored in ``result.json``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:  # results are read without loading the reconstruction
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 SWAY_AT_MM = 100.0
-"""Depth at which the sway is reported, about that of the tips of a grown plant."""
+"""Depth at which the sway is reported, mm, approximately that of the tips of a grown plant."""
 
 
 def summarize_cameras(cameras: Cameras) -> Json:
-    """Return the calibration from all views as JSON values, for the ``rig`` of a result.
+    """Return the calibration from all views as JSON values, for the key ``rig`` of a result.
 
-    It is empty if the cameras were given.
+    The dictionary is empty if the cameras were specified in the dataset and not calibrated.
     """
     found = {} if cameras.markers is None else _summarize_markers(cameras.markers)
     if found or cameras.roots is not None:
@@ -28,7 +28,7 @@ def summarize_cameras(cameras: Cameras) -> Json:
 
 
 def _summarize_markers(found: MarkerCalibration) -> Json:
-    """Return the calibration from markers and canister edges."""
+    """Return the calibration from markers and canister edges as JSON values."""
     canister = found.canister
     return {
         "canister_from_strip": None if canister is None else canister.canister_from_strip.tolist(),
@@ -69,9 +69,11 @@ def _summarize_markers(found: MarkerCalibration) -> Json:
 
 
 def _summarize_roots(cameras: Cameras, focal_scale: float) -> Json:
-    """Return the calibration from the roots; the sigma of the refractive index is None if there were no roots.
+    """Return the calibration from the roots as JSON values.
 
-    ``focal_scale`` is that of the markers; cameras corrected by the roots include the correction of the latter.
+    ``focal_scale`` is the correction of the focal length from the markers. It is multiplied by the correction from the
+    roots if the cameras were corrected from the roots. The standard deviation of the refractive index is None without
+    roots.
     """
     found_by_roots, given = cameras.roots, cameras.optics.n_water
     if found_by_roots is None:

@@ -24,36 +24,37 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """The whole solid, which is divided among plants."""
+    """Reconstructed shape of all plants together."""
 
     leaves: Leaves
     surface: Mesh
     finest_mm: float
-    """Edge length of the voxels from which the surface was extracted."""
+    """Edge length of the voxels from which the surface was extracted, mm."""
     volume_mm3: float
     terms: tuple[Term, ...]
-    calibration: Calibration
     """Error budget of the volume."""
+    calibration: Calibration
+    """Calibration of the scan's intervals."""
 
 
 def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole: Subject) -> tuple[PlantResult, ...]:
-    """Divide a shape among plants: each part is assigned to the plant with the nearest root surface.
+    """Divide a shape among plants. Each part is assigned to the plant with the nearest root surface.
 
     Parameters
     ----------
     shape : Shape
-        Shape with voxels, surface and volume.
+        Shape of all plants, with voxels, surface and volume.
     planted : PlantedRoots
         Roots assigned to plants.
     plants : sequence of Plant
         Plants of the scene.
     whole : Subject
-        Properties common to all plants.
+        Properties that all plants have in common.
 
     Returns
     -------
     tuple of PlantResult
-        Plants with roots, in the given order.
+        Results of the plants that have roots, in the given order.
     """
     names = [plant.plant for plant in plants if any(root.plant == plant.plant for root in planted.roots)]
     unsure = [root for root, is_open in zip(planted.roots, planted.open, strict=True) if is_open]
@@ -95,7 +96,10 @@ def measure(shape: Shape, planted: PlantedRoots, plants: Sequence[Plant], whole:
 
 
 def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
-    """Return the 90 % interval of a plant, from its volume without and with all parts of uncertain assignment."""
+    """Return the 90 % interval of a plant's volume, mm3.
+
+    ``least_mm3`` is the volume without, and ``most_mm3`` the volume with all parts that may belong to another plant.
+    """
     (low, _), (_, high) = (
         part_interval(shape.terms, whole_mm3=shape.volume_mm3, part_mm3=part, calibration=shape.calibration)
         for part in (least_mm3, most_mm3)
@@ -104,20 +108,21 @@ def _interval(shape: Shape, least_mm3: float, most_mm3: float) -> Pair:
 
 
 def warnings(planted: PlantedRoots, found: Sequence[PlantResult]) -> tuple[str, ...]:
-    """Return warnings about missing plants and ambiguous roots."""
-    said = [
-        f"no root base of plant {name} was found near its position; its roots may be assigned to another plant" for name in planted.missing
+    """Return warnings about plants without a base, and about roots whose plant is uncertain."""
+    texts = [
+        f"plant {name}: no root base was found near its position; its roots may have been assigned to another plant"
+        for name in planted.missing
     ]
     total, open_mm = rsml.length_mm(planted.roots), sum(one.open_mm for one in found)
     if open_mm > 0.0:
-        said.append(
-            f"{100.0 * open_mm / total:.0f} % of the root length cannot be assigned with certainty; it is assigned to the nearest plant"
+        texts.append(
+            f"{100.0 * open_mm / total:.0f} % of the root length cannot be assigned to a plant with certainty; the nearest plant was chosen"
         )
-    return tuple(said)
+    return tuple(texts)
 
 
 def _height_mm(points_mm: Floats, roots: Sequence[Root]) -> Floats:
-    """Return the signed distance of points (P, 3) from the surface of the nearest root; infinite without roots."""
+    """Return the signed distance (P,) of points (P, 3) from the nearest root surface, mm; infinite without roots."""
     if not roots:
         return np.full(len(points_mm), np.inf)
     tubes = tube_surface.stations(roots)

@@ -1,4 +1,4 @@
-"""Parts of a result folder: shapes in memory and packed, names of pictures, and version."""
+"""Parts of a result folder: shapes in memory and as files, names of pictures, and schema version."""
 
 import io
 from dataclasses import dataclass
@@ -16,52 +16,55 @@ Floats = NDArray[np.float64]
 Json: TypeAlias = dict[str, Any]
 """JSON object."""
 SCHEMA_VERSION = 1
-"""Version of ``result.json``; it increases when the meaning of a key changes."""
+"""Version of ``result.json``. It increases when the meaning of a key changes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leaves:
-    """Occupied leaves of the octree: a leaf covers ``origin_mm + voxel_mm * [low, low + size]``."""
+    """Occupied octree leaves of a shape.
+
+    A leaf extends from ``origin_mm + voxel_mm * low`` to ``origin_mm + voxel_mm * (low + size)``.
+    """
 
     low: NDArray[np.int32]
-    """(N, 3) lowest voxel."""
+    """Lowest voxel of each leaf, shape (N, 3)."""
     size: NDArray[np.int32]
-    """(N,) edge length in voxels."""
+    """Edge length of each leaf, shape (N,), in voxels."""
     occupancy: NDArray[np.float32]
-    """(N,) occupied fraction of the leaf, 0..1."""
+    """Occupied fraction of each leaf, shape (N,), 0 to 1."""
     origin_mm: Floats
     voxel_mm: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
-    """A triangle mesh in the canister frame."""
+    """Triangle mesh in the canister frame."""
 
     vertices_mm: Floats
-    """(V, 3) vertices."""
+    """Positions of the vertices, shape (V, 3), mm."""
     faces: NDArray[np.int64]
-    """(F, 3) vertex indices."""
+    """Vertex indices of each face, shape (F, 3)."""
 
     @staticmethod
     def of(mesh: "trimesh.Trimesh") -> "Mesh":
-        """Return the vertices and faces of a trimesh mesh."""
+        """Create a mesh from the vertices and faces of a trimesh mesh."""
         vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
         return Mesh(vertices_mm=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3))
 
     @property
     def corners_mm(self) -> Floats:
-        """First, second and third vertex of the faces (3, F, 3)."""
+        """Positions of the three vertices of each face, shape (3, F, 3), mm."""
         return self.vertices_mm[self.faces.T]
 
     @property
     def areas_mm2(self) -> Floats:
-        """Areas of the faces (F,)."""
+        """Areas of the faces, shape (F,), mm2."""
         a, b, c = self.corners_mm
         return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
 
 
 def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
-    """Return the contents of ``shape.npz``."""
+    """Return the contents of the file ``shape.npz``."""
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
@@ -78,5 +81,5 @@ def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
 
 
 def picture_path(folder: Path, frame_file: str) -> Path:
-    """Return the path of a frame's picture in ``folder`` (silhouettes, seen, masks), always as PNG."""
+    """Return the path of the PNG file for a frame in ``folder``, such as ``silhouettes``, ``seen`` or ``masks``."""
     return Path(folder) / f"{PurePosixPath(frame_file).stem}.png"

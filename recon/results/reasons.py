@@ -1,6 +1,7 @@
-"""Reason codes: short, stable names for why a result is not reliable, for programs that read tables.
+"""Reason codes: short, stable names for the reasons why a result is not reliable, for programs that read tables.
 
-They are derived from the numbers of a ``result.json``, not from its sentences, so that they do not depend on wording.
+The codes are derived from the numbers in ``result.json``, and not from its sentences, so that they do not depend on
+wording.
 """
 
 from __future__ import annotations
@@ -25,28 +26,30 @@ OF_CHECK = {
     "resolution": "coarse_pictures",
     "corrections": "contradicted_corrections",
 }
-"""Code of each check of a scan, for the state ``bad``."""
+"""Reason code for each check of a scan, used if the state of the check is ``bad``."""
 NO_UNCERTAINTY = "no_uncertainty"
-"""The method gives no uncertainty, as for the baselines."""
+"""Reason code: the method used, such as a baseline method, does not estimate an uncertainty."""
 FEW_VIEWS = "few_views"
-"""Fewer views than the setting ``trust.least_views``."""
+"""Reason code: the number of used views is less than the setting ``trust.least_views``."""
 WIDE = "wide_interval"
-"""The 90 % interval extends farther to one side than ``trust.widest``: the setting for the volume, else the default."""
+"""Reason code: the 90 % interval extends farther to one side than ``trust.widest`` allows. For traits other than the
+volume, the default of this setting applies."""
 OTHER = "other"
-"""None of the other codes applies; see the sentence."""
+"""Reason code: none of the other codes applies. The reason is described by the sentence in ``result.json``."""
 MAX_SENTENCE = 280
-"""Maximum length of the sentences in a cell, in characters."""
+"""Maximum length of the sentences in a table cell, in characters."""
 
 
 def reasons_for_volume(summary: Json) -> tuple[str, ...]:
-    """Return the codes of the reasons for which the volume is not reliable; empty if it is.
+    """Return the codes of the reasons why the volume is not reliable, or an empty tuple if it is reliable.
 
-    A wide interval is followed by its largest term, such as ``high_translucency`` or ``high_missing_roots``.
+    The code for a wide interval is followed by the code of its largest error term, such as ``high_translucency`` or
+    ``high_missing_roots``.
 
     Parameters
     ----------
     summary : Json
-        ``result.json``.
+        Contents of ``result.json``.
     """
     if summary["volume_trusted"]:
         return ()
@@ -78,12 +81,14 @@ def _trust(summary: Json) -> Json:
 
 
 def reasons_for_estimate(summary: Json, estimate: Json) -> tuple[str, ...]:
-    """Return the codes of the reasons for which length, tips or mean diameter are not reliable; empty if they are.
+    """Return the codes of the reasons why a length, number of tips or mean diameter is not reliable.
+
+    The tuple is empty if the value is reliable.
 
     Parameters
     ----------
     summary, estimate : Json
-        ``result.json``, and one of its ``estimates``.
+        Contents of ``result.json``, and one of its ``estimates``.
     """
     if estimate["trusted"]:
         return ()
@@ -94,14 +99,14 @@ def reasons_for_estimate(summary: Json, estimate: Json) -> tuple[str, ...]:
 
 
 def shorten(sentences: Sequence[str], *, most: int = MAX_SENTENCE) -> str:
-    """Join sentences for a table cell; those that exceed the maximum length are replaced by their number.
+    """Join sentences for a table cell. Sentences beyond the maximum length are replaced by their number.
 
     Parameters
     ----------
     sentences : sequence of str
-        Sentences; the full texts are in ``result.json``.
+        Sentences to be joined. Their full text is in ``result.json``.
     most : int
-        Maximum length in characters.
+        Maximum length of the text, in characters.
     """
     kept: list[str] = []
     for sentence in sentences:

@@ -1,16 +1,17 @@
 """Result of a reconstruction, and its storage as a folder.
 
     RESULT/  result.json           numbers, traits, views, rig, warnings, timings, settings and versions
-             shape.npz             leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); likewise for the
-                                   untrimmed hull: hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
+             shape.npz             octree leaves of the shape in voxels: lowest corners leaves (N, 3), edges size (N,)
+                                   and occupancy (N,); the same for the untrimmed hull: hull_leaves, hull_size and
+                                   hull_occupancy; also origin_mm (3,) and voxel_mm
              shape.ply             surface, canister frame, mm
              shoot.ply             surface of the shoot's visual hull, if there are pictures of a shoot
              roots.rsml            centre lines and diameters of the roots, if any were found
              traits.csv, .json     traits with units and definitions
-             silhouettes/NAME.png  16 bit: measured coverage of each pixel by roots
-             seen/NAME.png         8 bit: 255 where the picture is valid for the water
+             silhouettes/NAME.png  16 bit: measured fraction of each pixel that roots cover
+             seen/NAME.png         8 bit: 255 for usable pixels, 0 for all others
 
-NAME is the picture's name in the dataset.
+NAME is the name of the picture in the dataset.
 """
 
 from __future__ import annotations
@@ -47,15 +48,15 @@ Triple = tuple[float, float, float]
 
 
 def triple(values: NDArray[np.float64]) -> Triple:
-    """Return three numbers (3,) as a tuple."""
+    """Convert an array of three numbers (3,) to a tuple."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
 POSES = ("cam_from_canister", "cam_from_tank")
 """Keys of a camera's poses in ``result.json``."""
-_OF_VIEW = ("file", "ring", "used", "reason", *POSES, "sway", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
-"""Keys of a camera in ``result.json``, besides those of markers, turntable and silhouette."""
+_VIEW_KEYS = ("file", "ring", "used", "reason", *POSES, "sway", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
+"""Keys of a camera in ``result.json``, in addition to those of markers, turntable and silhouette."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,103 +64,107 @@ class Solid:
     """Reconstructed solid and its volume."""
 
     voxels: Leaves
-    """Occupied cubes of one or more voxels, without overlap."""
+    """Occupied, non-overlapping cubes of one or more voxels."""
     hull: Leaves
-    """Cubes before trimming."""
+    """Occupied cubes of the visual hull, before trimming."""
     finest_mm: float
-    """Edge length of the smallest carved nodes."""
+    """Edge length of the smallest carved octree nodes, mm."""
     mesh: trimesh.Trimesh
     """Surface in the canister frame, mm."""
     volume: Volume
     hull_mm3: float
     untrimmed_mm3: float
-    """Part of the volume that was not trimmed."""
+    """Part of the volume that was not trimmed, mm3."""
     blind_mm3: float
-    """Volume of the water that is visible in too few views."""
+    """Volume of the water that too few views show, mm3."""
     extents_min_mm: Triple
     extents_max_mm: Triple
     mu_per_mm: float | None = None
-    """Attenuation coefficient of the roots; None if they are opaque or it was not measured."""
+    """Attenuation coefficient of the roots, 1/mm, or None if they are opaque or the coefficient was not measured."""
     mu_sigma_per_mm: float | None = None
-    """Standard deviation of the attenuation coefficient, if thin roots allowed an estimate."""
+    """Standard deviation of the attenuation coefficient, 1/mm, or None if it could not be estimated from thin roots."""
     roots: tuple[Root, ...] = ()
-    """Centre lines and diameters, parents before children; empty if there are none."""
+    """Centre lines and diameters of the roots. Parents come before children. Empty if there are no roots."""
     warnings: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
     """Consistency checks between views and shape."""
 
     @property
     def voxel_mm(self) -> float:
-        """Edge length of a voxel."""
+        """Edge length of a voxel, mm."""
         return self.voxels.voxel_mm
 
     @property
     def surface(self) -> Mesh:
-        """Surface as vertices and faces."""
+        """Surface as an array of vertices and an array of faces."""
         return Mesh.of(self.mesh)
 
     @property
     def length_mm(self) -> float:
-        """Total length of the roots."""
+        """Total length of the roots, mm."""
         return rsml.length_mm(self.roots)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Complete result of a reconstruction; `save` writes it, `rhizotwin.load_result` reads it."""
+    """Complete result of a reconstruction.
+
+    The method `save` writes it to a folder, from which `rhizotwin.load_result` reads it.
+    """
 
     dataset: str
     """Folder of the dataset."""
     dataset_sha256: str
-    """Hash of the dataset's manifest, which contains the hashes of its pictures."""
+    """SHA-256 hash of the dataset's manifest, which contains the hashes of its pictures."""
     scene: str
     solid: Solid
     subject: Subject = Subject()
-    """Plant, as given in the dataset."""
+    """Plant, as specified in the dataset."""
     solution: Solution = field(default_factory=Solution)
-    """Nutrient solution, as given in the dataset."""
+    """Nutrient solution, as specified in the dataset."""
     plants: tuple[PlantResult, ...] = ()
-    """Results of each of several plants; empty for a single plant or without roots."""
+    """Results of the individual plants, if there are several. Empty for a single plant or without roots."""
     strip: MarkerStrip | None = None
-    """Marker strip, which defines the canister frame; None in results of earlier versions."""
+    """Marker strip, which defines the canister frame. None in results of earlier versions."""
     mass_g: float | None = None
-    """Fresh mass of the roots, if weighed."""
+    """Fresh mass of the roots, g, or None if they were not weighed."""
     cameras: tuple[Camera, ...]
-    """Cameras of all pictures of the root."""
+    """Cameras of all pictures of the roots."""
     shoot: Shoot | None = None
-    """Shoot above the net pot; None if no picture shows it."""
+    """Shoot above the net pot, or None if no picture shows it."""
     bands: Mapping[str, float] = field(default_factory=dict)
-    """Signal-to-noise ratio of the roots in each band of the camera, the band that was used first; empty if the camera
-    has no bands, or if the settings name the band."""
+    """Signal-to-noise ratio of the roots in each band of the camera, starting with the band that was used. Empty if the
+    camera has no bands, or if the band is specified in the settings."""
     fill: Mapping[str, float]
-    """Fraction of the valid region covered by roots, by file name of the frame."""
+    """Fraction of the usable pixels that is covered by roots, keyed by the file name of the frame."""
     rig: Json
-    """Calibration of cameras and canister from all views; empty if the poses were given."""
+    """Calibration of cameras and canister from all views. Empty if the poses were given."""
     warnings: tuple[str, ...]
     checks: tuple[Check, ...] = ()
-    """Checks that decide whether the volume is reliable."""
+    """Checks that determine whether the volume is reliable."""
     estimates: tuple[Estimate, ...] = ()
-    """Length, tips and mean diameter, each with an interval and a verdict; empty without roots."""
+    """Length, number of tips and mean diameter, each with an interval and a verdict. Empty without roots."""
     timings_s: dict[str, float]
-    """Duration of each stage in seconds."""
+    """Duration of each stage, s."""
     passes: Mapping[str, int] = field(default_factory=dict)
-    """Number of passes over all pictures by kind (`recon.passes`); empty in results of earlier versions."""
+    """Number of passes over all pictures, keyed by their kind (`recon.passes`). Empty in results of earlier
+    versions."""
     peak_memory_mib: float
     settings: Json
     versions: dict[str, str]
     silhouettes: Mapping[str, Silhouette] = field(repr=False)
-    """Silhouettes by file name of the frame; empty if a stored result contains none."""
+    """Silhouettes, keyed by the file name of the frame. Empty if a stored result contains none."""
     notebook: Callable[[Result], str] | None = field(default=None, repr=False, compare=False)
-    """Function that returns the HTML shown in notebooks; set by the public API."""
+    """Function that returns the HTML representation in notebooks. It is set by the public API."""
 
     @property
     def volume_mm3(self) -> float:
-        """Volume."""
+        """Reconstructed volume, mm3."""
         return self.solid.volume.mm3
 
     @property
     def interval_mm3(self) -> tuple[float, float]:
-        """90 % interval of the volume."""
+        """90 % interval of the volume, mm3."""
         return self.solid.volume.interval_mm3
 
     @property
@@ -169,17 +174,17 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """Reliability of the volume in a sentence."""
+        """Reliability of the volume, in one sentence."""
         return self.solid.volume.verdict
 
     @property
     def roots(self) -> tuple[Root, ...]:
-        """Centre lines and diameters, parents before children; empty if there are none."""
+        """Centre lines and diameters of the roots. Parents come before children. Empty if there are no roots."""
         return self.solid.roots
 
     @cached_property
     def measured(self) -> Traits:
-        """Traits as numbers."""
+        """Traits measured on the reconstructed surface and roots."""
         solid = self.solid
         return result_traits.measure_shape(
             solid.surface,
@@ -192,9 +197,9 @@ class Result:
 
     @property
     def traits(self) -> Any:
-        """Traits with units, 90 % intervals, verdicts, reasons and definitions.
+        """Table of the traits with units, 90 % intervals, verdicts, reasons and definitions.
 
-        A pandas data frame, indexed by name.
+        The table is a pandas data frame, indexed by the name of the trait.
         """
         rows = trait_table.to_json(self.measured, assessments.assess(self.summary(), self.measured))["traits"]
         import pandas as pd
@@ -202,7 +207,7 @@ class Result:
         return pd.DataFrame(rows).set_index("name")
 
     def __repr__(self) -> str:
-        """Return a summary of a few lines."""
+        """Return a short summary as text."""
         used = sum(camera.used for camera in self.cameras)
         rows = [
             ("volume", f"{ml(self.volume_mm3, half_mm3=0.5 * (self.interval_mm3[1] - self.interval_mm3[0]))} ml"),
@@ -216,11 +221,11 @@ class Result:
         return "\n".join([f"Result of {self.scene}", *(f"  {name:<14}{text}" for name, text in rows)])
 
     def _repr_html_(self) -> str | None:
-        """Return HTML for notebooks; None: `repr` is shown."""
+        """Return the HTML representation for notebooks, or None if the text representation is to be used."""
         return None if self.notebook is None else self.notebook(self)
 
     def summary(self) -> Json:
-        """Return the contents of ``result.json``, without the traits."""
+        """Return the contents of ``result.json``, excluding the traits."""
         solid, volume = self.solid, self.solid.volume
         return {
             "schema_version": SCHEMA_VERSION,
@@ -264,13 +269,15 @@ class Result:
         }
 
     def _view(self, camera: Camera) -> Json:
-        """Return the data of one picture as JSON values."""
-        plain = {name: getattr(camera, name) for name in (*_OF_VIEW, "markers", "table_deg")}
+        """Return the entry of a camera in ``result.json``."""
+        plain = {name: getattr(camera, name) for name in (*_VIEW_KEYS, "markers", "table_deg")}
         poses = {name: None if (pose := plain[name]) is None else pose.tolist() for name in POSES}
         return plain | poses | {"fill": self.fill.get(camera.file)}
 
     def save(self, folder: Path | str) -> None:
-        """Write a result folder; ``result.json`` is written last, so that a folder with it is complete.
+        """Write the result to a folder.
+
+        The file ``result.json`` is written last, so that a folder with this file is complete.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Traits of a result, computed from its roots, surface and volume, as numbers, CSV and JSON."""
+"""Traits of a result, computed from its roots, surface and volume, and written as CSV and JSON files."""
 
 import json
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from rhizotwin.scenes.traits import Traits, measure_traits
 Floats = NDArray[np.float64]
 
 THICK_CELLS = 3.0
-"""Minimum radius, in finest voxels, of roots whose area is measured on the mesh; the mesh of thinner roots is too
-small (-10 % of the area for roots of 0.3 mm)."""
+"""Minimum radius of roots whose surface area is measured on the mesh, in finest voxels. The mesh of thinner roots is
+too small: the area of roots of 0.3 mm is underestimated by 10 %."""
 
 
 def measure_shape(
@@ -39,13 +39,13 @@ def measure_shape(
     Parameters
     ----------
     surface : Mesh
-        Surface; may be empty.
+        Surface of the shape, which may be empty.
     roots : sequence of Root
-        Roots; if empty, traits of centre lines are None.
+        Roots of the shape. Without roots, the traits of centre lines are None.
     finest_mm : float
-        Edge length of the voxels from which the surface was extracted.
+        Edge length of the voxels from which the surface was extracted, mm.
     extents_mm : tuple of (3,) sequences of float
-        Lowest and highest corner of the shape, used if the surface is empty.
+        Lowest and highest corner of the shape, mm, used if surface and roots are empty.
     """
     some = len(surface.vertices_mm) or roots
     points = np.concatenate([surface.vertices_mm, *(root.points_mm for root in roots)]) if some else np.array(extents_mm)
@@ -71,7 +71,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
 
 
 def _plant(one: PlantResult, summary: Json) -> Json:
-    """Return the entry of one of several plants in ``traits.json``."""
+    """Return the entry of one plant in ``traits.json``."""
     assessed = assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)
     return {
         "subject": to_plain(one.subject),
@@ -82,7 +82,7 @@ def _plant(one: PlantResult, summary: Json) -> Json:
 
 
 def describe_edits(summary: Json) -> str:
-    """Summarise manual corrections of a result; empty if there are none."""
+    """Return a summary of the manual corrections of a result, or an empty string if there are none."""
     edits = summary.get("edits")
     if not edits:
         return ""
@@ -93,12 +93,12 @@ def describe_edits(summary: Json) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class PlantTraits:
-    """Traits of one plant in a result."""
+    """Traits of one plant in a result, with their assessments."""
 
     subject: Subject
     traits: Traits
     assessed: dict[str, Assessment]
-    """Assessments by field of `Traits`."""
+    """Assessment of each trait, keyed by its field in `Traits`."""
 
 
 def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTraits]:
@@ -107,9 +107,9 @@ def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTrai
     Parameters
     ----------
     where : str
-        Name of the result, for messages.
+        Name of the result, for error messages.
     summary : Json
-        Content of ``result.json``.
+        Contents of ``result.json``.
     traits : Traits
         Traits of the whole result.
     """
@@ -127,7 +127,7 @@ def traits_by_plant(where: str, summary: Json, traits: Traits) -> list[PlantTrai
 
 
 def trait_files(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
-    """Return the content of ``traits.csv`` and ``traits.json``."""
+    """Return the contents of ``traits.csv`` and ``traits.json``, keyed by the file name."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
     table = trait_table.to_csv(traits, whole)
@@ -138,7 +138,7 @@ def trait_files(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[
 
 
 def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
-    """Return the surface area: thin roots as tubes, the rest from the mesh."""
+    """Return the surface area, mm2. Thin roots are measured as tubes, and all other parts on the mesh."""
     area = surface.areas_mm2
     if not roots:
         return float(area.sum())
@@ -151,7 +151,10 @@ def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
 
 
 def height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
-    """Return the signed distance of points (P, 3) from the surface of the nearest station; infinite without any."""
+    """Return the signed distance (P,) of points (P, 3) from the surface at the nearest centre-line point, mm.
+
+    The distance is infinite without centre-line points.
+    """
     if not len(centre_mm):
         return np.full(len(points_mm), np.inf)
     away, near = cKDTree(centre_mm).query(points_mm, workers=-1)

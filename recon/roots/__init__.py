@@ -1,4 +1,5 @@
 """Reconstruction of the root tree and the solid shape from coverage.
 
-Stages: density estimation, tracing, linking, removal of ghosts, taproot and hypocotyl, and parent assignment.
+The stages are density estimation, tracing, linking, removal of ghosts, detection of taproot and hypocotyl, and parent
+assignment.
 """

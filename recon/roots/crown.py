@@ -1,7 +1,7 @@
-"""Several plants as one tree: the plants are joined by an artificial branch, the crown, behind the net pot.
+"""Connection of several plants into a single tree by an artificial branch, the crown, behind the net pot.
 
-Tracing and fitting handle a single tree. The crown is its first branch; it runs from above the first plant to above the
-last, and each plant is attached to it as a branch. `mark_hidden` excludes the artificial nodes from the result.
+Tracing and fitting require a single tree. The crown is its first branch. It runs from above the first plant to above
+the last, and every plant is attached to it as a branch. `mark_hidden` excludes the artificial nodes from the result.
 """
 
 from __future__ import annotations
@@ -24,40 +24,50 @@ Index = NDArray[np.int64]
 Top = tuple[float, float, float]
 
 HIDDEN_MM = 8.0
-"""Height below the grid in which the top of a plant is searched, mm. From a camera at the height of the roots, the dark
-net pot hides the topmost 2.4 mm of thin roots, and a few diameters more of a thick base (docs/accuracy.md)."""
+"""Height below the grid of the net pot within which the top of a plant is searched, mm.
+
+From a camera at the height of the roots, the dark net pot hides the topmost 2.4 mm of thin roots, and a few diameters
+more of a thick base (docs/accuracy.md)."""
 _BEYOND_MM = 3.0
-"""Length by which the crown extends beyond its outermost plants, so that these also leave it as laterals."""
+"""Length by which the crown extends beyond the outermost plants, mm, so that these plants are also attached to it as
+laterals."""
 _LEFT = 0.5
-"""Minimum radius of a real root, as a fraction of its branch's median radius. Artificial nodes in view cover empty
-pixels, and the fit shrinks them below this."""
+"""Minimum radius for a node to be part of a real root, relative to the median radius of its branch. Artificial nodes
+within the field of view cover empty pixels, so that the fit shrinks them below this limit."""
 _FEW = 3
-"""Minimum number of views that show a real node: with two views, a point is only just determined."""
+"""Minimum number of views that must show a node for it to be part of a real root. Two views barely determine the
+position of a point."""
 
 
 def tops(scene: Scene) -> tuple[Top, ...]:
-    """Return the attachment points of several plants, halfway between the grid and the top of the opaque net pot."""
+    """Return the attachment points of several plants, halfway between the grid and the top of the opaque net pot.
+
+    The tuple is empty for a single plant.
+    """
     z_mm = 0.5 * (scene.net_pot.grid_z_mm + scene.net_pot.top_mm)
     return tuple((*plant.at_mm, z_mm) for plant in scene.plants) if len(scene.plants) > 1 else ()
 
 
 def reach_mm(at_mm: Array) -> float:
-    """Return the maximum horizontal distance of a plant's base from its place (P, 2), mm: half the plant spacing."""
+    """Return the maximum horizontal distance of a plant's base from its given position (P, 2), mm.
+
+    It is half the smallest distance between two plants.
+    """
     apart = np.linalg.norm(at_mm[:, None] - at_mm[None], axis=2)
     return 0.5 * float(apart[~np.eye(len(at_mm), dtype=bool)].min())
 
 
 def find_top_cells(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
-    """Return the dense cells among which the top of each plant is searched, by the plant's number.
+    """Return the dense cells among which the top of each plant is searched, keyed by the index of the plant.
 
     Parameters
     ----------
     centre_mm : (N, 3) float64 array
-        Cell centres.
+        Centres of the cells, mm.
     dense : (N,) bool array
         Mask of the cells that contain roots.
     tops_mm : sequence of tuple of float
-        Attachment points of the plants; empty if unknown.
+        Attachment points of the plants; empty if they are unknown.
     """
     if not tops_mm:
         return {}
@@ -75,16 +85,16 @@ def attach_paths(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, 
     Parameters
     ----------
     paths : sequence of tuple
-        First cell, points (n, 3) and shadows (n,) of each path, parents before children.
+        First cell, points (n, 3) and shadows (n,) of each path. Parents come before children.
     under : mapping
-        Attachment point of the plant that was traced from a cell, by the cell.
+        Attachment point of each plant, keyed by the cell from which the plant was traced.
     step_mm : float
-        Distance between points.
+        Spacing of the points along a path, mm.
 
     Returns
     -------
     list of tuple
-        Points and shadows of each path, the crown first.
+        Points and shadows of each path, starting with the crown.
     """
     points = np.array(list(under.values()))
     along = points[:, :2] - points[:, :2].mean(axis=0)
@@ -103,7 +113,7 @@ def attach_paths(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, 
 
 
 def _line(corners: Sequence[Array], step_mm: float) -> Array:
-    """Return points (N, 3) along straight segments between corners."""
+    """Return evenly spaced points (N, 3) along the straight segments between corners."""
     parts = [np.asarray(corners[0])[None]]
     for a, b in pairwise(corners):
         count = max(1, round(float(np.linalg.norm(b - a)) / step_mm))
@@ -112,14 +122,14 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
 
 
 def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
-    """Mark the nodes that no view shows as solid: the crown of several plants, or the base of a single one.
+    """Mark as solid the nodes that no view shows: the crown of several plants, or the base of a single plant.
 
-    No roots are made of solid nodes, and they add no volume.
+    Solid nodes are not part of any root and add no volume.
 
     Parameters
     ----------
     top_mm : float
-        z of the visible water surface below the net pot.
+        z coordinate of the upper limit of the visible water, below the net pot, mm.
     """
     at, height_mm, radius_mm = system.evidence.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2], system.tubes.radius_mm
     shown = np.zeros(len(height_mm), np.int64)
@@ -135,7 +145,7 @@ def mark_hidden(system: RootSystem, top_mm: float) -> RootSystem:
     high = height_mm > top_mm - HIDDEN_MM
     held = (height_mm > top_mm) | (high & hidden)
     for nodes in system.tubes.branches:
-        if held[nodes[0]] and not held[nodes].all():  # below the net pot, the fit shrinks nodes that are not root
+        if held[nodes[0]] and not held[nodes].all():  # below the net pot, the fit shrinks nodes that are not part of a root
             own = nodes[int(np.argmin(held[nodes])) :]
             thick = radius_mm[own] > _LEFT * float(np.median(radius_mm[own]))
             above = own[: int(np.argmax(thick))]

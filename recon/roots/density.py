@@ -1,16 +1,16 @@
-"""Root density over small cells of the water that explains the coverage of all views at once.
+"""Estimation of the root density in small cells of the water from the coverage of all views.
 
-Each cell of the search space casts a shadow of area ``a`` (mm2). The coverage of a pixel is the sum of the shadows on
-it, at most 1. The shadows are estimated by multiplicative algebraic reconstruction (MART; Gordon, Bender and Herman
-1970, J. Theor. Biol. 29:471), as used in tomographic particle velocimetry to find sparse particles from few views
-(Elsinga et al. 2006, Exp. Fluids 41:933):
+Each cell of the search space casts a shadow of area ``a`` (mm2). The coverage of a pixel is the sum of the shadows that
+fall on it, at most 1. The shadows are estimated by multiplicative algebraic reconstruction (MART; Gordon, Bender and
+Herman 1970, J. Theor. Biol. 29:471), which is also used in tomographic particle velocimetry to find sparse particles
+from few views (Elsinga et al. 2006, Exp. Fluids 41:933):
 
     a <- a * exp( mean over views of log( measured / explained ) )
 
-A pixel measured as fully covered does not contradict explained coverage above 1. A shadow that is contradicted by a
-single view shrinks geometrically, so that ghosts, whose pixels are explained by other cells in every view, disappear; a
+A fully covered pixel does not contradict an explained coverage above 1. A shadow that a single view contradicts shrinks
+geometrically. Ghosts therefore disappear, since their pixels are explained by other cells in every view, whereas a
 visual hull keeps them. Each step uses a subset of views from all directions (ordered subsets; Hudson and Larkin 1994,
-IEEE TMI 13:601): ten of 80 views give the same shadows in the same number of steps, at an eighth of the work per step.
+IEEE TMI 13:601). Ten of 80 views give the same shadows in the same number of steps, at an eighth of the work per step.
 The shadows along a root sum to its diameter per millimetre of length.
 """
 
@@ -34,22 +34,22 @@ from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 Array = NDArray[np.float64]
 
 STEPS = 30
-"""Number of steps. More steps make roots thinner and darker: with 60 steps, roots lose 8 % of their shadow, as the
-pictures do not constrain it."""
+"""Number of iterations. With 60 iterations, roots become thinner and darker and lose 8 % of their shadow area, which
+the pictures do not constrain."""
 _VIEWS_A_STEP = 10
-"""Number of views per step (ordered subsets), so that one pass over all views makes several steps."""
+"""Number of views per iteration (ordered subsets). One pass over all views therefore comprises several iterations."""
 _THIN_OUT = (6, 12, 20)
-"""Steps after which cells with negligible shadows are removed."""
+"""Iterations after which cells with negligible shadows are removed."""
 _NOTHING = 1e-5
-"""Negligible shadow of a cell, as a fraction of its face area."""
+"""Shadow area below which a cell is negligible, as a fraction of the area of a cell's face."""
 _LEAST_RATIO, _MOST_RATIO = 0.05, 3.0
-"""Bounds of the factor by which one step changes a density."""
+"""Lower and upper bound of the factor by which one iteration changes a shadow."""
 _LEAST_COVERAGE = 3e-3
-"""Lower bound of coverage in the initial estimate: a single empty view does not exclude a cell."""
+"""Lower bound of the coverage in the initial estimate, so that a single empty view does not exclude a cell."""
 _START = 2.5
-"""Initial shadow of a cell that all views show as covered, in units of its face area."""
+"""Initial shadow area of a cell that is covered in all views, relative to the area of a cell's face."""
 _FLOOR = 1e-3
-"""Coverage added to both sides of a ratio, about the noise of a picture."""
+"""Coverage added to the numerator and the denominator of each ratio, approximately the noise of a picture."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ class Cells:
 
     grid: Grid
     index: NDArray[np.int32]
-    """(N, 3) cell indices on the finest lattice of the grid."""
+    """Index of each cell on the finest lattice of `grid`, shape (N, 3)."""
     shadow_mm2: NDArray[np.float32]
-    """(N,) shadow area."""
+    """Shadow area of each cell, shape (N,), mm2."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
-    """Attachment points of several plants (`Evidence.tops_mm`)."""
+    """Attachment points of the plants, if there are several (see `Evidence.tops_mm`)."""
 
     @property
     def centre_mm(self) -> Array:
-        """Return the cell centres (N, 3), canister frame."""
+        """Return the cell centres (N, 3), canister frame, mm."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5) * self.grid.size_mm
 
     @cached_property
@@ -75,37 +75,37 @@ class Cells:
         return cKDTree(self.centre_mm)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
-        """Return a subset of the cells, by mask (N,) or indices (M,)."""
+        """Return a subset of the cells, selected by a mask (N,) or indices (M,)."""
         return replace(self, index=self.index[which], shadow_mm2=self.shadow_mm2[which])
 
 
 def split_leaves(leaves: Leaves) -> Cells:
-    """Split leaves into cells of equal size with zero shadows."""
+    """Divide leaves that are more than half occupied into cells of equal size with zero shadows."""
     some = leaves.occupancy > 0.5
     index = to_unit_cubes(leaves.index[some], leaves.size[some])
     return Cells(leaves.grid, index, np.zeros(len(index), np.float32))
 
 
 def join(first: Cells, second: Cells) -> Cells:
-    """Concatenate cells of the same grid."""
+    """Concatenate two sets of cells on the same lattice."""
     index, shadow_mm2 = np.concatenate([first.index, second.index]), np.concatenate([first.shadow_mm2, second.shadow_mm2])
     return replace(first, index=index, shadow_mm2=shadow_mm2)
 
 
 def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDArray[np.int64]]:
-    """Estimate the shadows of cells and remove cells without a shadow.
+    """Estimate the shadow area of each cell, and remove cells with negligible shadows.
 
     Parameters
     ----------
     solid : Cells
-        Cells of taproot and hypocotyl, which fully cover everything behind them.
+        Cells of taproot and hypocotyl, which are opaque.
 
     Returns
     -------
     cells : Cells
-        The remaining cells, with shadows.
+        Cells with estimated shadows that remain after removal of negligible cells.
     number : (N,) int64 array
-        Their indices among the given cells.
+        Indices of the remaining cells among the given cells.
     """
     number = np.arange(len(cells.index))
     if not len(number):
@@ -117,7 +117,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     coverage = table.windows.cut(evidence, evidence.coverage)
     covered = dr.zeros(mi.Float, table.windows.pixels * len(every))
     while thick:
-        organ = thick.pop()  # large, and not needed afterwards
+        organ = thick.pop()  # released at once, since it is large
         covered = Table(organ, table.windows).shadows(every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
         del organ
     dr.eval(covered)
@@ -131,16 +131,16 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
             kept = dr.compress(shadow > _NOTHING * cells.grid.size_mm**2)
             number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.select(kept)
             dr.eval(shadow)
-            release()  # the steps of later passes are over more views
+            release()  # kernels of later passes process more views
         done += count
     found = cells.select(number)
     return replace(found, shadow_mm2=np.array(shadow, np.float32), tops_mm=evidence.tops_mm), number
 
 
 def schedule(views: int) -> list[int]:
-    """Return the number of subsets into which each pass divides the views.
+    """Return the number of subsets into which the views are divided in each pass.
 
-    The total is `STEPS`; the last passes use large subsets.
+    The subsets of all passes add up to `STEPS` iterations. The last passes use larger subsets.
     """
     most = max(1, views // _VIEWS_A_STEP)
     last = [most // 2, most // 4]
@@ -149,13 +149,16 @@ def schedule(views: int) -> list[int]:
 
 
 def _subsets(views: int, count: int) -> list[range]:
-    """Split the views, ordered so that neighbours are spread over the turn, into consecutive subsets."""
+    """Split the views into subsets of consecutive indices.
+
+    Consecutive views are assumed to be spread over the turn.
+    """
     ends = [views * k // count for k in range(count + 1)]
     return [range(*pair) for pair in pairwise(ends)]
 
 
 def _improve(table: Table, views: range, coverage: Float, covered: Float, shadow: Float) -> Float:
-    """Return the shadows after one MART step over a subset of views."""
+    """Return the shadows after one MART iteration with a subset of the views."""
     pixels = table.windows.pixels
     part = dr.arange(mi.UInt32, pixels * len(views)) + dr.opaque(mi.UInt32, pixels * views.start)
     explained = dr.gather(mi.Float, covered, part) + table.shadows(views, shadow)

@@ -1,9 +1,9 @@
-"""Compact footprints of cells in all views, to project shadows and to sample pictures.
+"""Compact footprints of cells in all views, used to project shadows and to sample pictures.
 
-The footprint of a cell in a view takes six bytes: column and row in steps of a fraction of a pixel, 16 bits each, and
-the area in half precision. Only the window of each picture that contains cells is stored, one view after another, so
-that the work depends on the size of the plant and not of the picture. All views are processed in a loop within one
-kernel, since compiling a kernel per view would take longer than running it.
+The footprint of a cell in a view takes six bytes: column and row in steps of a fraction of a pixel, with 16 bits each,
+and the area in half precision. Only the window of each picture that contains cells is stored, one view after another,
+so that the work depends on the size of the plant and not on the size of the picture. All views are processed in a loop
+within one kernel, since compiling a kernel per view would take longer than running it.
 """
 
 from __future__ import annotations
@@ -23,31 +23,35 @@ from rhizotwin.recon.optics import projection
 Array = NDArray[np.float64]
 
 _STEPS = 65535
-"""Number of steps along the longer side of a picture: 1/80 px for 800 px."""
+"""Number of quantisation steps along the longer side of a picture for stored positions. One step is 1/80 px for a side
+of 800 px."""
 _PIXELS_AT_ONCE = 1_000_000
-"""Shadows are summed for as many views at a time as have this many pixels in their windows, and for at least one; each
-thread needs four numbers per pixel."""
+"""Maximum number of window pixels for which shadows are summed at once, unless a single view has more. Each thread
+needs four numbers per pixel."""
 _PARTS = 256
-"""Number of parts of a view's cells whose bounds are searched in parallel, without copying the cells."""
+"""Number of groups of cells per view whose bounds are searched in parallel, without copying the cells."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of equal size, one per view, that contain all cells, flattened and concatenated."""
+    """Windows of equal size, one per view, that together contain all cells.
+
+    Their pixels are flattened and concatenated.
+    """
 
     low: NDArray[np.int64]
-    """(V, 2) first column and row of each window."""
+    """First column and row of each window, shape (V, 2)."""
     columns: int
     rows: int
 
     @property
     def pixels(self) -> int:
-        """Return the number of pixels per window."""
+        """Return the number of pixels of one window."""
         return self.columns * self.rows
 
     @staticmethod
     def around(*several: Footprints) -> Windows:
-        """Return windows that contain all footprints, with the four pixels of each."""
+        """Return windows that contain all footprints, including the pixels needed for bilinear interpolation."""
         bounds = [footprints.bounds() for footprints in several]
         low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
         used = (high >= low).all(axis=1)  # a view may contain no cell
@@ -56,7 +60,7 @@ class Windows:
         return Windows(np.clip(np.where(used[:, None], low, 0), 0, image_wh - size), int(size[0]), int(size[1]))
 
     def cut(self, evidence: Evidence, pictures: Kernel) -> Kernel:
-        """Cut the windows out of whole pictures, (V, H, W) flattened; the array type is kept."""
+        """Cut the windows out of whole pictures, flattened (V, H, W). The array type is preserved."""
         stack = pictures.numpy().reshape(len(self.low), evidence.image_wh[1], evidence.image_wh[0])
         parts = [picture[v : v + self.rows, u : u + self.columns].ravel() for picture, (u, v) in zip(stack, self.low, strict=True)]
         return type(pictures)(np.concatenate(parts))
@@ -72,13 +76,15 @@ class Footprints:
     image_wh: tuple[int, int]
     steps_a_px: float
     place: UInt32
-    """mi.UInt32, (V, N) flattened: column and row in steps, 16 bits each."""
+    """Column and row of each cell in each view, in steps of a fraction of a pixel, 16 bits each (mi.UInt32, flattened
+    (V, N))."""
     px2_a_mm2: Kernel
-    """mi.Float16, (V, N) flattened: projected area of 1 mm2; 0 where the view does not show the cell."""
+    """Projected area of 1 mm2 at each cell in each view, px2 (mi.Float16, flattened (V, N)). It is 0 where the view
+    does not show the cell."""
 
     @staticmethod
     def project(evidence: Evidence, centre_mm: Array) -> Footprints:
-        """Project cells (N, 3) into all views."""
+        """Project cell centres (N, 3) into all views."""
         count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
         steps_a_px = _STEPS / max(width, height)
         point = points(centre_mm)
@@ -95,9 +101,9 @@ class Footprints:
         return Footprints(views, count, (width, height), steps_a_px, place, area)
 
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the lowest and highest pixels (V, 2) of each view's footprints.
+        """Return the lowest and the highest pixel (V, 2) of the footprints in each view.
 
-        Where a view has none, the highest is far below the lowest.
+        In a view without footprints, the highest pixel is far below the lowest.
         """
         lane = dr.arange(mi.UInt32, self.views * _PARTS)
         view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
@@ -118,9 +124,9 @@ class Footprints:
 
 
 class Table:
-    """Footprints of a set of cells, with the windows in which they are read and written.
+    """Footprints of a set of cells, with windows for projecting shadows and sampling pictures.
 
-    A subset of cells is stored as a list of indices, since a copy of the footprints would double the memory.
+    A subset of the cells is stored as a list of indices, since a copy of the footprints would double the memory.
     """
 
     def __init__(self, footprints: Footprints, windows: Windows, cells: UInt32 = None) -> None:
@@ -131,11 +137,11 @@ class Table:
         dr.eval(self._low, self._cells)
 
     def select(self, kept: UInt32) -> Table:
-        """Return a subset of the cells, by indices (mi.UInt32)."""
+        """Return the table for a subset of the cells, selected by indices (mi.UInt32)."""
         return Table(self.footprints, self.windows, dr.gather(mi.UInt32, self._cells, kept))
 
     def _at(self, view: UInt32) -> tuple[Float, Float, Float]:
-        """Return column and row within the window, and the area, of all cells in a view."""
+        """Return column and row within the window, and the projected area, of all cells in a view."""
         footprints = self.footprints
         lane = view * dr.opaque(mi.UInt32, footprints.count) + self._cells
         place, area = dr.gather(mi.UInt32, footprints.place, lane), mi.Float(dr.gather(mi.Float16, footprints.px2_a_mm2, lane))
@@ -146,14 +152,14 @@ class Table:
         return u, v, area
 
     def shadows(self, views: range, amount: Float) -> Float:
-        """Return the windows of consecutive views with the cells' shadows (mi.Float, mm2), splatted bilinearly."""
+        """Project the cells' shadows (mi.Float, mm2) into the windows of consecutive views by bilinear splatting."""
         count = max(1, _PIXELS_AT_ONCE // self.windows.pixels)
         starts = range(views.start, views.stop, count)
         parts = [self._few_shadows(range(start, min(start + count, views.stop)), amount) for start in starts]
         return parts[0] if len(parts) == 1 else dr.concat(parts)
 
     def _few_shadows(self, views: range, amount: Float) -> Float:
-        """Return the windows of a few views with the shadows of the cells.
+        """Project the cells' shadows into the windows of a few views.
 
         The four parts of a shadow are added as one packet at its upper left pixel, in a copy per thread, and then
         summed over the pixels. This takes a quarter of the time of four atomic additions.
@@ -179,14 +185,14 @@ class Table:
         return total
 
     def mean_log(self, pictures: Float, views: range, least: float, most: float) -> Float:
-        """Return the mean log of the clipped pictures at each cell, over the views that show the cell.
+        """Return the mean logarithm of the clipped picture values at each cell, averaged over the views that show it.
 
-        The result is a mi.Float; it is 0 for a cell that no view shows.
+        The result (mi.Float) is 0 for a cell that no view shows.
 
         Parameters
         ----------
         pictures : Float
-            Windows of the views.
+            Flattened windows of the pictures of these views.
         """
         first = dr.opaque(mi.UInt32, views.start)
 

@@ -1,8 +1,9 @@
-"""Detection of tube nodes that are not roots.
+"""Detection of tube nodes that are not parts of roots.
 
 These are ghosts, which explain no pixels, duplicates inside other tubes, and short ends without evidence. Each function
-returns a mask of nodes (N,) to remove, which `Tubes.prune_mask` turns into cuts from the tips. The exception is
-`find_uncertain_ends`, whose nodes are mostly parts of real roots with hidden ends; they are kept, but without a tip.
+returns a mask (N,) of the nodes to be removed, which `Tubes.prune_mask` converts to cuts from the tips. The exception
+is `find_uncertain_ends`, whose nodes are mostly parts of real roots with hidden ends. They are kept, but their ends are
+not counted as tips.
 """
 
 from __future__ import annotations
@@ -19,41 +20,42 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLANK_PX = 1.0
-"""Margin about taproot and hypocotyl, whose spheres are less precise than tubes, and about the root's upper end where
-it leaves the views."""
+"""Margin around taproot and hypocotyl, whose spheres are less precise than tubes, and around the root's upper end where
+it leaves the field of view, px."""
 _EXPLAINED = 0.5
-"""Minimum fraction of the coverage under a branch that the branch explains; below it, the rest of the branch is a
-ghost."""
+"""Minimum fraction of the coverage in the pixels of a branch that the branch must explain. Below this fraction, the
+rest of the branch is a ghost."""
 _EXPLAINED_PX = 1.0
-"""Minimum squared coverage that a node explains, summed over all views, px."""
+"""Minimum squared coverage that a node must explain, summed over all views, px."""
 _END_NODES = 3
-"""Number of nodes over which the evidence is averaged: 2 mm."""
+"""Number of nodes over which the evidence is averaged, which corresponds to 2 mm."""
 _INSIDE = 0.9
-"""Fraction of a root's radius within which another centre line duplicates it."""
+"""Fraction of a root's radius within which another centre line is a duplicate of the root."""
 _SHARED = 0.3
-"""Minimum fraction of its coverage that a branch explains alone. Below it, the branch duplicates a root or is a ghost
-among roots."""
+"""Minimum fraction of its coverage that a branch must explain without other branches. Below this fraction, the branch
+is a duplicate of a root or a ghost among roots."""
 _THINNER = 0.5
-"""Minimum thickness of the beginning of a root relative to the rest; a thinner beginning is a detour, since roots taper
-towards their tips."""
+"""Minimum ratio between the radius at the beginning of a root and the radius of its remainder. A thinner beginning is a
+detour, since roots taper towards their tips."""
 _SHORT_MM = 1.5
-"""Branches that protrude less than this are kept only if the neighbours, fitted without them, leave them
-unexplained."""
+"""Minimum length by which a branch must protrude from its parent, mm. A shorter branch is kept only if its neighbours,
+fitted without it, leave its pixels unexplained."""
 _LONG_MM, _TIP_NODES = 8.0, 5
-"""Length above which an end always keeps its tip, and number of last nodes from which the residual at a tip is
-computed."""
+"""Length of an end above which its tip is always accepted, mm, and number of last nodes over which the residual at a
+tip is computed."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
-"""Weights of the evidence for a tip: a free distance of 1 mm counts as much as a quarter of additional visibility; a
-residual larger than usual by a factor e reduces the evidence by a tenth."""
+"""Parameters of the evidence for a tip: a distance of 1 mm to other roots counts as much as an additional visibility of
+a quarter, and a residual larger than usual by a factor of e reduces the evidence by a tenth. The last value is added to
+the relative residual to bound its logarithm."""
 _CERTAIN = 0.15
-"""Minimum evidence for a tip. At this value as many true tips are rejected as false ones accepted
+"""Minimum evidence for a tip. At this threshold, the numbers of rejected true tips and accepted false tips are equal
 (docs/decisions/tubes-for-thin-roots.md)."""
 
 
 def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes with a margin of `FLANK_PX` about them.
+    """Return the mask (N,) of nodes that are surrounded by the margin `FLANK_PX`.
 
-    These are the nodes of taproot and hypocotyl, and the upper end of the plant, where it leaves the views.
+    These are the nodes of taproot and hypocotyl, and the upper end of the plant, where it leaves the field of view.
     """
     top = np.zeros(len(organ), bool)
     top[tubes.branches[0][0]] = True
@@ -61,7 +63,10 @@ def find_margin_nodes(tubes: Tubes, organ: Mask) -> Mask:
 
 
 def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes that explain no pixels alone, averaged over neighbours along their branch."""
+    """Return the mask (N,) of nodes that explain no pixels by themselves.
+
+    The explained coverage is averaged over neighbouring nodes of the same branch.
+    """
     gone = np.zeros(len(organ), bool)
     for k in range(len(tubes.branches)):
         own = tubes.own(k)
@@ -74,18 +79,19 @@ def find_ghosts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
 
 
 def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
-    """Return the mask (N,) of nodes inside an earlier branch, within the margin of an organ, or about the upper end.
+    """Return the mask (N,) of nodes that lie inside an earlier branch.
 
-    Such nodes belong to second paths along the same root.
+    Around taproot, hypocotyl and the upper end of the plant, nodes within a margin are included. All these nodes are
+    parts of a second path along the same root.
 
     Parameters
     ----------
     flank_mm : float
-        `FLANK_PX` in mm.
+        Margin `FLANK_PX` converted to mm.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     reach = np.where(find_margin_nodes(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
-    # # A node near a thick root has many neighbours, its own branch's nodes among them.
+    # A node near a thick root has many neighbours, including nodes of its own branch.
     held = cKDTree(centre).query_ball_point(centre, reach, workers=-1)
     node = np.concatenate([np.asarray(nodes, np.int64) for nodes in held])
     host = np.repeat(np.arange(len(centre)), [len(nodes) for nodes in held])
@@ -95,10 +101,9 @@ def find_duplicates(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
 
 
 def find_unsupported_starts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes at the beginning of branches that together explain little of their own coverage.
+    """Return the mask (N,) of nodes at the beginning of branches that explain too little of their own coverage.
 
-    They belong to second tubes of a root, to ghosts among roots, and to detours along other roots to the true
-    beginning.
+    Such nodes are parts of second tubes along a root, of ghosts among roots, and of detours along other roots.
     """
     found = np.zeros(len(tubes.radius_mm), bool)
     for k in range(1, len(tubes.branches)):
@@ -111,7 +116,7 @@ def find_unsupported_starts(tubes: Tubes, proved: Support, organ: Mask) -> Mask:
 
 
 def find_short_leaves(tubes: Tubes, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes of short branches without children, which may be artefacts of their neighbours."""
+    """Return the mask (N,) of nodes of short branches without laterals, which may be artefacts of their neighbours."""
     gone = np.zeros(len(organ), bool)
     for k, line in _free_ends(tubes):
         if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
@@ -120,12 +125,13 @@ def find_short_leaves(tubes: Tubes, organ: Mask) -> Mask:
 
 
 def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Mask) -> Mask:
-    """Return the mask (N,) of nodes of ends, from a branch's last lateral to its tip, that probably have no tip.
+    """Return the mask (N,) of nodes at branch ends that are probably not root tips.
 
-    The evidence for a tip combines three measures: other roots do not hide it, it is free of other roots, and the
-    residual around it is small compared with that of other tips (which accounts for noise and blur). They are combined
-    since a false tip may pass any single one. An end that protrudes from its parent by less than its own diameter is a
-    bulge and never has a tip.
+    An end comprises the nodes from a branch's last lateral to its last node. The evidence for a tip combines three
+    measures, since a false tip may pass any single measure: the fraction of the end that other roots do not hide, its
+    distance from other roots, and the residual around it. The residual is compared with that of other ends, which
+    accounts for noise and blur. An end that protrudes from its parent by less than its own diameter is a bulge and
+    never a tip.
 
     Parameters
     ----------
@@ -157,16 +163,16 @@ def find_uncertain_ends(tubes: Tubes, visible: Array, proved: Support, organ: Ma
 
 
 def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
-    """Return whether an end is a whole branch that protrudes by less than its own diameter."""
+    """Return whether an end is a whole branch that protrudes from its parent by less than its own diameter."""
     whole = len(line) == len(tubes.branches[branch])
     return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
 
 
 def _free_ends(tubes: Tubes) -> list[tuple[int, Index]]:
-    """Return the branches, except the first, that continue beyond their last lateral, with the nodes of their ends."""
+    """Return index and end nodes of each branch, except the first, that continues beyond its last lateral."""
     return [(k, line) for k, line in enumerate(tubes.ends) if k > 0 and len(line) > 1]
 
 
 def _length(tubes: Tubes, line: Index) -> float:
-    """Return the length of a line of nodes (n,), mm."""
+    """Return the length of a chain of nodes (n,), mm."""
     return polyline.length_mm(tubes.centre_mm[line])

@@ -1,10 +1,8 @@
-"""Parent assignment: correct order and parents of roots that were traced through a crossing.
+"""Parent assignment: correction of the orders and parents of roots that were traced through a crossing.
 
-Points are not moved.
-
-Tracing connects roots that touch. Three criteria distinguish a contact from a branching point: a root continues in the
-thickest line, a lateral leaves its parent in the direction of growth, and no lateral leaves in the basal zone of its
-parent (Leitner et al. 2010, Plant and Soil 332:177).
+Tracing connects roots that touch. Three criteria distinguish a contact from a branching point: a root continues along
+the thickest line, a lateral leaves its parent in the direction of growth, and no lateral leaves in the basal zone of
+its parent (Leitner et al. 2010, Plant and Soil 332:177). Points are not moved.
 """
 
 from collections.abc import Sequence
@@ -19,24 +17,24 @@ Array = NDArray[np.float64]
 _Point = tuple[Array, float]
 
 _REACH_MM = 5.0
-"""Length over which directions and thicknesses beyond a fork are averaged."""
+"""Length over which directions and diameters beyond a fork are averaged, mm."""
 _THICKER = 1.25
-"""A lateral thicker than the continuing line by this factor is the root itself; estimated diameters vary by less over 5
-mm."""
+"""Minimum ratio between the diameters of a lateral and of the continuing line for the root to continue in the lateral.
+Over 5 mm, estimated diameters vary by less than this ratio."""
 _ROUNDS = 10
-"""Maximum number of rounds; three or four suffice."""
+"""Maximum number of iterations. Three or four usually suffice."""
 _BASAL_MM = 2.0
-"""A lateral that begins this near the root on which its parent grows belongs to that root: it only runs along the
-parent at first."""
+"""Distance of a lateral's base from its grandparent, mm, below which the lateral is reassigned to the grandparent. Such
+a lateral merely runs along its parent at first."""
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the same centre lines with corrected bases, orders and parents; parents before children.
+    """Return the roots with corrected bases, orders and parents. Parents come before children.
 
-    Where a root continues in a lateral that began near it, a straight segment joins the two.
+    Centre lines are unchanged, but a straight segment is added where a root continues in a lateral that began near it.
     """
     arranged = list(roots)
-    for _ in range(_ROUNDS):  # a root with a new course has other laterals near its base
+    for _ in range(_ROUNDS):  # other laterals may be near the base of a root with a new course
         _move_up(arranged)
         before, arranged = arranged, _rejoin(arranged)
         if [(root.parent, len(root.points_mm)) for root in arranged] == [(root.parent, len(root.points_mm)) for root in before]:
@@ -45,7 +43,7 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
 
 def _move_up(roots: list[Root]) -> None:
-    """Move laterals in the basal zone of their parent to the parent's parent, until none is left."""
+    """Reassign laterals in the basal zone of their parent to the parent's parent, until none is left."""
     moved = True
     while moved:
         moved = False
@@ -58,8 +56,8 @@ def _move_up(roots: list[Root]) -> None:
                 roots[index], moved = replace(root, parent=above), True
 
 
-def _onward(parent: Root, points_mm: Array) -> float:
-    """Return the cosine between the first 5 mm of a line and the parent's direction of growth at that point."""
+def _growth_cosine(parent: Root, points_mm: Array) -> float:
+    """Return the cosine of the angle between the first 5 mm of a line and its parent's direction of growth."""
     at = _nearest(parent, points_mm[0])
     along = parent.points_mm[min(at + 1, len(parent.points_mm) - 1)] - parent.points_mm[max(at - 1, 0)]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
@@ -72,14 +70,17 @@ def _nearest(root: Root, point_mm: Array) -> int:
 
 
 def _rejoin(roots: Sequence[Root]) -> list[Root]:
-    """Divide the tree into roots anew: at each fork the thickest line continues, and the others begin."""
+    """Divide the tree into roots again.
+
+    At each fork, the thickest line continues, and the others begin as new roots.
+    """
     leaving: dict[tuple[int, int], list[int]] = {}
     for index, root in enumerate(roots):
         if root.parent >= 0:
             leaving.setdefault((root.parent, _nearest(roots[root.parent], root.points_mm[0])), []).append(index)
 
     def lines_at(line: int, at: int) -> list[int]:
-        """Return the lines that leave from a point, including those that leave from their bases."""
+        """Return the lines that leave from a point, including lines that leave from the first points of these lines."""
         found = list(leaving.get((line, at), []))
         for k in found:  # the list grows during the loop
             if np.array_equal(roots[k].points_mm[0], roots[line].points_mm[at]):
@@ -87,7 +88,7 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
         return found
 
     made: list[Root] = []
-    # (line, its next point, new parent, points and diameters that it begins with)
+    # (line, index of its next point, new parent, initial points and diameters)
     begun: list[tuple[int, int, int, list[_Point]]] = []
     begun += [(index, 0, -1, []) for index, root in enumerate(roots) if root.parent < 0][::-1]
     while begun:
@@ -100,19 +101,22 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
             begun += [(k, first, number, [(here[0], _own_diameter(roots[k], first))] if first else []) for k, first in others[::-1]]
         order = made[parent].order + 1 if parent >= 0 else 0
         points, diameters = np.stack([point for point, _ in path]), np.array([diameter for _, diameter in path])
-        tip_seen = roots[line].tip_seen  # of the line in which it ends
+        tip_seen = roots[line].tip_seen  # the tip is that of the last line
         made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label, tip_seen=tip_seen))
     return made
 
 
 def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) -> tuple[int, int, list[tuple[int, int]]]:
-    """Return the line that continues from a point, its next point, and the lines that begin there with theirs."""
+    """Return the line that continues from a point, its next point, and the lines that begin there.
+
+    Each line that begins at the point is returned with the index of its next point.
+    """
     if not laterals:
         return line, at + 1, []
     here = roots[line].points_mm[at]
     starts = [(k, int(np.array_equal(roots[k].points_mm[0], here))) for k in laterals]
     ahead = _thickness(roots[line], at + 1)
-    onward = [(k, start) for k, start in starts if _onward(roots[line], roots[k].points_mm) > 0.0]
+    onward = [(k, start) for k, start in starts if _growth_cosine(roots[line], roots[k].points_mm) > 0.0]
     thickest = max(onward, key=lambda other: _thickness(roots[other[0]], 1), default=None)
     if thickest is None or ahead == 0.0 or _thickness(roots[thickest[0]], 1) < _THICKER * ahead:
         return line, at + 1, starts
@@ -120,12 +124,12 @@ def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) ->
 
 
 def _own_diameter(root: Root, first: int) -> float:
-    """Return the initial diameter of a line at a fork: that of the line itself, not of its parent."""
+    """Return the initial diameter of a line at a fork, mm: the diameter of the line itself and not of its parent."""
     return float(root.diameters_mm[min(first, len(root.diameters_mm) - 1)])
 
 
 def _thickness(root: Root, first: int) -> float:
-    """Return the mean diameter over the next 5 mm from a point; 0 if less than that is left."""
+    """Return the mean diameter over the next 5 mm of a root, mm, or 0 if the rest of the root is shorter."""
     points = root.points_mm[first:]
     if len(points) < 2:
         return 0.0

@@ -1,11 +1,10 @@
-"""Reconnect branches where the tracing changed from one root to another.
+"""Reconnection of branches where tracing changed from one root to another.
 
-Roots that touch are separated by their tangents.
-
-Where two roots touch, the shortest path to the top may switch from one to the other. The rest of the first root is then
-traced as a separate branch that begins or ends beside the other. Roots are smooth and few: of all ways to connect the
-adjacent pieces, the cheapest is chosen. A bend costs the square of its angle (see `_cost` for the other terms), and
-each branch costs as much as a bend of one radian.
+Where two roots touch, the shortest path to the top may switch from one root to the other. The remainder of the first
+root is then traced as a separate branch that begins or ends beside the second. Roots that touch are distinguished by
+their tangents. Since roots are smooth and few, the cheapest of all ways to connect the adjacent pieces is chosen. A
+bend costs the square of its angle (see `_cost` for the other terms), and each branch costs as much as a bend of one
+radian.
 """
 
 from __future__ import annotations
@@ -24,64 +23,69 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _REACH_MM = 4.0
-"""Maximum distance between pieces that are connected."""
+"""Maximum distance between two pieces that are connected, mm."""
 _GAP_MM, _MISS_MM = 4.0, 0.5
-"""Length of a gap, and sideways displacement, that cost as much as a bend of one radian."""
+"""Length of a gap and lateral displacement, mm, each of which costs as much as a bend of one radian."""
 _OVERLAP_MM = 0.6
-"""Maximum overlap of two pieces, one node's distance: ends are uncertain where roots touch."""
+"""Maximum overlap of two connected pieces, mm, which equals the spacing of the nodes. The ends of pieces are uncertain
+where roots touch."""
 _FRAYED_NODES, _FRAYED = 3, 0.1
-"""Maximum number of nodes dropped at the ends of two pieces to be joined, where ends are uncertain, and the cost of
-each."""
+"""Maximum number of uncertain nodes that may be dropped at the end of each piece before two pieces are joined, and cost
+of each dropped node."""
 _BESIDE_MM, _BESIDE_NODES = 0.7, 9
-"""Distance from another branch, and number of nodes, up to which the beginning of a branch duplicates that root."""
+"""Maximum distance from another branch, mm, and maximum number of nodes, for the beginning of a branch to be a
+duplicate of the other branch."""
 _BRANCH, _UNCERTAIN = 1.0, 2.0
-"""Cost of a branch, and additional cost of a branch with an uncertain end."""
+"""Cost of each branch, and additional cost of each branch with an uncertain end."""
 _GAIN = 0.1
-"""Minimum reduction of the cost for a change."""
+"""Minimum reduction of the total cost for a change to be applied."""
 _ROUNDS = 8
-"""Maximum number of rounds; joining may bring other ends together. Usually fewer are needed."""
+"""Maximum number of iterations. Joining two pieces may bring other ends together, but fewer iterations usually
+suffice."""
 
 
 @dataclass(frozen=True)
 class _Tangents:
-    """Tangents of the branches at each node, before and behind it."""
+    """Tangents and radii of the branches on both sides of each node."""
 
     centre: Array
-    """(N, 3)"""
+    """Positions of the nodes, shape (N, 3), mm."""
     arriving: Array
-    """(N, 3) unit vectors from the preceding nodes, towards the tip."""
+    """Unit vectors from the preceding nodes to each node, towards the tip, shape (N, 3)."""
     leaving: Array
-    """(N, 3) unit vectors to the following nodes."""
+    """Unit vectors from each node to the following nodes, shape (N, 3)."""
     log_before: Array
-    """(N,) logarithm of the mean radius of the preceding nodes."""
+    """Mean logarithm of the radius over the preceding nodes, shape (N,)."""
     log_after: Array
     owner: Index
-    """(N,) branch."""
+    """Index of the branch that contains each node, shape (N,)."""
     place: Index
-    """(N,) number of the node in its branch."""
+    """Position of each node within its branch, shape (N,)."""
 
 
 def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
-    """Reconnect the pieces of the tree at minimal cost.
+    """Reconnect the pieces of a tree at minimum cost.
 
-    Nodes are not moved, but duplicate paths are removed.
+    Nodes are not moved, but duplicate paths are removed. Parents are assigned later (`hierarchy`). The following
+    changes are tried:
 
-    The following changes are tried: a tip continues in a branch that begins there; two tips meet, and one of their
-    branches is reversed; a tip continues in the remainder of a branch that it runs into, whose first part then ends
-    there, or continues in a third branch that begins there, or is removed as a duplicate of the first; a branch
-    continues in its child, and its former remainder becomes the child. Parents are assigned later (`hierarchy`).
+    - A tip continues in a branch that begins near it.
+    - Two tips meet, and one of their branches is reversed.
+    - A tip continues in the remainder of a branch that it runs into. The first part of that branch ends there,
+      continues in a third branch that begins there, or is removed as a duplicate.
+    - A branch continues in its child, and its former remainder becomes the child.
 
     Parameters
     ----------
     uncertain : (N,) bool array or None
-        Nodes of ends that probably have no tip: continuing such an end saves more.
+        Mask of nodes at branch ends that are probably not root tips. Continuing such an end saves an additional cost.
 
     Returns
     -------
     tubes : Tubes
-        The reconnected tree.
+        Reconnected tree.
     kept : (N,) bool array
-        Mask of the nodes that remain.
+        Mask of the nodes that remain in the tree.
     """
     marked = np.zeros(len(tubes.centre_mm), bool) if uncertain is None else uncertain
     branches = orientation.orient_branches(tubes, list(tubes.branches))
@@ -109,13 +113,13 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
 
 
 def _worth(tangents: _Tangents, branches: list[Index | None], uncertain: Mask) -> Array:
-    """Return the cost (N,) that is saved if the branch of each node does not end."""
+    """Return the cost (N,) that is saved if the branch of each node continues instead of ending."""
     ends = np.array([nodes is not None and bool(uncertain[nodes[-1]]) for nodes in branches])
     return np.where(ends[tangents.owner], _BRANCH + _UNCERTAIN, _BRANCH)
 
 
 def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
-    """Compute the tangents of branches."""
+    """Compute tangents and mean radii along all branches."""
     count, centre = len(tubes.centre_mm), tubes.centre_mm
     log_radius = np.log(tubes.radius_mm)
     arriving, leaving = np.zeros((count, 3)), np.zeros((count, 3))
@@ -137,14 +141,14 @@ def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
 
 
 def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
-    """Return the cost (M,) of connecting pairs of pieces; infinite where one piece does not follow the other.
+    """Return the cost (M,) of connecting pairs of pieces. It is infinite where one piece does not follow the other.
 
     Parameters
     ----------
     way : (M, 3) float64 array
-        From the end of one piece to the beginning of the other.
+        Vector from the end of the first piece to the beginning of the second, mm.
     log_ratio : (M,) float64 array
-        Log ratio of their radii: roots of equal thickness are connected first.
+        Logarithm of the ratio of the radii. Pieces of equal thickness are connected first.
     """
     middle = _unit(arriving + leaving)
     along = (way * middle).sum(axis=1)
@@ -156,7 +160,7 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
 
 
 class _Kind(IntEnum):
-    """Treatment of the branch that owns the node of a change."""
+    """Treatment of the branch in which another branch continues."""
 
     CUT = 0
     TURNED = 1
@@ -165,12 +169,12 @@ class _Kind(IntEnum):
 
 
 _Change = tuple[float, int, int, int, _Kind]
-"""Gain (negative), node where a branch ends, node where it continues, branch in which the interrupted one continues (or
--1), and kind."""
+"""Change of the tree: cost difference (negative), node at which a branch ends, node at which it continues, branch in
+which the interrupted branch continues (or -1), and kind."""
 
 
 def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the tips that continue in a nearby branch, and the pairs of tips that meet; end nodes may be dropped."""
+    """Return the changes in which a tip continues in a nearby branch or meets another tip. End nodes may be dropped."""
     tips, tip_fray = _ends(tangents, branches, last=True)
     starts, start_fray = _ends(tangents, branches, last=False)
     found: list[_Change] = []
@@ -193,9 +197,9 @@ def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -
 
 
 def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> tuple[Index, Index]:
-    """Return the nodes (M,) at which branches may end (or begin).
+    """Return the nodes (M,) at which branches may end, or begin if ``last`` is false.
 
-    The second array (M,) is the number of nodes without laterals that are dropped there.
+    The second array (M,) is the number of nodes that are dropped in each case. Nodes with laterals are never dropped.
     """
     bearing = np.zeros(len(tangents.centre), bool)
     bearing[[nodes[0] for k, nodes in enumerate(branches) if nodes is not None and k > 0]] = True
@@ -216,7 +220,7 @@ def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> t
 
 
 def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
-    """Return the tips that continue in the remainder of a branch that they run into."""
+    """Return the changes in which a tip continues in the remainder of a branch that it runs into."""
     tips, fray = _ends(tangents, branches, last=True)
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
@@ -252,7 +256,7 @@ def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) 
 
 
 def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: int, node: int) -> bool:
-    """Return whether the branch of a node is, up to that node, a second path along the root of the first branch."""
+    """Return whether the beginning of a branch, up to a given node, duplicates the root of branch ``first``."""
     second, place = int(tangents.owner[node]), int(tangents.place[node])
     line, beside = branches[first], branches[second]
     assert line is not None
@@ -263,7 +267,7 @@ def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: in
 
 
 def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Change]:
-    """Return the branches that continue in one of their children instead of their own remainder."""
+    """Return the changes in which a branch continues in one of its children instead of its own remainder."""
     found: list[_Change] = []
     for k, line in enumerate(branches):
         if line is None or k == 0 or len(line) <= TANGENT_NODES:
@@ -286,9 +290,9 @@ def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Chang
 
 
 def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
-    """Return, by node, the nearby branches in which a root that ends at the node would continue.
+    """Return the branches in which a root that ends at a node could continue, keyed by the node.
 
-    Each comes with its (negative) cost.
+    Each branch is returned with the (negative) change of the cost.
     """
     starts = np.array([line[1] for k, line in enumerate(branches) if line is not None and k > 0 and len(line) > 2], np.int64)
     if not len(starts):
@@ -306,7 +310,7 @@ def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Ind
 
 
 def _pairs(centre: Array, first: Index, second: Index) -> Index:
-    """Return pairs (M, 2) of indices of nodes in two lists that are near each other."""
+    """Return index pairs (M, 2) of nodes from two lists that are within `_REACH_MM` of each other."""
     near = cKDTree(centre[first]).sparse_distance_matrix(cKDTree(centre[second]), _REACH_MM, output_type="ndarray")
     pairs = np.stack([near["i"], near["j"]], axis=1)[np.lexsort((near["j"], near["i"]))]
     return pairs[first[pairs[:, 0]] != second[pairs[:, 1]]]
@@ -318,9 +322,9 @@ def _unit(vectors: Array) -> Array:
 
 
 def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
-    """Return the branches after one of them continues in a node of another.
+    """Return the branches after a change in which one branch continues at a node of another.
 
-    The remainder of that other one continues in a third branch, if any.
+    The interrupted part of the other branch continues in a third branch, if there is one.
     """
     changed = list(branches)
     a, b, place = int(tangents.owner[end]), int(tangents.owner[node]), int(tangents.place[node])
@@ -347,7 +351,7 @@ def _apply_change(tangents: _Tangents, branches: list[Index | None], end: int, n
 
 
 def _reattach(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
-    """Attach the children of dropped nodes to the nearest nodes of a line."""
+    """Reattach the children of dropped nodes to the nearest nodes of a line."""
     nearest = dict(zip(dropped.tolist(), line[cKDTree(centre[line]).query(centre[dropped])[1]].tolist(), strict=True))
     return [
         nodes if k == 0 or nodes is None or int(nodes[0]) not in nearest else np.concatenate([[nearest[int(nodes[0])]], nodes[1:]])
@@ -356,7 +360,7 @@ def _reattach(centre: Array, branches: list[Index | None], dropped: Index, line:
 
 
 def _update_owners(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
-    """Return the branch (N,) that owns each node after some branches changed; -1 for dropped nodes."""
+    """Return the branch (N,) that contains each node after some branches changed. It is -1 for dropped nodes."""
     now = owner.copy()
     for branches, gone in ((before, True), (after, False)):
         for k in changed:

@@ -1,4 +1,4 @@
-"""Support of tube nodes: the part of the pictures that each node explains, and the residual that remains."""
+"""Support of tube nodes: coverage that each node explains, and residual that remains."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from rhizotwin.recon.tubes.tube_profiles import Sections
 Array = NDArray[np.float64]
 
 _SAMPLES = 9
-"""Number of samples across a tube."""
+"""Number of samples in a profile across a tube."""
 _FLANK_PX = 0.5
-"""Margin beyond a tube's half-width up to which the tube explains coverage."""
+"""Distance beyond a tube's edge up to which the tube explains coverage, px."""
 
 
 @dataclass(frozen=True)
 class Support:
-    """Squared coverage, summed over the profiles across each node (N,) in all views, px."""
+    """Squared coverage explained by each node (N,), summed over the profiles across the node in all views, px."""
 
     explained: Array
-    """Increase of the squared difference between pictures and tubes if the node is removed."""
+    """Increase of the squared residual if the node is removed, shape (N,), px."""
     residual: Array
-    """Squared difference that remains with the node, where it covers."""
+    """Squared residual that remains in the pixels that the node covers, shape (N,), px."""
     own: Array
-    """Squared coverage of the node: the amount it explains where no other tube does."""
+    """Squared coverage of the node, shape (N,), px. This is the amount that it explains in the absence of other
+    tubes."""
 
     def select(self, nodes: NDArray[np.bool_]) -> Support:
         """Return the support of a subset of the nodes (N,)."""
@@ -39,18 +40,18 @@ class Support:
 def compute_support(drawn: Rendering) -> Support:
     """Compute the support of every node.
 
-    With d the remaining difference, c the node's coverage and u the fraction that other tubes leave free, the
-    difference without the node is d + u c; the node explains (d + u c)^2 - d^2.
+    Let d be the residual, c the coverage of the node, and u the fraction of a pixel that other tubes leave free.
+    Without the node, the residual is d + u c. The node therefore explains (d + u c)^2 - d^2.
 
     Parameters
     ----------
     drawn : Rendering
-        The rendered tree.
+        Rendering of the tree.
 
     Returns
     -------
-    Proof
-        Each field has shape (N,).
+    Support
+        Support of the nodes. Each field has shape (N,).
     """
     evidence, at = drawn.evidence, drawn.at
     cut = Sections.cut(evidence, drawn.tubes, at)
@@ -70,5 +71,5 @@ def compute_support(drawn: Rendering) -> Support:
         alone += dr.square(c) * usable
     step = reach_px * (2.0 / (_SAMPLES - 1))
     totals = [cut.spread(total * step) for total in (explained, left, alone)]
-    dr.eval(totals)  # together, as they use the same profiles
+    dr.eval(totals)  # evaluated together, since they use the same profiles
     return Support(*(np.array(total, np.float64).reshape(cut.shape).sum(axis=0) for total in totals))

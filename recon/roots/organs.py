@@ -1,4 +1,4 @@
-"""Thick roots and solids: initial radii of roots in the core, and the parts of the core that no root explains."""
+"""Thick roots and solids: initial radii of roots inside the core, and parts of the core that no root explains."""
 
 from __future__ import annotations
 
@@ -24,39 +24,41 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 THICK_PX = 3.0
-"""Minimum radius of a thick root, px: above it, every view resolves both flanks despite the blur."""
+"""Minimum radius of a thick root, px. Above this radius, every view resolves both edges of the root despite the
+blur."""
 _RIM_PX = CORE_PX + 0.5
-"""Distance of a root's surface from its core, px: the outermost half pixel is not fully covered."""
+"""Distance between the surface of a root and its core, px. The outermost half pixel is not fully covered."""
 _GAP_NODES = 3
-"""Gaps of fewer nodes do not interrupt a thick root."""
+"""Minimum number of consecutive nodes outside the core that interrupt a thick root."""
 
 
 @dataclass(frozen=True)
 class Core:
-    """Cells deep within full coverage in every view."""
+    """Cells deep inside full coverage in every view."""
 
     cells: Cells
     depth_mm: Array
-    """(N,) distance to the nearest cell outside."""
+    """Distance from each cell to the nearest cell outside the core, shape (N,), mm."""
 
     def select(self, which: Mask | NDArray[np.int64]) -> Core:
-        """Return a subset of the cells, by mask (N,) or indices (M,)."""
+        """Return a subset of the cells, selected by a mask (N,) or indices (M,)."""
         return Core(self.cells.select(which), self.depth_mm[which])
 
 
 def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
-    """Set the radius of nodes in a core to that of the largest sphere of the core that contains them.
+    """Set the radius of each node inside a core to that of the largest sphere within the core that contains the node.
 
-    A branch that runs within the core for more than its width is a thick root; other branches only begin inside one.
+    A branch that runs inside the core for more than its own width is a thick root. Other branches merely begin inside a
+    thick root.
 
     Parameters
     ----------
     start : Tubes
         Traced tubes.
     core : Core
-        Core through which they may run.
+        Core in which the tubes may run.
     px_a_mm : float
-        Scale at the centre of the water.
+        Image scale at the centre of the water, px/mm.
 
     Returns
     -------
@@ -81,11 +83,14 @@ def thicken(start: Tubes, core: Core, px_a_mm: float) -> tuple[Tubes, Mask]:
 
 
 def _inner_radius(core: Core, points_mm: Array) -> Array:
-    """Return the radius (N,) of the largest sphere of a core that contains each point (N, 3); 0 where there is none."""
+    """Return the radius (N,) of the largest sphere within a core that contains each point (N, 3), mm.
+
+    It is 0 if no sphere contains the point.
+    """
     found, depth, edge_mm = np.zeros(len(points_mm)), core.depth_mm, core.cells.grid.size_mm
     if not len(depth):
         return found
-    highest = depth.copy()  # about each cell
+    highest = depth.copy()  # maximum depth around each cell
     for _, here, there in CellSet.from_cells(core.cells.index).neighbours():
         np.maximum.at(highest, here, depth[there])
         np.maximum.at(highest, there, depth[here])
@@ -101,14 +106,14 @@ def _inner_radius(core: Core, points_mm: Array) -> Array:
 
 
 def find_solids(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:
-    """Return the parts of a core that contain no thick root, such as spheres, boxes and bulbs.
+    """Return the parts of a core that contain no thick root, such as balls, boxes and bulbs.
 
-    A part narrower than a thick root is a cluster of thin ones.
+    Parts narrower than a thick root are clusters of thin roots and are not returned.
 
     Parameters
     ----------
     thick : (N,) bool array
-        Mask of thick nodes as returned by `thicken`.
+        Mask of the nodes of thick roots, as returned by `thicken`.
     """
     if not len(core.depth_mm):
         return core.cells
@@ -119,16 +124,16 @@ def find_solids(core: Core, tree: Tubes, thick: Mask, px_a_mm: float) -> Cells:
 
 
 def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np.bool_]:
-    """Return the mask (V, H, W) of pixels that solids cover, whose coverage is explained by them.
+    """Return the mask (V, H, W) of pixels that are covered by solids.
 
     Parameters
     ----------
     margin_px : float
-        Margin about the core that contains the whole solid.
+        Margin around the core within which the whole solid lies, px.
     """
     (width, height), views = evidence.image_wh, evidence.bank.count
     covered = np.zeros((views, height, width), bool)
-    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # it hides the cells within
+    rim = solids.select(CellSet.from_cells(solids.index).faces()[0])  # the rim hides all inner cells
     points = vectors(rim.centre_mm)
     for view in range(views if len(rim.index) else 0):
         p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))
@@ -143,12 +148,12 @@ def footprint(evidence: Evidence, solids: Cells, margin_px: float) -> NDArray[np
 
 
 def find_solid_nodes(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
-    """Return the mask (N,) of nodes in and about solids.
+    """Return the mask (N,) of nodes inside or next to solids.
 
     Parameters
     ----------
     margin_mm : float
-        Margin about a cell that contains the whole solid.
+        Margin around the cells of the core within which the whole solid lies, mm.
     """
     if not len(solids.index):
         return np.zeros(len(tree.radius_mm), bool)
@@ -156,5 +161,5 @@ def find_solid_nodes(tree: Tubes, solids: Cells, margin_mm: float) -> Mask:
 
 
 def is_thick(tree: Tubes, px_a_mm: float) -> Mask:
-    """Return the mask (N,) of nodes of thick roots."""
+    """Return the mask (N,) of the nodes of thick roots."""
     return np.asarray(tree.radius_mm > THICK_PX / px_a_mm)

@@ -1,4 +1,4 @@
-"""Orientation of branches: reverse those that were traced from their tips.
+"""Orientation of branches: reversal of branches that were traced from their tips.
 
 The criteria are the distance to the top along the roots, and the direction in which roots leave each other.
 """
@@ -14,25 +14,27 @@ from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, ancestors, 
 Array = NDArray[np.float64]
 
 _TOUCH_MM = 1.0
-"""Maximum distance of a tip from the surface of another root for the tip to be that root's lateral's base."""
+"""Maximum distance between the end of a branch and the surface of another root, mm, for the branch to be a lateral of
+that root."""
 _ROUNDS = 8
-"""Maximum number of rounds; reversing one branch may reverse another. Usually fewer are needed."""
+"""Maximum number of iterations. Reversing one branch may require another to be reversed, but fewer iterations usually
+suffice."""
 
 
 def orient_branches(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
     """Reverse branches that begin at their tips.
 
-    These are branches that end at a root nearer to the top, along the roots, than their beginning, and branches that
-    leave their parent against its direction of growth and end at a root that they would leave in its direction of
-    growth.
+    A branch is reversed in two cases. In the first case, it ends at a root that is nearer to the top, along the roots,
+    than the branch's beginning. In the second case, it leaves its parent against the parent's direction of growth, and
+    ends at a root that it would leave in that root's direction of growth.
 
     Parameters
     ----------
     branches : list of Index or None
-        Node indices (n,) of each, None for removed ones; modified in place, and returned.
+        Node indices (n,) of each branch, or None for removed branches. The list is modified in place and returned.
     """
     centre = tubes.centre_mm
-    owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
+    owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # path length (N,) along the roots to the top, mm
     _find_ways(centre, branches, owner, way, 0)
     for _ in range(_ROUNDS):
         turned = False
@@ -62,7 +64,10 @@ def orient_branches(tubes: Tubes, branches: list[Index | None]) -> list[Index | 
 
 
 def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
-    """Set the path length to the top for the nodes of a branch, from its first node's, and of all its descendants."""
+    """Compute the path length to the top for the nodes of a branch and of all its descendants, in place.
+
+    The path length of the branch's first node must be known.
+    """
     children = list_children(branches, owner)
     waiting = [branch]
     while waiting:
@@ -74,9 +79,9 @@ def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: A
 
 
 def _should_reverse(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
-    """Return whether a branch leaves its parent against its growth, but would leave another root along it.
+    """Return whether a branch leaves its parent against the direction of growth, but would leave another root along it.
 
-    The other root would be left at a node near the branch's tip.
+    ``root`` is the node of the other root next to the branch's tip.
     """
     centre, reach = tubes.centre_mm, min(TANGENT_NODES, len(line) - 1)
     away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]
@@ -84,7 +89,7 @@ def _should_reverse(tubes: Tubes, branches: list[Index | None], owner: Index, li
 
 
 def _growth(tubes: Tubes, branches: list[Index | None], owner: Index, node: int) -> Array:
-    """Return the direction, not normalised, in which the branch that owns a node grows there."""
+    """Return the direction of growth (3,) of a branch at one of its nodes, not normalised."""
     line = branches[int(owner[node])]
     assert line is not None
     place = int(np.flatnonzero(line == node)[0])

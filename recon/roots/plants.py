@@ -1,8 +1,8 @@
-"""Assignment of roots to plants, by their bases at the grid of the net pot.
+"""Assignment of roots to plants by their bases at the grid of the net pot.
 
-A tree that reaches the bases of two plants, because their roots touch, is divided. Roots taper from base to tip and
-leave their parents in the direction of growth; the path between the two bases is therefore cut where it is thin and
-reverses.
+If roots of two plants touch, one tree may contain the bases of both plants and is divided. Roots taper from base to tip
+and leave their parents in the direction of growth. The path between two bases is therefore cut where it is thin and its
+direction reverses.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _DIRECTION_MM = 5.0
-"""Length over which directions and thicknesses along a path are averaged, as for parent assignment (`hierarchy`)."""
+"""Length over which directions and diameters along a path are averaged, mm, as for parent assignment (`hierarchy`)."""
 _SURE = 2.0
-"""Minimum ratio of the distances to the second-nearest and the nearest plant. A detached piece is assigned to the
-nearest plant; below this ratio the assignment is marked as uncertain."""
+"""Minimum ratio between the distances to the second-nearest and the nearest plant for a detached piece to be assigned
+with certainty. Below this ratio, it is assigned to the nearest plant and marked as uncertain."""
 
 
 @dataclass(frozen=True)
 class PlantedRoots:
-    """Roots with their assigned plants."""
+    """Roots with the plants to which they are assigned."""
 
     roots: tuple[Root, ...]
     open: tuple[bool, ...]
-    """Whether each root may equally belong to another plant."""
+    """Whether each root may equally well be part of another plant."""
     missing: tuple[str, ...]
-    """Plants without a base."""
+    """Names of the plants for which no base was found."""
 
 
 def assign(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> PlantedRoots:
@@ -48,9 +48,9 @@ def assign(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) 
     roots : sequence of Root
         Roots as returned by `hierarchy.arrange`.
     plants : sequence of Plant
-        Plants with their places.
+        Plants with their positions.
     grid_z_mm : float
-        z of the net pot's grid through which the roots grow.
+        z coordinate of the net pot's grid, through which the roots grow, mm.
     """
     if len(plants) == 1:
         return PlantedRoots(tuple(replace(root, plant=plants[0].plant) for root in roots), (False,) * len(roots), ())
@@ -66,12 +66,12 @@ def assign(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) 
 
 
 def check_assignment(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> PlantedRoots:
-    """Return roots with the plants assigned by a person, and flag those that may equally belong to another.
+    """Check roots that were assigned to plants by a person, and mark uncertain assignments.
 
     Parameters
     ----------
     roots, plants, grid_z_mm : sequence of Root, sequence of Plant, float
-        As for `assign`; each root has the name of one of the plants.
+        Same as in `assign`. Each root must be assigned to one of the plants.
     """
     at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
     trees = Tree.from_roots(roots)
@@ -81,7 +81,10 @@ def check_assignment(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_m
 
 
 def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> PlantedRoots:
-    """Concatenate the roots of trees, whose parents are indices within their tree."""
+    """Concatenate the roots of several trees.
+
+    Parents are indices within each tree in the input, and indices in the whole list in the output.
+    """
     made: list[Root] = []
     for tree in trees:
         first = len(made)
@@ -90,7 +93,7 @@ def _concatenate(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], mis
 
 
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
-    """Return the plants whose bases a tree contains, with root and point of each."""
+    """Return root index and point index of each plant's base in a tree, keyed by the index of the plant."""
     reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}
     for plant, place in enumerate(at_mm):
         away = [
@@ -104,7 +107,7 @@ def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
 
 
 def _owner(tree: Tree, at_mm: Array) -> int:
-    """Return the plant whose base a divided tree contains; -1 if there is none."""
+    """Return the index of the plant whose base is in a divided tree, or -1 if there is none."""
     return next(iter(_bases(tree, at_mm)), -1)
 
 
@@ -124,20 +127,20 @@ def _divide(tree: Tree, at_mm: Array) -> list[Tree]:
 
 
 def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:
-    """Return the root and the point of a tree nearest to a point."""
+    """Return root index and point index of the point of a tree that is nearest to a given position."""
     away = [np.linalg.norm(root.points_mm - point_mm, axis=1) for root in tree.roots]
     number = int(np.argmin([one.min() for one in away]))
     return number, int(np.argmin(away[number]))
 
 
 def _cut(points_mm: Array, diameters_mm: Array) -> int:
-    """Return the step at which a path (N, 3) between two bases passes from one plant's roots to the other's.
+    """Return the step of a path (N, 3) between two bases at which the path changes from one plant to the other.
 
     Notes
     -----
-    The step minimises ln d + cos t. d is the thickness there, the smaller of the medians over 5 mm on both sides; t is
-    the angle between the 5 mm chords before and behind it. A root thinner by a factor e counts as much as a right
-    angle.
+    The step minimises ln d + cos t. The thickness d is the smaller of the median diameters over 5 mm on both sides of
+    the step, and t is the angle between the chords of 5 mm before and behind it. A root thinner by a factor of e counts
+    as much as a right angle.
     """
     way_mm = polyline.arc_length_mm(points_mm)
     cost = np.empty(len(points_mm) - 1)
@@ -154,12 +157,12 @@ def _cut(points_mm: Array, diameters_mm: Array) -> int:
 
 
 def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tuple[list[int], list[bool]]:
-    """Assign detached pieces to the nearest plant, the nearest piece first.
+    """Assign detached pieces to the nearest plant, in the order of their distance.
 
     Returns
     -------
     owners : list of int
-        Plant of each tree.
+        Index of the plant to which each tree is assigned.
     unsure : list of bool
         Whether another plant is almost as near.
     """
@@ -186,5 +189,5 @@ def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tupl
 
 
 def _ends(tree: Tree) -> Array:
-    """Return the points (N, 3) at which a piece may be attached to another: the ends of its first root."""
+    """Return the points (N, 3) at which a detached piece may be connected: both ends of its first root."""
     return tree.roots[0].points_mm[[0, -1]]

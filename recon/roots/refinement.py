@@ -18,24 +18,25 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _SEARCHES = 2
-"""Number of searches of the residual; the second finds roots attached to those of the first."""
+"""Number of searches of the residual. The second search finds laterals of roots that were found in the first."""
 _STEPS = 4
-"""Steps of each fit: tubes that are kept are fitted repeatedly, and new ones are judged before convergence."""
+"""Number of iterations of each fit. Full convergence is not required, since new tubes are assessed before and all
+remaining tubes are fitted repeatedly."""
 
 
 @dataclass(frozen=True)
 class TreeRefinement:
-    """Refinement of a tree of tubes against given evidence."""
+    """Refinement of a tree of tubes, given the measured coverage."""
 
     evidence: Evidence
-    """Evidence outside the solids."""
+    """Measured coverage of all views, excluding pixels of solids."""
     whole: Evidence
-    """Evidence including the solids."""
+    """Measured coverage of all views, including pixels of solids."""
     px_a_mm: float
-    """Scale at the centre of the water."""
+    """Image scale at the centre of the water, px/mm."""
 
     def refine(self, tree: Tubes) -> Tubes:
-        """Fit, prune and link the tree."""
+        """Fit the tubes of a tree, remove ghosts and duplicates, and link the remaining pieces."""
         tree = self.fit(tree).tubes
         tree = tips.place_tips(self.whole, tree, self.px_a_mm)
         proved = node_support.compute_support(Rendering.draw(self.evidence, tree))
@@ -44,7 +45,7 @@ class TreeRefinement:
         return link_pieces(tree.keep(tree.prune_mask(gone)))
 
     def search(self, tree: Tubes, outside: Cells) -> Tubes:
-        """Add the roots that the tree leaves unexplained, and refine it.
+        """Add roots that the tree leaves unexplained, and refine the result.
 
         Parameters
         ----------
@@ -60,7 +61,10 @@ class TreeRefinement:
         return self.link_ends(tips.place_tips(self.whole, self.remove_unsupported(tree).tubes, self.px_a_mm))
 
     def remove_unsupported(self, tree: Tubes) -> Fit:
-        """Fit a tree and remove tubes that explain little alone: second tubes of a root, or pieces of its flank."""
+        """Fit a tree, and remove tubes that explain little by themselves.
+
+        Such tubes are duplicates of a root or pieces of its flank.
+        """
         fit = self.fit(tree)
         gone = ghosts.find_unsupported_starts(
             fit.tubes, node_support.compute_support(fit.rendering), self.thick(fit.tubes)
@@ -70,18 +74,18 @@ class TreeRefinement:
         return fit if stays.all() else self.fit(tree.keep(stays))
 
     def link_ends(self, tree: Tubes) -> Tubes:
-        """Link ends without a tip to the branches in which they continue."""
+        """Link branch ends that are probably not root tips to the branches in which they continue."""
         drawn = Rendering.draw(self.evidence, tree)
         visible = tube_profiles.profiles(drawn).residual_gradient().visible
         tree, _ = linking.link(tree, ghosts.find_uncertain_ends(tree, visible, node_support.compute_support(drawn), self.thick(tree)))
         return link_pieces(tree.keep(tree.prune_mask(self.find_duplicates(tree))))
 
     def fit(self, tree: Tubes) -> Fit:
-        """Fit a tree."""
+        """Fit the tubes of a tree to the measured coverage."""
         return tube_fit.fit(self.evidence, tree, self.thick(tree), steps=_STEPS)
 
     def thick(self, tree: Tubes) -> Mask:
-        """Return the mask (N,) of nodes of thick roots."""
+        """Return the mask (N,) of the nodes of thick roots."""
         return organs.is_thick(tree, self.px_a_mm)
 
     def find_duplicates(self, tree: Tubes) -> Mask:
@@ -90,5 +94,5 @@ class TreeRefinement:
 
 
 def link_pieces(tree: Tubes) -> Tubes:
-    """Link the pieces of a tree."""
+    """Link the pieces of a tree, fill gaps, and remove stubs and the hidden parts of laterals."""
     return tubes.trim_inside_parents(tubes.fill_gaps(tubes.merge_stubs(linking.link(tree)[0])))

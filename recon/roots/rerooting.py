@@ -10,20 +10,20 @@ import numpy as np
 from rhizotwin.scenes.rsml import Root
 
 Place = tuple[int, int]
-"""Index of a root, and index of a point on it."""
+"""Index of a root, and index of a point on that root."""
 
 
 @dataclass(frozen=True)
 class Tree:
-    """Connected roots; the first has no parent, and parents come before children."""
+    """Connected roots. The first root has no parent, and parents come before children."""
 
     roots: tuple[Root, ...]
     is_turned: bool = False
-    """Whether orders and parents were derived from another base than the original one."""
+    """Whether the tree was rerooted, so that orders and parents refer to a new base."""
 
     @classmethod
     def from_roots(cls, roots: Sequence[Root]) -> list[Tree]:
-        """Split a list of roots, parents before children, into trees."""
+        """Split a list of roots into connected trees. Parents must come before children."""
         tree_of, members = [0] * len(roots), list[list[int]]()
         for index, root in enumerate(roots):
             if root.parent < 0:
@@ -35,13 +35,16 @@ class Tree:
         return [cls(_renumber(roots, chosen)) for chosen in members]
 
     def joint(self, line: int) -> Place:
-        """Return the place on its parent from which a root leaves."""
+        """Return the place at which a root is attached to its parent."""
         root = self.roots[line]
         parent = self.roots[root.parent].points_mm
         return root.parent, int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
 
     def way(self, line: int, at: int) -> list[Place]:
-        """Return the places from the tree's base to a place, each point once, on the root that contains it."""
+        """Return the path from the base of the tree to a point of a root, as pairs of root index and point index.
+
+        A point shared by two roots appears once, on the parent.
+        """
         found: list[Place] = []
         while line >= 0:
             found += [(line, k) for k in range(at, -1, -1)]
@@ -49,7 +52,7 @@ class Tree:
         return found[::-1]
 
     def reroot(self, line: int, at: int) -> Tree:
-        """Return the same tree with its base at a given place; roots along the path are reversed."""
+        """Return the same tree with its base at a given point. Roots along the path to the old base are reversed."""
         if self.roots[line].parent < 0 and at == 0:
             return self
         chain = [(line, at)]
@@ -80,9 +83,9 @@ class Tree:
         Returns
         -------
         above : Tree
-            Contains ``before``; keeps the base.
+            Part that contains ``before`` and keeps the base.
         below : Tree
-            Contains ``behind``, which becomes its base.
+            Part that contains ``behind``, which becomes its base.
         """
         line, at = behind
         root = self.roots[line]
@@ -105,6 +108,6 @@ class Tree:
 
 
 def _renumber(roots: Sequence[Root], chosen: Sequence[int]) -> tuple[Root, ...]:
-    """Return a subset of the roots with renumbered parents; a parent outside the subset becomes -1."""
+    """Return a subset of the roots with renumbered parents. A parent outside the subset becomes -1."""
     number = {index: place for place, index in enumerate(chosen)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in chosen)

@@ -1,14 +1,14 @@
-"""Search for roots in the residual: trace the coverage that the tubes leave unexplained, and attach the new branches.
+"""Search for missing roots: tracing of the coverage that the tubes leave unexplained, and attachment of new branches.
 
 A pixel with measured coverage m and explained coverage e = 1 - exp(-t) contains evidence of another root
 
     d = m - e = u c,    u = exp(-t)
 
 where u is the fraction of the pixel that the tubes leave free and c is the coverage of the other root. The
-least-squares estimate of c at a point of the search space, over all views, is sum(u d) / sum(u^2): views in which the
-point is hidden have no weight, and a point that is empty in some views, such as a ghost, gets a small estimate. The
-estimate needs no iteration, and it finds short laterals beside thick roots, which the density stage does not separate
-from their parents.
+least-squares estimate of c at a point of the search space, over all views, is sum(u d) / sum(u^2). Views in which the
+point is hidden have no weight, and the estimate is small for a point that is empty in some views, such as a ghost. The
+estimate requires no iteration, and it finds short laterals beside thick roots, which the density stage does not
+separate from their parents.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ Array = NDArray[np.float64]
 _SURE = 0.25
 """Minimum residual coverage of a root, which corresponds to a width of a third of a pixel."""
 _OWN_CELLS = 0.9
-"""A cell nearer to a centre line than this fraction of its edge contains the root, however thin (half of a cell's
-diagonal is 0.87)."""
+"""Distance from a centre line, in cell edges, within which a cell contains the root regardless of its radius. Half the
+diagonal of a cell is 0.87 edges."""
 _LEAST_VIEWS = 4.0
-"""Minimum weight (sum of u^2, in views) for an estimate."""
+"""Minimum sum of the weights u^2 over all views for the residual coverage of a point to be estimated."""
 _THINNEST_MM = 0.05
-"""Minimum radius of a root."""
+"""Minimum radius of a new root, mm."""
 _LEAST_MM = 0.4
-"""Minimum length of a new branch outside of the tubes."""
+"""Minimum length of a new branch outside of the existing tubes, mm."""
 _BEGIN_MM = 1.0
-"""Cost of a new branch on the flank of a root, as a length of root added at its tip."""
+"""Cost of beginning a new branch on the flank of a root, expressed as an additional length at the root's tip, mm."""
 _TIP_MM = 0.4
-"""Distance within which two ends are considered the same."""
+"""Maximum distance between the beginning of a new branch and a tip for the branch to extend the existing root, mm."""
 
 
 def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
-    """Return the residual coverage (N,) of points, averaged over the views; 0 where too few views contribute.
+    """Return the residual coverage (N,) at points (N, 3), averaged over the views; 0 where too few views contribute.
 
     Parameters
     ----------
@@ -77,23 +77,23 @@ def residual_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Arra
 
 
 def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
-    """Attach to the tree the roots that its tubes leave unexplained.
+    """Add to a tree the roots that its tubes leave unexplained.
 
     Parameters
     ----------
     thick : (N,) bool array
         Mask of the nodes of thick roots.
     cells : Cells
-        Search space without solids.
+        Cells of the search space, excluding solids.
     px_a_mm : float
-        Scale at the centre of the water.
+        Image scale at the centre of the water, px/mm.
     """
     line, radius, node = _sample_tubes(found, 0.5 * cells.grid.size_mm)
     flanked = ghosts.find_margin_nodes(found, thick)
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
     away, nearest = cKDTree(line).query(cells.centre_mm, distance_upper_bound=float(reach.max()), workers=-1)
     nearest = np.minimum(nearest, len(line) - 1)  # the distance is infinite where no node is near
-    # Few views resolve the flank of a thick root: no branch begins there that the density did not contain.
+    # Few views resolve the flank of a thick root, so that no branch may begin there.
     beside = ~((away < reach[nearest]) & thick[node[nearest]])
     cells, away, nearest = cells.select(beside), away[beside], nearest[beside]
     centre = cells.centre_mm  # evaluated once, as the property is not cached
@@ -126,7 +126,7 @@ def add_missing_roots(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_]
 
 
 def _sample_tubes(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return points (P, 3) along the tubes, their radii, and the nearest node of each."""
+    """Return points (P, 3) along the tubes, with tube radius (P,) and index of the nearest node (P,) at each point."""
     a, b = found.segments.T
     count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
     segment = np.repeat(np.arange(len(a)), count)

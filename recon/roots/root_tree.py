@@ -1,4 +1,4 @@
-"""A root system as a tree of tubes, with the evidence it was fitted to."""
+"""Root system as a tree of tubes, with the measured coverage to which it was fitted."""
 
 from __future__ import annotations
 
@@ -22,45 +22,46 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class RootTree:
-    """Roots as tubes, with the evidence they were fitted to."""
+    """Roots as a tree of tubes, with the measured coverage to which they were fitted."""
 
     tubes: Tubes
     solid: Mask
-    """(N,) nodes within solids that no root explains, such as spheres, boxes and bulbs."""
+    """Mask of nodes inside solids that no root explains, such as balls, boxes and bulbs, shape (N,)."""
     solids_mm: Array
-    """(M, 3) points deep inside the solids, whose shape the trimmed hull defines."""
+    """Points deep inside the solids, shape (M, 3), canister frame, mm. The trimmed hull defines the shape of the
+    solids."""
     margin_mm: float
-    """Distance from these points that contains the whole solid."""
+    """Distance from the points in `solids_mm` within which the whole solids lie, mm."""
     px_a_mm: float
     attenuation: TubeAttenuation
     """Attenuation of light by the roots."""
     learned_per_mm: float | None = None
-    """Attenuation estimated from the widest roots."""
+    """Attenuation estimated from the widest roots, 1/mm, or None if there is no estimate."""
     evidence: Evidence
-    """Evidence that the tubes were fitted to."""
+    """Measured coverage of all views, to which the tubes were fitted."""
     cameras: Cameras
-    """Cameras of the views in the evidence."""
+    """Cameras of the views in `evidence`."""
 
     @property
     def thick(self) -> Mask:
-        """Return the mask (N,) of nodes of thick roots."""
+        """Return the mask (N,) of the nodes of thick roots."""
         return organs.is_thick(self.tubes, self.px_a_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootSystem(RootTree):
-    """The refined root tree."""
+    """Refined root tree with assessed ends."""
 
     uncertain: Mask
-    """(N,) nodes of ends that probably have no tip."""
+    """Mask of nodes at branch ends that are probably not root tips, shape (N,)."""
 
     @cached_property
     def rendering(self) -> Rendering:
-        """The roots rendered in all views."""
+        """Rendering of the roots in all views."""
         return Rendering.draw(self.evidence, self.tubes)
 
     def roots(self) -> tuple[Root, ...]:
-        """Return the branches as roots, parents before children, each from the surface of its parent."""
+        """Return the branches as roots that begin at the surface of their parents. Parents come before children."""
         number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm  # index of each node's root
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):

@@ -1,4 +1,4 @@
-"""The tube stage: from coverage to a tree of tubes of any thickness, and the solids that no tube explains."""
+"""Tube stage: reconstruction of a tree of tubes, and of solids that no tube explains, from the measured coverage."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FLANK_PX = 0.5
-"""Margin beyond `CORE_PX` about a core point that contains the flank of a taproot or hypocotyl."""
+"""Margin around a point of the core, in addition to `CORE_PX`, that contains the flank of a taproot or hypocotyl,
+px."""
 _BEYOND_PX = 1.25
-"""Margin beyond `CORE_PX` about a core point that contains the rest of a taproot's flank: half a pixel of outline and
-the dilation."""
+"""Margin around a point of the core, in addition to `CORE_PX`, that contains the rest of a taproot's flank, px: half a
+pixel of outline plus the dilation."""
 _LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
-"""Steps of the last fit: for opaque roots, and for translucent roots, whose attenuation and hairs were fitted before
-all roots were found."""
+"""Number of iterations of the last fit for opaque roots and for translucent roots. Translucent roots need more, since
+their attenuation and hairs were fitted before all roots were found."""
 
 
 def find_tree(
@@ -46,14 +47,14 @@ def find_tree(
     known: TubeAttenuation | None = None,
     monitor: Monitor,
 ) -> RootTree | None:
-    """Reconstruct the roots as a tree of tubes; return None if there are none.
+    """Reconstruct the roots as a tree of tubes, or return None if there are none.
 
     Parameters
     ----------
     evidence, cameras : Evidence, Cameras
         Measured coverage, and the cameras of its views in the same order.
     learned : Attenuation or None
-        Attenuation used to convert opacity to coverage; None if the pictures are silhouettes.
+        Attenuation used to convert opacity to coverage, or None if the pictures are silhouettes.
     known : TubeAttenuation, optional
         Attenuation of the same roots, estimated with other cameras.
     """
@@ -96,7 +97,7 @@ def find_tree(
 def _trace(evidence: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Core, Tubes] | None:
     """Find the initial tubes.
 
-    Return the cells that contain roots, the cores of thick parts, and the tubes; None if there is no root.
+    Return the cells that contain roots, the cores of thick parts, and the tubes, or None if there is no root.
     """
     with monitor.stage("search"):
         cells, deep = search_space.carve_cells(evidence, water, px_a_mm, monitor=monitor)
@@ -114,9 +115,10 @@ def _trace(evidence: Evidence, water: Water, px_a_mm: float, margin_mm: float, *
 
 
 def _separate_solids(evidence: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[Evidence, Cells, Tubes, Mask]:
-    """Separate the traced tubes from the solids.
+    """Separate traced tubes from solids.
 
-    Return the evidence outside the solids, the cores of the solids, the tubes, and the mask (N,) of thick nodes.
+    Return the evidence outside the solids, the cores of the solids, the tubes, and the mask (N,) of the nodes of thick
+    roots.
     """
     start = tubes.trim_inside_parents(organs.thicken(start, core, px_a_mm)[0])
     start, thick = organs.thicken(start, core, px_a_mm)
@@ -128,9 +130,11 @@ def _separate_solids(evidence: Evidence, start: Tubes, core: Core, px_a_mm: floa
 def _fit_light(
     evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation | None
 ) -> tuple[TubeAttenuation, Evidence, Tubes]:
-    """Fit attenuation, blur and hairs, and return them with the opacity, or the coverage of opaque roots.
+    """Fit attenuation, blur and root hairs.
 
-    Coverage includes the light that opaque roots reflect, unless it was corrected for translucent roots.
+    Return the attenuation, the evidence with the fitted parameters, and the tubes. The evidence is opacity for
+    translucent roots, and coverage for opaque roots. Coverage includes the light that opaque roots reflect, unless it
+    was corrected for translucent roots.
     """
     opacity = evidence.with_opacity() if evidence.has_opacity else evidence
     if known is None:
@@ -144,7 +148,7 @@ def _fit_light(
 def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
     """Estimate the density of roots in each cell.
 
-    Return the non-empty cells, those of taproot and hypocotyl last, and their depth (N,), mm.
+    Return the cells that are not empty, with those of taproot and hypocotyl last, and their depth (N,), mm.
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
@@ -155,17 +159,20 @@ def _estimate_density(evidence: Evidence, cells: Cells, core: Cells, px_a_mm: fl
 
 
 def has_swayed(tree: RootTree, cameras: Cameras) -> bool:
-    """Return whether the roots move so far between views, for some cameras, that they must be reconstructed again."""
+    """Return whether the roots sway so much that they must be reconstructed again.
+
+    The sway is measured relative to the given cameras.
+    """
     return root_sway.has_moved(tree.evidence, cameras, tree.tubes, tree.px_a_mm)
 
 
 def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
-    """Estimate the refractive index of the water and the cameras from the roots, and refit the tubes.
+    """Estimate the refractive index of the water and refine the cameras from the roots, and refit the tubes.
 
     Returns
     -------
     RootTree
-        Tree with refined cameras. ``cameras.roots`` holds the estimate; None if there are too few roots.
+        Tree with refined cameras. ``cameras.roots`` is the estimate, or None if there are too few roots.
     """
     with monitor.stage("calibration"):
         evidence, fitted, cameras = root_calibration.calibrate(tree.evidence, tree.cameras, tree.tubes, tree.thick)
@@ -173,7 +180,7 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
 
 
 def finish_tree(tree: RootTree, *, monitor: Monitor) -> RootSystem:
-    """Fit the tubes a last time, and mark the ends that probably have no tip."""
+    """Fit the tubes a last time, and mark branch ends that are probably not root tips."""
     with monitor.stage("last tubes"):
         light = Prior.from_evidence(tree.evidence, tree.learned_per_mm)
         steps = _LAST_STEPS if tree.evidence.mu_per_mm is None else _TRANSLUCENT_STEPS

@@ -1,4 +1,4 @@
-"""The search space: cells of the water that may contain roots, and the cells of taproot and hypocotyl."""
+"""Search space: cells of the water that may contain roots, and cells of taproot and hypocotyl."""
 
 from __future__ import annotations
 
@@ -20,29 +20,32 @@ from rhizotwin.recon.roots.density import Cells
 from rhizotwin.scenes.monitor import Monitor
 
 _CELL_PX = 0.75
-"""Edge length of the cells of the search space, in pixels of the views."""
+"""Edge length of the cells of the search space, px."""
 _MOST_BRIGHT = 0.025
-"""Maximum fraction of the views, at least one view, in which a point of a taproot or solid may lie in a bright spot: a
-bubble covers it in one view, while a gap between roots is visible in several. With 0.05, two of 40 views, the length of
-a thick print is 7 % instead of 1 % too large, as gaps are closed."""
+"""Maximum fraction of the views, but at least one view, in which a point of a taproot or solid may lie in a bright
+spot.
+
+A bubble covers a point in one view, whereas a gap between roots is visible in several views. With 0.05, which is two of
+40 views, gaps are closed, and the length of a thick print is 7 % instead of 1 % too large."""
 _AT_ONCE = 50_000
-"""Number of cells projected together: 80 MB for 80 views."""
+"""Number of cells that are projected at once. This takes 80 MB for 80 views."""
 _MOST_CELLS = 2_000_000
-"""Maximum number of cells; a larger search space is coarsened, as its footprints in all views must fit in memory."""
+"""Maximum number of cells, since their footprints in all views must fit in memory. A larger search space is divided
+into larger cells."""
 
 
 def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells]:
-    """Carve out of the water the cells that may contain roots, and those that belong to taproot and hypocotyl.
+    """Carve the cells that may contain roots, and the cells of taproot and hypocotyl, out of the water.
 
     Parameters
     ----------
     px_a_mm : float
-        Scale of the pictures; it sets the size of the cells.
+        Image scale, px/mm, which determines the size of the cells.
 
     Returns
     -------
     cells, core : Cells
-        Both on the same lattice.
+        Cells that may contain roots, and cells of taproot and hypocotyl, on the same lattice.
     """
     size_mm = _CELL_PX / px_a_mm
     generous = DistanceMaps.compute(evidence.silhouettes, "search", monitor, generous_outline)
@@ -63,7 +66,7 @@ def carve_cells(evidence: Evidence, water: Water, px_a_mm: float, *, monitor: Mo
 
 
 def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -> NDArray[np.bool_]:
-    """Return the mask (N,) of cells in bright spots in more views than spots in front of a thick root explain."""
+    """Return the mask (N,) of cells in bright spots in more views than expected in front of a thick root."""
     views = [k for k, one in enumerate(spots) if one.any()]
     bright = np.zeros(len(core.index), np.int64)
     if views and len(core.index):
@@ -76,7 +79,7 @@ def _find_bright_cells(evidence: Evidence, core: Cells, spots: Sequence[Mask]) -
 
 
 def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDArray[np.int64]:
-    """Return the number of views that show each cell (N,) at a pixel of the view's mask."""
+    """Return the number of views (N,) in which each cell is projected into the view's mask."""
     found = np.zeros(len(cells.index), np.int64)
     for begin in range(0, len(found), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
@@ -87,7 +90,7 @@ def _count_views(evidence: Evidence, cells: Cells, masks: Sequence[Mask]) -> NDA
 
 
 def _carve(evidence: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:
-    """Carve outlines out of the water."""
+    """Carve the water with the outlines of given distance maps, and return the leaves."""
     hull = carve.carve(
         evidence.bank,
         maps,

@@ -1,7 +1,7 @@
-"""Remove the hidden part of laterals inside thick roots.
+"""Removal of the hidden part of laterals inside thick roots.
 
-No view shows where a lateral begins within a storage root, and a path along the axis of a wide root would be longer
-than the root. The tissue of a storage root grows around existing laterals, which therefore begin near its surface.
+No view shows where a lateral begins inside a storage root. A lateral that is traced to the axis of a wide root would be
+too long. Since the tissue of a storage root grows around existing laterals, they are assumed to begin near its surface.
 """
 
 from __future__ import annotations
@@ -19,16 +19,20 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 BURIED_MM = 1.0
-"""Maximum depth below the parent's surface at which a lateral begins, mm; laterals of thinner parents begin at the
-axis. Secondary growth adds tissue outside the stele of the young root, of a diameter of some millimetres, on which the
-laterals grew (Esau 1977, Anatomy of Seed Plants, chapter 15)."""
+"""Maximum depth of a lateral's base below the surface of a thickened parent, mm. Laterals of thinner parents begin at
+the parent's axis.
+
+Secondary growth adds tissue outside the stele of the young root, which has a diameter of some millimetres and from
+which the laterals grew (Esau 1977, Anatomy of Seed Plants, chapter 15)."""
 SWOLLEN = 4.0
-"""A root thicker than a lateral by this factor has grown in thickness since: bulbs and carrots of the library are 6 to
-50 times as thick, and the roots of the printed phantom, which have no secondary growth, 1.2 to 3.1 times."""
+"""Ratio of diameters above which a parent is assumed to have grown in thickness after the lateral formed.
+
+Bulbs and carrots of the library are 6 to 50 times as thick as their laterals. The roots of the printed phantom, which
+have no secondary growth, are 1.2 to 3.1 times as thick."""
 
 
 def trim_buried(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the roots, with laterals shortened by the part deep inside swollen parents."""
+    """Return the roots with laterals shortened by the part that lies deep inside thickened parents."""
     return tuple(_trim(root, _ancestors(roots, root)) for root in roots)
 
 
@@ -42,7 +46,10 @@ def _ancestors(roots: Sequence[Root], root: Root) -> list[Root]:
 
 
 def _trim(root: Root, above: Sequence[Root]) -> Root:
-    """Return a root without the first part that lies deep inside others; one that lies inside entirely is unchanged."""
+    """Return a root without its first part if that part lies deep inside its ancestors.
+
+    A root that lies entirely inside its ancestors is unchanged.
+    """
     least_mm = 2.0 * max(BURIED_MM, 0.5 * SWOLLEN * float(np.median(root.diameters_mm)))
     wide = [ancestor.diameters_mm > least_mm for ancestor in above]
     point = np.concatenate([np.zeros((0, 3)), *(ancestor.points_mm[some] for ancestor, some in zip(above, wide, strict=True))])

@@ -1,12 +1,12 @@
-"""Root ends: locate the edge of coverage along the axis of each tip.
+"""Location of root tips from the edge of the coverage along their axes.
 
 Profiles across a tube do not constrain its end. Along the axis of a tip, the measured coverage m and the explained
-coverage e fall from that of the root, c, to zero. Independently of the blur, the edge of m lies
+coverage e decrease from the coverage c of the root to zero. The edge of m lies beyond the edge of e by
 
     integral of (m - e) / c
 
-beyond that of e: pixels, blur, taper, the rounded end and neighbouring roots affect both alike. The median over the
-views is used, as roots that are not modelled may hide a tip in some views.
+independently of the blur: pixels, blur, taper, the rounded end and neighbouring roots affect both edges equally. The
+median over the views is used, since roots that are not modelled may hide a tip in some views.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from rhizotwin.scenes import polyline
 Array = NDArray[np.float64]
 
 _SAMPLES = 33
-"""Number of samples along an axis: three per pixel for a root with a radius of two pixels."""
+"""Number of samples along the axis of a tip: three per pixel for a root with a radius of two pixels."""
 _REACH_PX = 3.0
-"""Length of the sampled axis before and behind the last node, in addition to the radius: the blur of the edge, and two
-cells of the search space."""
+"""Length of the sampled axis on each side of the last node, in addition to the radius, px. It covers the blur of the
+edge and two cells of the search space."""
 _LEAST_COVERAGE = 0.15
-"""Minimum coverage of a root on its own axis, which corresponds to a width of a sixth of a pixel; thinner roots show no
+"""Minimum coverage of a root on its own axis, which corresponds to a width of a sixth of a pixel. Thinner roots show no
 edge."""
 _OTHERS = 0.1
-"""Maximum coverage by other roots before a tip for a view to be used."""
+"""Maximum coverage by other roots beyond a tip for a view to be used to locate the tip."""
 _LEAST_SINE = 0.5
-"""Minimum sine between axis and ray: steeper views show a tip's flank before its end."""
+"""Minimum sine of the angle between a root's axis and the line of sight for a view to be used to locate the tip. At
+smaller angles, a view shows the flank of a tip before its end."""
 _LEAST_VIEWS = 4
-"""Minimum number of views: fewer may all be affected by the same root."""
+"""Minimum number of usable views for a tip to be moved. Fewer views may all be affected by the same root."""
 _LEAST_LENGTH = 0.5
-"""Minimum remaining fraction of an end that is shortened; shorter ends are accepted or rejected as a whole."""
+"""Minimum fraction of an end's length that remains when the end is shortened. Ends are removed only as a whole."""
 
 
 def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
@@ -47,9 +48,9 @@ def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
     Parameters
     ----------
     evidence : Evidence
-        Evidence including taproot and hypocotyl.
+        Measured coverage, including taproot and hypocotyl.
     px_a_mm : float
-        Scale at the centre of the water.
+        Image scale at the centre of the water, px/mm.
     """
     off_mm = _tip_offsets(evidence, tree, px_a_mm)
     centre = tree.centre_mm.copy()
@@ -59,7 +60,7 @@ def place_tips(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
 
 
 def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
-    """Return the distance (T,) by which each tip lies beyond its node, mm; 0 where too few views are usable."""
+    """Return the distance (T,) of each tip beyond the last node of its branch, mm; 0 where too few views are usable."""
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = tree.centre_mm[tip] - tree.centre_mm[before]
@@ -90,7 +91,7 @@ def _tip_offsets(evidence: Evidence, tree: Tubes, px_a_mm: float) -> Array:
 
 
 def _stretch(line: Array, more_mm: float) -> Array:
-    """Return nodes (n, 3) along the same line with the last one displaced by some mm; the first one is fixed."""
+    """Lengthen a chain of nodes (n, 3) by ``more_mm``, or shorten it if negative, with the first node fixed."""
     along = polyline.arc_length_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:
         return line

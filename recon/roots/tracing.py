@@ -1,9 +1,10 @@
-"""From a density to centre lines: the tree of shortest paths to the top of the root system.
+"""Tracing of centre lines from the density: a tree of shortest paths to the top of the root system.
 
-The shortest paths from every cell to the top (Dijkstra), at a cost per millimetre that decreases with the density, form
-a tree. Branches are extracted as in TEASAR (Sato et al. 2000, Pacific Graphics): the path from the farthest unclaimed
-cell, down to where it meets another branch, is a new branch and claims the cells around it; this repeats until no dense
-cell is left. Gaps are bridged, at a cost, within the search space or where the net pot hides them.
+The cost of a path per millimetre decreases with the density. The shortest paths from all cells to the top (Dijkstra)
+form a tree, from which branches are extracted as in TEASAR (Sato et al. 2000, Pacific Graphics). The path from the
+farthest unclaimed cell to the first branch that it meets becomes a new branch, which claims the cells around it. This
+is repeated until no dense cell is left. Gaps within the search space, and gaps hidden by the net pot, are bridged at a
+cost.
 """
 
 from __future__ import annotations
@@ -27,60 +28,62 @@ Index = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
 
 _SMOOTH_CELLS = 0.7
-"""Standard deviation of the smoothing of the density, in cells; it suppresses noise in single cells."""
+"""Standard deviation of the Gaussian that smooths the density, in cells. It suppresses noise in single cells."""
 _CAP = 37.5
-"""Upper bound of the density (shadow per volume, 1/mm); higher values carry no information."""
+"""Upper limit of the density (shadow per volume, 1/mm). Higher values are not informative."""
 _BRIDGE = 0.125
-"""Density of empty cells of the search space, 1/mm; a root of 0.3 mm has about 2."""
+"""Density assigned to empty cells of the search space, 1/mm. For comparison, a root of 0.3 mm has a density of about
+2/mm."""
 _DENSE = 0.25
-"""Minimum density of a cell that must belong to a branch, 1/mm."""
+"""Density above which a cell must be part of a branch, 1/mm."""
 _IN_CORE, _BY_DEPTH = 10.0, 100.0
-"""Density of cells inside taproot and hypocotyl, and its increase per mm of depth, which keeps paths in the middle."""
+"""Density at the surface of taproot and hypocotyl, 1/mm, and its increase per mm of depth, which keeps paths near the
+axis."""
 CLAIM_CELLS = 1.5
-"""Distance from a traced root within which cells belong to it, in cells."""
+"""Distance from a traced root within which cells are assigned to the root, in cells."""
 _STILL_OPEN = 0.5
-"""The k-d tree of unclaimed cells is rebuilt when fewer than this fraction of its cells is left: each rebuild costs as
-much as all later ones together."""
+"""Fraction of unclaimed cells in the k-d tree below which the tree is rebuilt. With a fraction of one half, each
+rebuild costs as much as all later rebuilds together."""
 _CORE_CLAIM_MM = 0.65
-"""Distance beyond the core within which cells are claimed by a path in a taproot or hypocotyl."""
+"""Distance beyond the core within which a path in a taproot or hypocotyl claims cells, mm."""
 _LEAST_MM = 1.0
-"""Minimum length of a traced root."""
+"""Minimum length of a traced root, mm."""
 _TOP_MM, _RISE_MM = 1.0, 6.0
-"""Height below the highest cell in which the plant's top is searched, and maximum height of laterals above the visible
-stem."""
+"""Height below the highest cell within which the plant's top is searched, mm, and maximum height by which laterals may
+exceed the visible stem, mm."""
 _THIN_MM = (0.05, 0.3)
-"""Range of initial radii derived from shadows; thicker roots shade their own cells."""
+"""Range to which initial radii derived from shadows are limited, mm. The cells of thicker roots shade each other."""
 
 
 @dataclass(frozen=True)
 class Path:
-    """A traced branch."""
+    """Points and shadows along a traced branch."""
 
     points_mm: Array
-    """(N, 3) from its parent to its tip; the first point belongs to the parent."""
+    """Points from the branch's parent to its tip, shape (N, 3), mm. The first point lies on the parent."""
     shadow_mm2: Array
-    """(N,) shadow of the cells about each point."""
+    """Shadow area of the cells around each point, shape (N,), mm2."""
 
 
 def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_mm: float = np.inf) -> Array:
-    """Return the depth (N,) of cells in a core, mm; outside the core it is minus the distance to the core.
+    """Return the depth (N,) of cells inside a core, mm. Outside, it is the negative distance from the core.
 
     Parameters
     ----------
     cells : Cells
-        Cells whose depth is computed.
+        Cells for which the depth is computed.
     core : (M, 3) int32 array
         Cells of the core, on the same lattice.
     reach_mm : float
-        Upper bound of the distance outside the core.
+        Upper limit of the distance outside the core, mm.
     most_mm : float
-        Upper bound of the depth inside the core.
+        Upper limit of the depth inside the core, mm.
     """
     depth = np.full(len(cells.index), -reach_mm)
     if not len(core):
         return depth
     full = CellSet.from_cells(core)
-    rim, beyond = full.faces()  # the nearest cell of the other kind shares a face with this kind
+    rim, beyond = full.faces()  # only cells with a face in common with the other kind can be nearest
     inside, size_mm = full.contains(cells.index), cells.grid.size_mm
     deep = cKDTree(beyond).query(cells.index[inside], distance_upper_bound=most_mm / size_mm, workers=-1)[0]
     depth[inside] = np.minimum(deep * size_mm, most_mm)
@@ -90,19 +93,20 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_m
 
 
 def trace(cells: Cells, depth_mm: Array) -> list[Path]:
-    """Trace the branches of a density.
+    """Trace branches in a field of root density.
 
     Parameters
     ----------
     cells : Cells
         Search space with shadows.
     depth_mm : (N,) float64 array
-        Depth of the cells in the cores of taproot and hypocotyl, as returned by `core_depth`. Cells outside a core but
-        nearer than the lowest depth belong to the organ and contain no tips.
+        Depth of the cells in the cores of taproot and hypocotyl, as returned by `core_depth`. Cells outside a core that
+        are not at the minimum depth are part of the flank of taproot or hypocotyl and contain no tips.
 
     Returns
     -------
-    Branches, parents before children; empty if no cell is dense.
+    list of Path
+        Traced branches. Parents come before children. Empty if no cell is dense.
     """
     density, thin = _IN_CORE + _BY_DEPTH * depth_mm, depth_mm <= 0
     density[thin] = np.minimum(_smooth(cells.select(thin)), _CAP)  # cells of a core have no shadow
@@ -140,9 +144,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
 
 
 def _bridge_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
-    """Return edges (N, N) between parts of the search space that meet behind the net pot, at the cost of empty cells.
+    """Return graph edges (N, N) across the gap behind the net pot, at the cost of empty cells.
 
-    A part is joined if its dense cells come as near to a plant's top as a hidden base may reach.
+    A part of the search space is connected to a plant if the distance of its dense cells from the plant's top does not
+    exceed the maximum length of a hidden base.
     """
     centre, part = cells.centre_mm, CellSet.from_cells(cells.index).components()
     begun, top_mm = np.isin(part, part[starts]), centre[starts, 2].min()
@@ -164,7 +169,7 @@ def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> i
 
 
 def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
-    """Return the highest cells of a plant, or of its taproot or hypocotyl if only laterals are slightly higher."""
+    """Return the highest cells of a plant, ignoring laterals that are slightly higher than its taproot or hypocotyl."""
     highest = float(height_mm[plant].max())
     core_mm = float(height_mm[plant[depth_mm[plant] > 0.0]].max(initial=-np.inf))
     if highest - _RISE_MM < core_mm < highest - _TOP_MM:
@@ -173,10 +178,10 @@ def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
 
 
 def _smooth(cells: Cells) -> Array:
-    """Return the density (N,) of cells, shadow per volume in 1/mm, smoothed by a Gaussian of 0.7 cells."""
+    """Return the density (N,) of cells, shadow per volume in 1/mm, smoothed with a Gaussian of 0.7 cells."""
     density = cells.shadow_mm2.astype(np.float64) / cells.grid.size_mm**3
     beside = np.exp(-0.5 / _SMOOTH_CELLS**2)
-    middle = 1.0 / (1.0 + 2.0 * beside)  # cut off at the neighbours
+    middle = 1.0 / (1.0 + 2.0 * beside)  # the Gaussian is truncated after the neighbours
     smooth = middle**3 * density
     for step, here, there in CellSet.from_cells(cells.index).neighbours():
         share = middle**3 * beside ** np.abs(step).sum()
@@ -186,7 +191,7 @@ def _smooth(cells: Cells) -> Array:
 
 
 def graph(cells: Cells, density: Array) -> csr_matrix:
-    """Return edges (N, N) between each cell (N,) and its 26 neighbours, weighted by the cost of the path."""
+    """Return a sparse graph (N, N) that connects each cell with its 26 neighbours, weighted by the cost of the path."""
     count = len(cells.index)
     cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
     rows, columns, values = list[NDArray[np.int32]](), list[NDArray[np.int32]](), list[NDArray[np.float32]]()
@@ -199,14 +204,14 @@ def graph(cells: Cells, density: Array) -> csr_matrix:
 
 
 def _concatenate(parts: list[NDArray[T]]) -> NDArray[T]:
-    """Concatenate arrays and clear the list, to avoid holding the data twice."""
+    """Concatenate arrays and clear the list, so that the data are not held twice in memory."""
     whole = np.concatenate(parts)
     parts.clear()
     return whole
 
 
 def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
-    """Return the length (N,) of each cell's path, mm, by pointer doubling."""
+    """Compute the path length (N,) from each cell to the top, mm, by pointer doubling; -1 for cells without a path."""
     start = before < 0
     jump = np.where(start, np.arange(len(before)), before)
     length = np.where(start, 0.0, np.linalg.norm(centre - centre[jump], axis=1))
@@ -219,18 +224,20 @@ def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
 
 
 def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: Array, least_mm: float = _LEAST_MM) -> list[Index]:
-    """Extract branches from the tree of paths: cells (n,) of each, from its parent's cell to its tip.
+    """Extract branches from the tree of shortest paths.
+
+    Each branch is an array (n,) of cells, from a cell of its parent to its tip.
 
     Parameters
     ----------
     before : (N,) int32 array
-        Preceding cell of each on its path, negative at the start.
+        Preceding cell of each cell on its path, negative at the start.
     length : (N,) float64 array
-        Path lengths, mm; negative for cells that are not tips.
+        Length of each cell's path, mm; negative for cells that cannot be tips.
     claim_mm : (N,) float64 array
-        Distance from a branch within which cells belong to it.
+        Distance from each cell within which a branch through the cell claims other cells, mm.
     least_mm : float
-        Minimum length of a branch among unclaimed cells.
+        Minimum length of a branch within unclaimed cells, mm.
     """
     owned, left = np.zeros(len(centre), bool), length.copy()
     some = np.flatnonzero(left >= 0.0)
@@ -264,7 +271,7 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
 
 
 def _select_spaced(line: Array, claim_mm: Array) -> list[int]:
-    """Select cells along a line no farther apart than a third of their claim distance, including the last one."""
+    """Select cells along a line that are at most a third of their claim distance apart, including the last cell."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     chosen, begin = [0], 0
     for k in range(1, len(line)):
@@ -275,7 +282,7 @@ def _select_spaced(line: Array, claim_mm: Array) -> list[int]:
 
 
 def first_radius(path: Path) -> Array:
-    """Return initial radii (N,) along a path: the shadow per millimetre of root is its diameter."""
+    """Return initial radii (N,) along a path, mm. The shadow area per millimetre of length is the diameter."""
     way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
     share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
     radius: Array = np.clip(0.5 * share, *_THIN_MM)

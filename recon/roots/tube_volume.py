@@ -1,4 +1,4 @@
-"""One shape from solids and tubes: the tubes' volume is added to the finest nodes of the hull's lattice."""
+"""Combination of solids and tubes into a single shape on the lattice of the hull's finest nodes."""
 
 from __future__ import annotations
 
@@ -20,42 +20,44 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SAMPLES_A_NODE = 1.8
-"""Number of points per edge of a node, so that every node within a tube contains some."""
+"""Number of fill points per edge of a node, so that every node inside a tube contains some points."""
 _FINEST_SPACING_MM = 0.05
-"""Minimum spacing of points, to limit memory."""
+"""Minimum spacing of points that fill a tube, mm, to limit memory."""
 _WIDE_NODES = 4.0
-"""Radius, in nodes, above which tubes are filled with spheres, made of large leaves; points would need too much
-memory."""
+"""Radius, in node edges, above which a tube is filled with spheres consisting of large leaves. Points would require too
+much memory."""
 _APART = 0.25
-"""Distance between these spheres, in radii: dents have a depth of 1/128 radius, and their mean is compensated."""
+"""Spacing of the spheres that fill a wide tube, relative to their radius. The dents between them are 1/128 radius deep,
+and their mean depth is compensated."""
 _DENT = 24.0
-"""The union of spheres of radius r at a distance s is s^2 / (24 r) too thin on average."""
+"""Coefficient of the mean dent between spheres: a union of spheres of radius r at a spacing of s is too thin by s^2 /
+(24 r) on average."""
 _SLACK_PX = 0.05
-"""Uncertainty of a tube's radius in the bounds of the volume."""
+"""Uncertainty of the tube radii assumed for the bounds of the volume, px."""
 
 
 @dataclass(frozen=True)
 class CombinedShape:
-    """Solids and tubes as one shape."""
+    """Solids and tubes, combined into a single shape."""
 
     leaves: Leaves
     thick: Leaves
-    """Solids and thick roots only."""
+    """Leaves of solids and thick roots only."""
     thinner_mm3: float
-    """Decrease of the tubes' volume if all radii are smaller by `_SLACK_PX`."""
+    """Decrease of the tubes' volume if all radii are reduced by `_SLACK_PX`, mm3."""
     thicker_mm3: float
-    """Increase of the tubes' volume if all radii are larger by `_SLACK_PX`."""
+    """Increase of the tubes' volume if all radii are enlarged by `_SLACK_PX`, mm3."""
 
 
 def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
-    """Combine solids and tubes into one shape.
+    """Combine solids and tubes into a single shape.
 
-    Where both overlap, the larger fill fraction of a node is used; thick tubes are clipped to the hull.
+    Where they overlap, the larger occupancy of a node is used. Thick tubes are clipped to the hull.
     """
     tubes, grid = system.tubes, solids.grid
     wide = _is_wide(tubes, grid.size_mm) & ~system.solid
     spacing_mm = max(grid.size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
-    thin, flanks = (_leaves(fill(tubes, spacing_mm, left_out=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
+    thin, flanks = (_leaves(fill(tubes, spacing_mm, excluded=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
     thick = unite(solids, intersect(unite(spheres.fill(_wide_spheres(tubes, wide), grid), flanks), hull))
     leaves = unite(thick, thin)
     slack_mm = _SLACK_PX / system.px_a_mm
@@ -68,7 +70,10 @@ def combine(solids: Leaves, system: RootSystem, hull: Leaves) -> CombinedShape:
 
 
 def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
-    """Return the mask (N,) of nodes filled with spheres: wide ones, except the flat end of the first branch."""
+    """Return the mask (N,) of nodes to be filled with spheres.
+
+    These are wide nodes, except at the flat end of the first branch.
+    """
     wide = np.asarray(tubes.radius_mm > _WIDE_NODES * node_mm)
     first = tubes.branches[0]
     wide[first[polyline.arc_length_mm(tubes.centre_mm[first]) < tubes.radius_mm[first]]] = False
@@ -76,18 +81,18 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
 
 
 def _wide_spheres(tubes: Tubes, wide: Mask) -> Spheres:
-    """Return spheres along the segments between wide nodes (N,), as large as fit into their branches."""
+    """Return the largest spheres that fit into the branches along segments between wide nodes (N,)."""
     found = [_inscribe(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
     centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.zeros((0, 3)), np.zeros(0))
     return Spheres(centre, radius)
 
 
 def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
-    """Return centres (M, 3) and radii (M,) of the spheres inside a branch that touch its surface.
+    """Return centres (M, 3) and radii (M,) of the spheres inside a branch that touch its surface, mm.
 
-    Cross-sections are discs. Where their radius r changes along the path s, the sphere that touches the surface at one
-    of them has its centre at s + q and the radius sqrt(r^2 + q^2), q = (r^2)' / 2. A sphere centred on the disc with
-    the disc's radius would protrude from a tapering branch. No sphere reaches beyond the rim of another disc.
+    The cross-sections of a branch are discs with the radius r at position s. The sphere that touches the surface at a
+    disc has its centre at s + q and the radius sqrt(r^2 + q^2), with q = (r^2)' / 2. A sphere with the centre and the
+    radius of the disc would protrude from a tapering branch. No sphere extends beyond the rim of another disc.
     """
     nodes = tubes.branches[branch]
     way, square = polyline.arc_length_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
@@ -107,7 +112,7 @@ def _inscribe(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
 
 
 def _leaves(filled: FillPoints, grid: Grid) -> Leaves:
-    """Bin points that fill tubes into the finest nodes."""
+    """Convert points that fill tubes to leaves of the finest size."""
     at = np.floor((filled.point_mm - np.asarray(grid.origin_mm)) / grid.size_mm).astype(np.int64)
     box = Box.around(at)
     keys, first, inverse = np.unique(box.number(at), return_index=True, return_inverse=True)

@@ -1,1 +1,1 @@
-"""Roots as tubes: their appearance through the water, the fit to all views, and rig calibration from them."""
+"""Roots as tubes: appearance through the water, fit to all views, and calibration of the rig from the roots."""

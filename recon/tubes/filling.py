@@ -1,4 +1,4 @@
-"""Points that fill the volume of tubes, with overlaps counted once."""
+"""Points that fill the union of tubes uniformly, with overlaps counted once."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
-"""The golden angle, rad."""
+"""Golden angle, rad."""
 _UPRIGHT = 0.8
-"""z component of a direction below which (37 degrees from vertical) the z axis is used to build a perpendicular frame;
-for steeper directions, the x axis is used."""
+"""Threshold of the z component of a direction, which corresponds to 37 degrees from vertical. Below it, a perpendicular
+frame is constructed with the z axis, above it with the x axis."""
 _LEAST_SAMPLES = 6
-"""Minimum number of points per cross-section."""
+"""Minimum number of points in a cross-section."""
 _DENSE_MM = 0.15
-"""Spacing of the points along all branches that are used to test whether a point lies inside a branch."""
+"""Spacing of the points along all branches that are used to test whether a point lies inside a branch, mm."""
 _NEAR = 24
-"""Maximum number of these points tested per query."""
+"""Maximum number of neighbouring branch points that are tested per query."""
 _AT_ONCE = 100_000
-"""Number of points generated, and of queries, at once: 40 MB of distances and neighbours."""
+"""Number of points that are generated or queried at once. This takes 40 MB for distances and neighbours."""
 _THICK_MM = 0.5
-"""Radius above which tubes are searched separately, since they are few."""
+"""Radius above which the points of branches are searched in a separate k-d tree, mm. Such points are few."""
 
 
 @dataclass(frozen=True)
@@ -36,23 +36,27 @@ class FillPoints:
     """Points that fill tubes uniformly."""
 
     point_mm: Array
-    """(M, 3)"""
+    """Positions of the points, shape (M, 3), mm."""
     volume_mm3: Array
-    """(M,) volume that each point represents."""
+    """Volume that each point represents, shape (M,), mm3."""
     branch: Index
-    """(M,)"""
+    """Index of the branch that each point fills, shape (M,)."""
     along_mm: Array
-    """(M,) distance along the branch; that of the last node for points in the rounded tip."""
+    """Position of each point along its branch, shape (M,), mm. For points in a rounded tip, it is the position of the
+    last node."""
 
     def select(self, which: Mask) -> FillPoints:
-        """Return a subset of the points, by mask (M,)."""
+        """Return a subset of the points, selected by a mask (M,)."""
         return FillPoints(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> FillPoints:
-    """Fill the union of tubes, without the nodes (N,) in ``left_out``, with points about ``spacing_mm`` apart."""
+def fill(tubes: Tubes, spacing_mm: float, *, excluded: Mask | None = None) -> FillPoints:
+    """Fill the union of tubes with points at a spacing of about ``spacing_mm``.
+
+    Segments between nodes (N,) in ``excluded`` are not filled.
+    """
     others, kept = _Dense.sample(tubes), list[FillPoints]()
-    for filled in _fill_tubes(tubes, spacing_mm, left_out):
+    for filled in _fill_tubes(tubes, spacing_mm, excluded):
         earlier = np.zeros(len(filled.branch), bool)
         point, other, _ = others.find_containing(filled.point_mm, filled.branch)
         earlier[point[other < filled.branch[point]]] = True
@@ -61,19 +65,19 @@ def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Fi
 
 
 def fill_each(tubes: Tubes, spacing_mm: float) -> FillPoints:
-    """Fill each tube separately, overlaps included, with points about ``spacing_mm`` apart."""
+    """Fill each tube separately with points at a spacing of about ``spacing_mm``, including overlaps."""
     return _concatenate(list(_fill_tubes(tubes, spacing_mm, None)))
 
 
 def find_inside(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-    """Return which points (M, 3) of branches (M,) lie inside other branches.
+    """Find the points (M, 3) of branches (M,) that lie inside other branches.
 
     Returns
     -------
     point, other : (K,) int64 array
-        A point, and a branch that contains it.
+        Index of a point, and index of a branch that contains it.
     along_mm : (K,) float64 array
-        Position along that branch.
+        Position of the point along the branch that contains it, mm.
     """
     others, found = _Dense.sample(tubes), list[tuple[Index, Index, Array]]()
     for begin in range(0, max(len(point), 1), _AT_ONCE):
@@ -87,19 +91,20 @@ def _concatenate(parts: list[FillPoints]) -> FillPoints:
     return FillPoints(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FillPoints)))
 
 
-def _fill_tubes(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Iterator[FillPoints]:
-    """Fill each tube separately, overlaps included, with points about ``spacing_mm`` apart, `_AT_ONCE` at a time.
+def _fill_tubes(tubes: Tubes, spacing_mm: float, excluded: Mask | None) -> Iterator[FillPoints]:
+    """Yield points that fill each tube separately, including overlaps, at most `_AT_ONCE` at a time.
 
-    Points in each cross-section are arranged as a sunflower (Vogel 1979, Math. Biosci. 44:179).
+    The spacing of the points is about ``spacing_mm``. In each cross-section, they are arranged like the seeds of a
+    sunflower (Vogel 1979, Math. Biosci. 44:179).
 
     Parameters
     ----------
-    left_out : (N,) bool array or None
-        Mask of nodes; segments between two of them are not filled.
+    excluded : (N,) bool array or None
+        Mask of nodes. Segments between two of these nodes are not filled.
     """
     piece = _pieces(tubes)
-    if left_out is not None:
-        piece = piece.select(np.flatnonzero(~left_out[piece.nodes].all(axis=1)))
+    if excluded is not None:
+        piece = piece.select(np.flatnonzero(~excluded[piece.nodes].all(axis=1)))
     length = np.linalg.norm(piece.way_mm, axis=1)
     slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
     segment, part = _repeat_indices(slices)
@@ -125,25 +130,25 @@ def _fill_tubes(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Itera
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Segments of tubes, and the rounded tips after them."""
+    """Segments of tubes, followed by the rounded tips."""
 
     nodes: Index
-    """(P, 2) nodes at both ends; for a tip, the last node twice."""
+    """Indices of the nodes at both ends, shape (P, 2). For a tip, both are the last node."""
     begin_mm: Array
-    """(P, 3)"""
+    """Starting point of each piece, shape (P, 3), mm."""
     way_mm: Array
-    """(P, 3) vector from the beginning to the end; a tip is as long as its radius."""
+    """Vector from the beginning to the end of each piece, shape (P, 3), mm. A tip is as long as its radius."""
     radii_mm: Array
-    """(P, 2) radii at both ends."""
+    """Radii at both ends, shape (P, 2), mm."""
     branch: Index
-    """(P,)"""
+    """Index of the branch of each piece, shape (P,)."""
     along_mm: Array
-    """(P,) position of the beginning along the branch."""
+    """Position of each starting point along its branch, shape (P,), mm."""
     is_cap: Mask
-    """(P,)"""
+    """Whether each piece is a rounded tip, shape (P,)."""
 
     def select(self, which: Index) -> _Pieces:
-        """Return a subset of the pieces."""
+        """Return a subset of the pieces, selected by indices."""
         return _Pieces(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
@@ -170,13 +175,13 @@ def _pieces(tubes: Tubes) -> _Pieces:
 
 
 def _repeat_indices(count: Index) -> tuple[Index, Index]:
-    """Return item index and repetition index for items repeated ``count`` times each."""
+    """Return item index and repetition index for items that are each repeated ``count`` times."""
     thing = np.repeat(np.arange(len(count)), count)
     return thing, np.arange(len(thing)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _frames(along: Array) -> tuple[Array, Array, Array]:
-    """Return the vectors (S, 3) and two unit vectors perpendicular to each."""
+    """Return the vectors (S, 3), and two unit vectors perpendicular to each of them."""
     unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     other = np.where(np.abs(unit[:, 2:]) < _UPRIGHT, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     side = np.cross(unit, other)
@@ -186,25 +191,26 @@ def _frames(along: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class _Dense:
-    """Densely spaced points (P, 3) on all branches, to find the points inside them."""
+    """Densely spaced points (P, 3) on all branches, used to find points that lie inside the branches."""
 
     centre_mm: Array
     radius_mm: Array
-    """(P,)"""
+    """Radius of the branch at each point, shape (P,), mm."""
     branch: Index
-    """(P,)"""
+    """Index of the branch of each point, shape (P,)."""
     along_mm: Array
-    """(P,) position along the branch."""
+    """Position of each point along its branch, shape (P,), mm."""
     mixed: Mask
-    """(P,) whether another branch may overlap here; other points need no further test."""
+    """Whether another branch may overlap at each point, shape (P,). Other points need no further test."""
 
     tree: cKDTree
     parts: tuple[tuple[Index, cKDTree], ...]
-    """Thick points and the others, each with a k-d tree: the radius of the thickest limits the search."""
+    """Indices of the points on thick and on thin branches, each with a k-d tree. The maximum radius in each tree limits
+    its search."""
 
     @staticmethod
     def sample(tubes: Tubes) -> _Dense:
-        """Place points on tubes."""
+        """Place densely spaced points on all branches."""
         centre, radius, owner, along = _on_branches(tubes)
         tree, thick = cKDTree(centre), radius > _THICK_MM
         reach = 2.0 * min(float(np.quantile(radius, 0.99)) + _DENSE_MM, _THICK_MM)
@@ -221,7 +227,7 @@ class _Dense:
         return _Dense(centre, radius, owner, along, mixed, tree, parts)
 
     def find_containing(self, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-        """Return which points (M, 3) of branches (M,) lie inside other branches; see `find_inside`."""
+        """Find the points (M, 3) of branches (M,) that lie inside other branches, see `find_inside`."""
         pairs = [np.zeros((2, 0), np.int64)]
         unproven = np.flatnonzero(self.mixed[self.tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
         for part, tree in self.parts if len(unproven) else ():
@@ -236,7 +242,7 @@ class _Dense:
 
 
 def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
-    """Return dense points (P, 3) on all branches, with radius (P,), branch (P,) and position along it (P,)."""
+    """Return densely spaced points (P, 3) on all branches, and their radii, branches and positions along them (P,)."""
     centres, radii, owners, ways = list[Array](), list[Array](), list[Index](), list[Array]()
     for k, nodes in enumerate(tubes.branches):
         line, radius = tubes.centre_mm[nodes], tubes.radii(k)
@@ -250,17 +256,17 @@ def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
 
 
 def limit_occupancy(occupancy: Array, branch: Index) -> Array:
-    """Return occupancies (N,) of at most 1 with the same sum in each branch.
+    """Limit occupancies (N,) to 1 while preserving their sum in each branch.
 
-    The excess that sampling put into full nodes is distributed over the others of the same branch, in proportion: over
-    all branches it would make thin roots thicker and thick ones thinner.
+    Sampling may assign an excess of volume to full nodes. It is distributed over the other nodes of the same branch, in
+    proportion to their occupancy. Distribution over all branches would make thin roots thicker and thick roots thinner.
 
     Parameters
     ----------
     occupancy : (N,) float64 array
-        Volume of the points in each node, relative to that of the node.
+        Volume of the points in each node, relative to the volume of the node.
     branch : (N,) int64 array
-        Branch of each node.
+        Index of the branch of each node.
     """
     limited, order = occupancy.copy(), np.argsort(branch, kind="stable")
     for nodes in np.split(order, np.flatnonzero(np.diff(branch[order])) + 1):

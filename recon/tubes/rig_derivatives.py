@@ -1,19 +1,20 @@
-"""Derivatives of the picture position of a point in the water by the parameters of the rig.
+"""Derivatives of the picture position of a point in the water with respect to the parameters of the rig.
 
 The parameters are the refractive index, the lens, the camera and the canister.
 
-A camera ray is fixed by its pixel. Followed into the water, it meets a point if
+A camera ray is determined by its pixel. After refraction into the water, it passes through a point P if
 
     F1 = P . nu - b_w,    F2 = z_line(P) - P_z          (`recon.optics.refraction`)
 
-are both zero. When a parameter q of the rig changes by dq, the ray of the same pixel misses the point by dF. A shift of
-the point by D = nu dF1 - z dF2 has the same effect (D has no component along the horizontal direction of the ray). By
-the implicit function theorem, the picture of the point therefore moves as if the point itself had moved by D,
+are both zero. If a parameter q of the rig changes by dq, the ray of the same pixel misses the point by dF. A
+displacement of the point by D = nu dF1 - z dF2 has the same effect (D has no component along the horizontal direction
+of the ray). By the implicit function theorem, the picture of the point therefore moves as if the point itself had moved
+by D:
 
-    dpx / dq = (dpx / dP) . D / dq,
+    dpx / dq = (dpx / dP) . D / dq
 
-with the gradients dpx / dP that every projection provides. F has a closed form, so that its difference quotient is
-accurate to rounding (float64).
+The gradients dpx / dP are provided by every projection. Since F has a closed form, its difference quotient is accurate
+to rounding (float64).
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ ViewOptics = tuple[View, Optics]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of the rig."""
+    """Parameter of the rig that can be estimated."""
 
     name: str
     unit: str
     step: float
-    """Step of the difference quotient."""
+    """Step of the difference quotient, in the unit of the parameter."""
     increase: Callable[[ViewOptics, float], ViewOptics]
-    """Function that returns a view and its optics with the parameter increased by a value."""
+    """Function that returns a view and its optics with the parameter increased by a given value."""
 
 
 def _index(sight: ViewOptics, value: float) -> ViewOptics:
@@ -74,52 +75,52 @@ def _sway(axis: int) -> Callable[[ViewOptics, float], ViewOptics]:
 
 
 def move_canister(view: View, step: Array) -> View:
-    """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame; a tank does not move."""
+    """Return a view with the canister moved by a twist (6,) (rad, mm) in its own frame. A tank does not move."""
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
 
 
 def move_camera(view: View, step: Array) -> View:
-    """Return a view whose camera moved by a left-hand twist (6,) (rad, mm) of ``cam_from_canister``."""
+    """Return a view with the camera moved by a left-hand twist (6,) (rad, mm) of ``cam_from_canister``."""
     return view.move_camera(twist(step))
 
 
 INDEX = Quantity("index of the water", "", 1e-4, _index)
-"""Refractive index of the water; the step is a tenth of the effect of ten degrees."""
+"""Refractive index of the water. The step is a tenth of the change caused by ten degrees."""
 FOCUS = Quantity("focal length", "", 1e-4, _focus)
-"""Relative; the step is a hundredth of a per cent, 0.04 px at a picture's edge."""
+"""Relative focal length. The step is 0.01 %, which corresponds to 0.04 px at the edge of a picture."""
 CANISTER = tuple(
     Quantity(f"canister {what} {'xyz'[k % 3]}", unit, step, _canister(k))
     for k, what, unit, step in ((0, "tilt", "rad", 1e-5), (1, "tilt", "rad", 1e-5), (3, "offset", "mm", 1e-3), (4, "offset", "mm", 1e-3))
 )
-"""Pose of the canister in the strip: tilt and offset."""
+"""Pose of the canister relative to the strip: two tilts, rad, and two offsets, mm."""
 TURN = Quantity("table angle", "rad", 1e-5, _canister(2))
-"""Table angle of one view."""
+"""Table angle of a single view, rad."""
 CAMERA = tuple(
     Quantity(f"camera {'turn' if k < 3 else 'shift'} {'xyz'[k % 3]}", "rad" if k < 3 else "mm", 1e-5 if k < 3 else 1e-3, _camera(k))
     for k in range(6)
 )
-"""Pose of a station's camera."""
+"""Pose of the camera of a station: three rotations, rad, and three translations, mm."""
 SWAY = tuple(Quantity(f"sway {what}", unit, 1e-5, _sway(k)) for k, (what, unit) in enumerate((("x", ""), ("y", ""), ("turn", "rad/mm"))))
-"""Lateral displacement of the roots in one view, per mm of depth."""
+"""Lateral displacement and rotation of the roots in a single view, per mm of depth."""
 QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
 def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
-    """Return the distances F1 and F2 (N, 2), mm, by which rays of directions (N, 3) miss points (N, 3).
+    """Return the distances F1 and F2 (N, 2) by which rays with directions (N, 3) miss points (N, 3), mm.
 
     Parameters
     ----------
     view, optics : View, Optics
         Camera and canister.
     directions : (N, 3) array
-        Directions of the rays, camera's frame.
+        Directions of the rays, camera frame.
     points_mm : (N, 3) array
         Points, canister frame.
 
     Returns
     -------
     (N, 2) array
-        mm.
+        Distances F1 and F2, mm.
     """
     at = apply_sway(view, optics, points_mm) @ view.azimuth_from_canister[:3, :3].T
     line = refraction.follow(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]))
@@ -128,9 +129,9 @@ def miss_distances(view: View, optics: Optics, directions: Array, points_mm: Arr
 
 
 def normals(view: View, optics: Optics, directions: Array) -> Array:
-    """Return the horizontal normals (N, 3) in the water of rays of directions (N, 3).
+    """Return the horizontal normals (N, 3) of rays in the water, given their directions (N, 3) in the air.
 
-    The normals are in the canister's frame, the directions in the camera's.
+    The normals are in the canister frame, the directions in the camera frame.
     """
     line = refraction.follow(optics, refraction.clip_to_water(optics, approach(view, optics, directions)[0]))
     flat = np.concatenate([line.nu, np.zeros((len(directions), 1))], axis=-1)
@@ -140,18 +141,18 @@ def normals(view: View, optics: Optics, directions: Array) -> Array:
 def picture_derivatives(
     view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Array, points_mm: Array, gradient: Array
 ) -> Array:
-    """Return the derivatives of positions in a picture by parameters of the rig.
+    """Return the derivatives (N, Q) of picture positions with respect to parameters of the rig.
 
-    The shape is (N, Q); the unit is that of ``gradient`` times mm per unit of the parameter.
+    The unit is that of ``gradient`` times mm, divided by the unit of the parameter.
 
     Parameters
     ----------
     px : (N, 2) float64 array
-        Positions of the points in the picture.
+        Positions of the points in the picture, px.
     points_mm : (N, 3) float64 array
         Points, canister frame.
     gradient : (N, 3) float64 array
-        Gradient of the position in the picture (column, row, or along a direction) by the point.
+        Gradient of the picture position (column, row, or position along a direction) with respect to the point.
     """
     directions = camera_directions(view.camera, px)
 

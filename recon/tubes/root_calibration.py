@@ -1,17 +1,17 @@
-"""Calibration from the roots: estimate the refractive index of the water, and correct cameras and canister.
+"""Calibration from the roots: refractive index of the water, and corrections of cameras and canister.
 
-Roots are visible in all views and at all distances from the axis. A wrong refractive index displaces them in the
-pictures in a pattern that no shape, and hardly any camera error, can reproduce. `tube_picture` and `tube_profiles` give
-the lateral displacement of the tube at each node and view, and `rig_derivatives` its derivatives. The nodes' own
-positions and radii are eliminated (Schur complement, 4x4 blocks), and
+Roots are visible in all views and at all distances from the axis. An incorrect refractive index displaces them in the
+pictures in a pattern that no shape, and hardly any camera error, can reproduce. `tube_picture` and `tube_profiles`
+provide the lateral displacement of the tube at each node in each view, and `rig_derivatives` its derivatives. The
+positions and radii of the nodes are eliminated (Schur complement, 4x4 blocks), and
 
     (S / phi + prior) q = g / phi
 
-is solved for the shared unknowns q: the refractive index, and with it the focal length, the pose of the canister in the
-strip, the camera of each station and the table angle of each view. The covariances from the markers serve as the prior.
-Residuals along a root and within a view are correlated; phi, the variance of a unit of evidence, is therefore computed
+is solved for the shared unknowns q: the refractive index, the focal length, the pose of the canister in the strip, the
+camera of each station, and the table angle of each view. The covariances from the markers are used as the prior.
+Residuals along a root and within a view are correlated. The variance phi of a unit of evidence is therefore computed
 from the scatter of whole roots and whole views (sandwich estimator with two-way clustering: Cameron, Gelbach and Miller
-2011, equation 2.11) and not from the pixels, which would be far too optimistic.
+2011, equation 2.11). The scatter of the pixels would be far too optimistic.
 """
 
 from __future__ import annotations
@@ -39,77 +39,87 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 INDEX_PRIOR = 0.003
-"""Prior standard deviation of the water's refractive index: ten degrees change it by 0.001, 2 g/l of salts by 0.0003,
-red or blue light by 0.002."""
-INDEX_LIMITS = 1.32, 1.36
-"""Range of the refractive index, from hot to salty water."""
-SURE = 3.0
-"""Minimum deviation from the given index, in standard deviations, for the estimate to be used. At least `LEAST_NODES`
-nodes are required."""
-LEAST_GAIN = 0.04
-"""Minimum relative reduction of the lateral distance of the roots for the estimate to be used.
+"""Prior standard deviation of the water's refractive index.
 
-On a radish, an error of 0.0006 gained 0.5 %; the gain grows with the square, so this limit corresponds to 0.0018. Wide
-roots that are not quite round bias the index: for a printed phantom, the estimate is 0.0027 too high with five standard
-deviations, and gains 0.6 to 0.8 %. The gain is that of the linear system: refitting the tubes reduces the distance by
-some per cent with any index, depending on the rounding of the pictures.
-"""
+For comparison, ten degrees change the index by 0.001, 2 g/l of salts by 0.0003, and red or blue light by 0.002."""
+INDEX_LIMITS = 1.32, 1.36
+"""Limits of the estimated refractive index, from hot to salty water."""
+SURE = 3.0
+"""Minimum deviation of the estimated from the given refractive index, in standard deviations, for the estimate to be
+used."""
+LEAST_GAIN = 0.04
+"""Minimum relative reduction of the lateral distance between roots and tubes for the estimated refractive index to be
+used.
+
+On a radish, the correction of an index error of 0.0006 reduced the distance by 0.5 %. The reduction is proportional to
+the square of the error, so that this limit corresponds to 0.0018. Wide roots that are not quite round bias the index:
+for a printed phantom, the estimate is 0.0027 too high with five standard deviations, and the reduction is 0.6 to 0.8 %.
+The reduction is computed from the linear system, since refitting the tubes reduces the distance by some per cent with
+any index, depending on the rounding of the pictures."""
 LEAST_NODES = 100
-"""Minimum number of nodes (60 mm of root): fewer come from one or two roots, whose scatter does not give an
-uncertainty."""
+"""Minimum number of nodes for an estimate, which corresponds to 60 mm of root. Fewer nodes come from only one or two
+roots, and their scatter is not sufficient for an estimate of the uncertainty."""
 MOST_NODES = 1500
-"""Maximum number of nodes, evenly selected; more add no information, as nodes of one root are correlated."""
+"""Maximum number of nodes used, selected at equal intervals. More nodes add no information, since the nodes of a root
+are correlated."""
 LEAST_TURN_RAD = 1e-5
-"""Minimum standard deviation of a table angle: markers determine it to 7e-5 at 800x600."""
+"""Minimum standard deviation of a table angle, rad. In pictures of 800x600 px, markers determine the angle to 7e-5
+rad."""
 _LEAST_VIEWS = 8
-"""Minimum number of views for the position of a node to be determined."""
+"""Minimum number of views that must show a node for its position to be determined."""
 _RIDGE, _ALONG = 1e-3, 0.5
-"""Fractions of a node's own curvature added in all directions, and along its root, where the views give no
+"""Fractions of a node's own curvature that are added in all directions, and along its root, where the views provide no
 constraint."""
 _PASSES = 4
-"""Number of iterations of the variance of a unit of evidence and the change."""
+"""Number of alternating updates of the variance of a unit of evidence and of the estimated change."""
 _ROUNDS, _STEPS = 4, 3
-"""Number of refits of the tubes, and steps of each."""
+"""Maximum number of refits of the tubes, and number of iterations of each refit."""
 _SETTLED = 0.2
-"""Maximum change of the index in the last iteration, in standard deviations."""
+"""Maximum change of the refractive index at convergence, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class RigCorrection:
-    """Corrections of the rig estimated from the roots."""
+    """Corrections of the rig, estimated from the roots."""
 
     change: Array
-    """(K,) values of all unknowns, relative to the estimate from markers and edges."""
+    """Change of each unknown, shape (K,), relative to the estimate from markers and edges."""
     sigma: Array
-    """(K,) standard deviations."""
+    """Standard deviation of each unknown, shape (K,)."""
     nodes: int
     before_px: float
-    """Root mean square lateral distance between roots and tubes in the pictures, with each node at its best
+    """Root mean square lateral distance between roots and tubes in the pictures, px, with each node at its optimal
     position."""
     after_px: float
-    """The same with the corrected rig."""
+    """Root mean square lateral distance between roots and tubes with the corrected rig, px."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Mapping from the quantities of each view to the unknowns."""
+    """Mapping from the rig parameters of each view to the unknowns of a linear system."""
 
     index: NDArray[np.int64]
-    """(V, Q) index of the unknown, -1 where there is none."""
+    """Index of the unknown for each view and parameter, shape (V, Q), or -1 if the parameter is not estimated."""
     precision: Array
-    """(K, K) prior precision."""
+    """Prior precision matrix of the unknowns, shape (K, K)."""
     shared: int
-    """Number of leading unknowns that several views share."""
+    """Number of leading unknowns that are shared by several views."""
 
     @staticmethod
     def per_view(views: int, quantities: int, sigma: float) -> Columns:
-        """Return the columns of quantities that are independent for each view, with a wide prior."""
+        """Return the mapping for parameters that are independent in each view.
+
+        ``sigma`` is the standard deviation of their prior.
+        """
         count = views * quantities
         return Columns(np.arange(count).reshape(views, quantities), np.eye(count) / sigma**2, count)
 
     @staticmethod
     def for_rig(order: Sequence[int], known: RigUncertainty | None) -> Columns:
-        """Return the columns of the rig; of the index only if the uncertainty of the cameras is unknown."""
+        """Return the mapping for all parameters of the rig.
+
+        If the uncertainty of the cameras is unknown, only the refractive index is estimated.
+        """
         views = len(order)
         index = np.full((views, len(QUANTITIES)), -1)
         index[:, 0] = 0
@@ -130,24 +140,24 @@ class Columns:
 def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
     """Estimate the refractive index from fitted tubes.
 
-    If the estimate is significant, update index and cameras and refit the tubes until convergence; if this does not
-    reduce the residuals, the initial values are kept.
+    If the estimate is significant, index and cameras are updated and the tubes are refitted until convergence. The
+    initial values are kept if this does not reduce the residuals.
 
     Parameters
     ----------
     evidence : Evidence
-        Evidence of the views of ``cameras``, in their order.
+        Measured coverage of the views of ``cameras``, in the same order.
     thick : (N,) bool array
-        As in `tube_fit.fit`.
+        Same as in `tube_fit.fit`.
 
     Returns
     -------
     evidence : Evidence
-        Evidence with the resulting cameras and optics.
+        Measured coverage with the resulting cameras and optics.
     tubes : Tubes
-        Tubes fitted to it.
+        Tubes fitted to the coverage with these cameras.
     cameras : Cameras
-        Resulting cameras. Their ``roots`` holds the estimate; None if there are too few nodes.
+        Resulting cameras. Their attribute ``roots`` is the estimate, or None if there are too few nodes.
     """
     first = estimate(evidence, cameras, tubes)
     if first is None:
@@ -178,12 +188,12 @@ def calibrate(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -
 
 
 def estimate(evidence: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> RigCorrection | None:
-    """Estimate corrections of the rig from fitted tubes; return None if there are too few nodes.
+    """Estimate corrections of the rig from fitted tubes, or return None if there are too few nodes.
 
     Parameters
     ----------
     taken : (K,) float64 array or None
-        Changes that the cameras already include, relative to the estimate from markers and edges.
+        Changes that were already applied to the cameras, relative to the estimate from markers and edges.
     """
     known = cameras.uncertainty
     columns, wanted = Columns.for_rig(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
@@ -208,16 +218,16 @@ def build_system(
     wanted: tuple[Quantity, ...],
     columns: Columns,
 ) -> System | None:
-    """Return the normal equations of the rig quantities from fitted tubes; None if there are too few nodes.
+    """Return the normal equations of rig parameters from fitted tubes, or None if there are too few nodes.
 
     Parameters
     ----------
     evidence, cameras, tubes : Evidence, Cameras, Tubes
         Views, and the tubes fitted to them.
     wanted : tuple of Quantity
-        Quantities to estimate.
+        Parameters to estimate.
     columns : Columns
-        Index of the unknown of each quantity in each view.
+        Mapping from the parameters of each view to the unknowns.
     """
     drawn = Rendering.draw(evidence, tubes)
     at, profiles = drawn.at, tube_profiles.profiles(drawn)
@@ -237,14 +247,14 @@ def build_system(
 
 
 def is_significant(found: RigCorrection, optics: Optics) -> bool:
-    """Return whether the index estimated from the roots is significant and within limits."""
+    """Return whether the refractive index estimated from the roots is significant and within its limits."""
     estimated = optics.n_water + float(found.change[0])
     sure = abs(float(found.change[0])) > SURE * float(found.sigma[0])
     return sure and found.after_px < (1.0 - LEAST_GAIN) * found.before_px and INDEX_LIMITS[0] < estimated < INDEX_LIMITS[1]
 
 
 def apply_change(cameras: Cameras, change: Array) -> Cameras:
-    """Return the cameras with a change (K,) of their unknowns applied."""
+    """Return the cameras after a change (K,) of the unknowns."""
     optics = replace(cameras.optics, n_water=cameras.optics.n_water + float(change[0]))
     known = cameras.uncertainty
     if known is None:
@@ -261,39 +271,39 @@ def apply_change(cameras: Cameras, change: Array) -> Cameras:
 
 @dataclass(frozen=True)
 class System:
-    """Normal equations of the shared unknowns, with the nodes' own positions and radii eliminated."""
+    """Normal equations of the shared unknowns, with the positions and radii of the nodes eliminated."""
 
     sums: HostProfiles
     by: Array
-    """(V, N, Q) derivatives of the lateral shift by the quantities of the view."""
+    """Derivatives of the lateral shift with respect to the rig parameters of each view, shape (V, N, Q)."""
     columns: Columns
     root: NDArray[np.int64]
-    """(N,) the branch of each node."""
+    """Index of the branch of each node, shape (N,)."""
     start: Array
-    """(N, 4) step of the nodes with the shared unknowns unchanged."""
+    """Step of each node in position and radius if the shared unknowns are unchanged, shape (N, 4)."""
     follow: Array
-    """(N, 4, K) response of the nodes to the shared unknowns (with opposite sign)."""
+    """Negative response of each node's position and radius to the shared unknowns, shape (N, 4, K)."""
     reduced: Array
-    """(K, K)"""
+    """Reduced normal matrix, shape (K, K)."""
     right: Array
-    """(K,)"""
+    """Right-hand side of the reduced normal equations, shape (K,)."""
 
     @staticmethod
     def build(
         sums: HostProfiles, residual: ResidualGradient, by: Array, columns: Columns, along: tuple[Array, NDArray[np.int64]]
     ) -> System:
-        """Eliminate the nodes.
+        """Eliminate the nodes, and return the reduced normal equations.
 
         Parameters
         ----------
         sums, residual : HostProfiles, ResidualGradient
-            Residuals of the nodes, per view and summed.
+            Residuals of the nodes, per view and summed over the views.
         by : (V, N, Q) array
-            Derivatives of the lateral shift by the quantities of the view.
+            Derivatives of the lateral shift with respect to the rig parameters of each view.
         columns : Columns
-            Index of the unknown of each quantity.
+            Mapping from the parameters of each view to the unknowns.
         along : tuple of arrays
-            Tangents (N, 3) and branches (N,) of the nodes.
+            Tangent (N, 3) and branch index (N,) of each node.
         """
         tangent, root = along
         count, unknowns = len(tangent), len(columns.precision)
@@ -311,11 +321,14 @@ class System:
             mixed[:, 3, j] += (sums.shift_width[v] * sums.scale[v])[:, None] * by_j
         start = np.asarray(np.linalg.solve(own, residual.gradient[..., None])[..., 0], np.float64)
         follow = np.asarray(np.linalg.solve(own, mixed), np.float64)
-        reduced = _positive(whole - np.einsum("nij,nik->jk", mixed, follow))
+        reduced = _clip_eigenvalues(whole - np.einsum("nij,nik->jk", mixed, follow))
         return System(sums, by, columns, root, start, follow, reduced, right - np.einsum("nij,ni->j", mixed, start))
 
     def solve(self, before: Array) -> tuple[Array, Array]:
-        """Return the change (K,) and its covariance; ``before`` (K,) was applied already."""
+        """Return the change (K,) of the unknowns and its covariance (K, K).
+
+        ``before`` (K,) is a change that was already applied.
+        """
         prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
         for _ in range(_PASSES):
             covariance = inverse(self.reduced + phi * prior)
@@ -330,7 +343,7 @@ class System:
 
     @cached_property
     def _slopes(self) -> list[Array]:
-        """Derivative (N, K) of each view's shift by the shared unknowns, including the response of the nodes."""
+        """Derivatives (N, K) of each view's shift with respect to the shared unknowns, with the nodes' response."""
         slopes = []
         for v, numbers in enumerate(self.columns.index):
             used = numbers >= 0
@@ -339,8 +352,8 @@ class System:
             slopes.append(slope)
         return slopes
 
-    def _left(self, change: Array, v: int) -> tuple[Array, Array]:
-        """Return the remaining residuals of a view: shift (N,) and width (N,)."""
+    def _remaining_residuals(self, change: Array, v: int) -> tuple[Array, Array]:
+        """Return the remaining residuals of a view in lateral shift (N,) and in width (N,)."""
         sums = self.sums
         sideways = np.einsum("ni,ni->n", sums.across[v], self.start[:, :3]) + self._slopes[v] @ change
         wider = sums.scale[v] * (self.start[:, 3] - self.follow[:, 3] @ change)
@@ -350,26 +363,26 @@ class System:
     def _scatter(self, change: Array) -> Array:
         """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
         root = self.root
-        own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums nodes by root
+        own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums the nodes of each root
         scores = []
         for v in range(len(self.by)):
-            shift, width = self._left(change, v)
+            shift, width = self._remaining_residuals(change, v)
             scores.append(own @ (self._slopes[v] * shift[:, None] - self.follow[:, 3] * (self.sums.scale[v] * width)[:, None]))
         views, roots = len(scores), own.shape[0]
         return scatter(np.concatenate(scores), np.repeat(np.arange(views), roots), np.tile(np.arange(roots), views))
 
     def distance_px(self, change: Array) -> float:
-        """Return the root mean square lateral distance that remains after a change (K,)."""
+        """Return the root mean square lateral distance of the roots after a change (K,) of the unknowns, px."""
         square = weight = 0.0
         for v in range(len(self.by)):
-            shift, _ = self._left(change, v)
+            shift, _ = self._remaining_residuals(change, v)
             weights = self.sums.shift_2[v]
             square += float(np.sum(np.square(shift) / np.maximum(weights, 1e-9), where=weights > 0.0))
             weight += float(weights.sum())
         return float(np.sqrt(square / weight))
 
 
-def _positive(matrix: Array) -> Array:
-    """Return a symmetric matrix with negative eigenvalues due to rounding set to zero."""
+def _clip_eigenvalues(matrix: Array) -> Array:
+    """Return a symmetric matrix with its negative eigenvalues, which are due to rounding, set to zero."""
     size, axes = np.linalg.eigh(matrix)
     return np.asarray((axes * np.maximum(size, 0.0)) @ axes.T)

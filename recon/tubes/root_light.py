@@ -1,18 +1,19 @@
-"""Light parameters shared by all roots, as columns of the tubes' normal equations: attenuation, blur, hairs and index.
+"""Estimation of the light parameters that all roots share: attenuation, blur, root hairs and refractive index.
 
-Tubes x (positions and radii of the nodes) and light parameters q (`tube_profiles.LIGHT`) are fitted together. A
+The tubes x (positions and radii of the nodes) and the light parameters q (`tube_profiles.LIGHT`) are fitted together. A
 Gauss-Newton step solves
 
-    (H + P) dx + B dq = g - P x        every node, from all of its profiles, P being the prior of smooth branches
-    C^T dx + D dq     = h              light, from lone profiles only: others would bias the shared parameters
+    (H + P) dx + B dq = g - P x        every node, from all of its profiles; P is the prior of smooth branches
+    C^T dx + D dq     = h              light, from profiles of lone roots; others would bias the shared parameters
 
-Eliminating the nodes (Schur complement, one factorisation with as many more right-hand sides as there are columns),
+The nodes are eliminated by a Schur complement, with one factorisation and one additional right-hand side per light
+parameter:
 
-    S dq = s,    S = D - C^T (H + P)^-1 B,    s = h - C^T (H + P)^-1 (g - P x),
+    S dq = s,    S = D - C^T (H + P)^-1 B,    s = h - C^T (H + P)^-1 (g - P x)
 
-and the nodes follow by dx = (H + P)^-1 (g - P x - B dq): radii move along the valley in which a wider, fainter root
-looks the same. The covariance of q is the sandwich S^-1 M S^-T, where M is the scatter of the scores of whole roots and
-whole views (`robust.scatter`); it determines the weight of the data relative to the prior.
+The steps of the nodes follow from dx = (H + P)^-1 (g - P x - B dq). Their radii move along the valley in which a wider,
+fainter root looks the same. The covariance of q is the sandwich S^-1 M S^-T, where M is the scatter of the scores of
+whole roots and whole views (`robust.scatter`). It determines the weight of the data relative to the prior.
 """
 
 from __future__ import annotations
@@ -37,60 +38,70 @@ Mask = NDArray[np.bool_]
 
 MU, BLUR, HAIRS, INDEX = range(len(LIGHT))
 FAINTEST, DARKEST = 0.5, 8.0
-"""Range of attenuation, 1/mm; roots above it count as opaque. Translucent roots of the twin have 1.0 to 2.2. Blurred
-edges of opaque roots appeared as 9 to 16 (a bean, with a residual 1.09 times as large)."""
+"""Limits of the attenuation, 1/mm. Roots above the upper limit are assumed opaque.
+
+Translucent roots of the twin have 1.0 to 2.2. Fits to the blurred edges of opaque roots gave 9 to 16 (for a bean, with
+a residual 1.09 times as large)."""
 _MOST_BLUR_PX = 0.8
-"""Maximum blur; a focused camera has less."""
+"""Maximum blur, px. A focused camera has less."""
 _MOST_HAIRS = 4.0
-"""Maximum strength of hairs: hairs four times as dark as those of radish absorb most of the light."""
+"""Maximum strength of root hairs, relative to those of radish. Hairs four times as dark absorb most of the light."""
 _MOST_INDEX = 0.07
-"""Maximum relative index: pure cell walls have 1.425 (Appl. Opt. 13:109), 1.069 times that of water."""
+"""Maximum relative excess of the roots' refractive index over that of water. Pure cell walls have an index of 1.425
+(Appl. Opt. 13:109), which is 1.069 times that of water."""
 _BOUNDS = np.array([[np.log(FAINTEST), 0.0, 0.0, 0.0], [np.log(DARKEST), _MOST_BLUR_PX**2, _MOST_HAIRS, _MOST_INDEX]])
-"""Lower and upper bound of each parameter in `LIGHT`."""
+"""Lower and upper bounds of the light parameters, in the order of `LIGHT`."""
 ROUNDING = 1e-9
-"""Distance to a bound below which a value counts as at the bound: log(exp(x)) is not always x."""
+"""Maximum distance between a parameter and its bound for the parameter to be considered at the bound. It allows for
+rounding of log(exp(x))."""
 _LARGEST_STEP = np.array([0.35, 0.06, 0.5, 0.01])
-"""Maximum change per step, within which the slopes of the profiles are valid."""
+"""Maximum change of each light parameter per iteration, within which the slopes of the profiles are valid."""
 LEARNED_SIGMA = 0.2
-"""Standard deviation of the logarithm of the attenuation estimated from the widest roots: for roots of 1.0 per mm with
-refraction and hairs, the estimates of three plants were 1.03, 1.03 and 1.18."""
+"""Standard deviation of the logarithm of the attenuation estimated from the widest roots.
+
+For roots of 1.0/mm with refraction and hairs, the estimates from three plants were 1.03, 1.03 and 1.18/mm."""
 _CHANGES, _WIDER = (0.01, 0.005, 0.02, 0.002), 0.005
-"""Steps of the difference quotients with respect to light parameters and to the logarithm of the radii: pictures change
-by less than a hundredth and are accurate to 1e-6."""
+"""Steps of the difference quotients with respect to the light parameters and to the logarithm of the radii. They change
+pictures by less than 0.01, and pictures are accurate to 1e-6."""
 _RIDGE = 1e-4
-"""Curvature, 1/mm2, that regularises nodes without a lone profile. A node's own curvature is about 100, of which a
-thousandth remains along the valley in which it follows the light parameters."""
+"""Curvature that regularises nodes without a profile of a lone root, 1/mm2. A node's own curvature is about 100/mm2, of
+which a thousandth remains along the valley in which the node follows the light parameters."""
 LEAST_VARIANCE = 1e-5
-"""Minimum variance of coverage: 0.003 is one grey level of 8 bits."""
+"""Minimum variance of the coverage. It corresponds to a standard deviation of 0.003, which is one grey level of 8
+bits."""
 LEAST_LONE = 1500
-"""Minimum number of profiles of lone roots to estimate attenuation and hairs; with fewer, only the blur is fitted, to
-all profiles. An opaque print in 40 pictures of 400x300 has 1,140, of few roots, and an opaque model leaves a residual
-1.15 times as large; translucent plants have 30,000 and more."""
+"""Minimum number of profiles of lone roots for attenuation and hairs to be estimated. With fewer profiles, only the
+blur is fitted, to all profiles.
+
+An opaque print in 40 pictures of 400x300 px has 1,140 profiles of few roots, and the residual of an opaque model is
+1.15 times as large as that of a translucent model. Translucent plants have 30,000 profiles or more."""
 HAIRY = 1.0, 0.5
-"""Prior mean and standard deviation of the strength of hairs about translucent, that is young, roots: radish in water
+"""Prior mean and standard deviation of the strength of hairs around translucent roots, which are young. Radish in water
 has hairs of 0.1 to 0.5 mm, between half and one and a half times as dark as the mean."""
 
 BENDING = 0.024, 0.012
-"""Prior mean and standard deviation of the index: whole wet roots have 1.35 to 1.38, a relative excess over water of
-0.013 to 0.035; no refraction is two standard deviations away."""
+"""Prior mean and standard deviation of the relative excess of the roots' refractive index over that of water.
+
+Whole wet roots have an index of 1.35 to 1.38, a relative excess of 0.013 to 0.035. An excess of zero, without
+refraction, is two standard deviations below the mean."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of the light parameters before the tubes are fitted."""
+    """Prior distribution of the light parameters, before the tubes are fitted."""
 
     mean: Array
-    """(L,)"""
+    """Mean of each light parameter, shape (L,)."""
     sigma: Array
-    """(L,) infinite where nothing is known."""
+    """Standard deviation of each light parameter, shape (L,); infinite if nothing is known."""
     free: Mask
-    """(L,) parameters that are fitted."""
+    """Mask of the light parameters that are fitted, shape (L,)."""
 
     @staticmethod
     def from_evidence(evidence: Evidence, learned_per_mm: float | None = None) -> Prior:
-        """Return the prior from the evidence and its widest roots (`translucency.learn`).
+        """Return the prior for given pictures and the attenuation of their widest roots (`translucency.learn`).
 
-        Silhouettes constrain the blur only; for opaque roots, hairs are evaluated but not fitted.
+        Silhouettes constrain only the blur. For opaque roots, hairs are evaluated but not fitted.
         """
         mean, sigma = np.array([0.0, 0.0, HAIRY[0], BENDING[0]]), np.full(len(LIGHT), np.inf)
         if evidence.has_opacity:
@@ -102,35 +113,37 @@ class Prior:
 
     @property
     def evaluated(self) -> Mask:
-        """Return the parameters (L,) with derivatives: those that are fitted, and the hairs of opaque roots."""
+        """Return the mask (L,) of parameters with derivatives: fitted parameters, and the hairs of opaque roots."""
         return self.free | (np.arange(len(LIGHT)) == HAIRS) & ~np.isinf(self.sigma)
 
     def blur_only(self) -> Prior:
-        """Return the same prior with only the blur free."""
+        """Return the same prior with the blur as the only free parameter."""
         return replace(self, free=self.free & (np.arange(len(LIGHT)) == BLUR))
 
 
 def light_vector(evidence: Evidence) -> Array:
-    """Return the light parameters (L,) of the evidence."""
+    """Return the light parameters (L,) of the evidence as a vector."""
     return np.array([np.log(evidence.mu_per_mm or DARKEST), evidence.blur_px**2, evidence.hairs, evidence.index - 1.0])
 
 
 def with_light(evidence: Evidence, light: Array) -> Evidence:
-    """Return the evidence with other light parameters (L,); opaque roots stay opaque."""
+    """Return the evidence with new light parameters (L,). Opaque roots remain opaque."""
     mu_per_mm = None if evidence.mu_per_mm is None else float(np.exp(light[MU]))
     blur_px, hairs, index = float(np.sqrt(max(light[BLUR], 0.0))), float(light[HAIRS]), 1.0 + float(light[INDEX])
     return replace(evidence, mu_per_mm=mu_per_mm, blur_px=blur_px, hairs=hairs, index=index)
 
 
 def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
-    """Return tubes whose radii absorb the same light from the side with another attenuation and other hairs.
+    """Adjust the radii of tubes so that they absorb the same light after a change of attenuation and hairs.
+
+    The absorption is that of roots viewed from the side.
 
     Parameters
     ----------
     fitted : Tubes
-        Tubes with radii that match ``before``.
+        Tubes with radii that match the light parameters of ``before``.
     thick : (N,) bool array
-        Mask of nodes whose radius is kept.
+        Mask of nodes whose radius is not changed.
     """
     light = translucent_tube.opaque_radius(fitted.radius_mm, before.mu_per_mm, before.hairs, before.index)
     radius_mm = translucent_tube.equivalent_radius(light, after.mu_per_mm, after.hairs, after.index)
@@ -138,7 +151,7 @@ def match_absorption(fitted: Tubes, thick: Mask, before: Evidence, after: Eviden
 
 
 def changes(drawn: Rendering, free: Mask) -> Changes:
-    """Return the derivatives of the pictures of tubes by their radii and by the free light parameters (L,)."""
+    """Return the derivatives of the rendered tubes with respect to their radii and the free light parameters (L,)."""
     evidence, tubes, now = drawn.evidence, drawn.tubes, light_vector(drawn.evidence)
     wider = with_geometry(tubes, tubes.centre_mm, (1.0 + _WIDER) * tubes.radius_mm)
     more = {k: with_light(evidence, now + _CHANGES[k] * np.eye(len(now))[k]) for k in np.flatnonzero(free).tolist()}
@@ -150,24 +163,24 @@ class LightSystem:
     """Normal equations of the light parameters, with the nodes eliminated."""
 
     reduced: Array
-    """S (L, L)."""
+    """Reduced normal matrix S of the light parameters, shape (L, L)."""
     right: Array
-    """s (L,)."""
+    """Right-hand side s of the reduced normal equations, shape (L,)."""
     meat: Array
-    """M (L, L)."""
+    """Scatter matrix M of the scores, shape (L, L)."""
     lone: int
     """Number of profiles of lone roots."""
 
     @staticmethod
     def build(equations: LightEquations, profiles: Profiles, tubes: Tubes, smooth: sparse.csr_matrix, thick: Mask) -> LightSystem:
-        """Eliminate the nodes.
+        """Eliminate the nodes, and return the reduced normal equations.
 
         Parameters
         ----------
         equations, profiles : LightEquations, Profiles
-            Residuals of the views, summed and one by one.
+            Residuals summed over the views, and residuals of each view.
         smooth : (4 N, 4 N) sparse matrix
-            Smoothness prior of the branches.
+            Quadratic form of the smoothness prior of the branches.
         thick : (N,) bool array
             Mask of nodes that are not fitted and do not contribute.
         """
@@ -187,11 +200,11 @@ class LightSystem:
         return LightSystem(reduced, right, meat + LEAST_VARIANCE * reduced, int(lone.sum()))
 
     def step(self, light: Array, prior: Prior) -> Array:
-        """Return the step (L,) of the light parameters, within bounds; 0 for fixed parameters."""
+        """Return the step (L,) of the light parameters within their bounds; 0 for fixed parameters."""
         return np.asarray(np.clip(light + self._solve(light, prior)[0], *_BOUNDS) - light)
 
     def covariance(self, light: Array, prior: Prior) -> Array:
-        """Return the covariance (L, L) of the light parameters; 0 for those that are fixed or at a bound."""
+        """Return the covariance (L, L) of the light parameters; 0 for parameters that are fixed or at a bound."""
         return self._solve(light, prior)[1]
 
     def estimate_without_prior(self, free: Mask) -> tuple[Array, Array]:
@@ -203,7 +216,10 @@ class LightSystem:
         return change, sigma
 
     def _solve(self, light: Array, prior: Prior) -> tuple[Array, Array]:
-        """Return the step (L,), limited in length and without parameters held at a bound, and the covariance (L, L)."""
+        """Return the step (L,) and the covariance (L, L) of the light parameters.
+
+        The step is limited in length. Parameters at a bound that would leave their range are kept fixed.
+        """
         free, many = prior.free & (np.diag(self.reduced) > 0.0), len(light)
         while True:
             change, covariance, f = np.zeros(many), np.zeros((many, many)), np.flatnonzero(free)
@@ -222,18 +238,20 @@ class LightSystem:
 
 
 def _scatter(profiles: Profiles, back: Array, lone: Mask, tubes: Tubes) -> Array:
-    """Return the covariance (L, L) of the gradient by the light parameters, from whole roots and whole views.
+    """Return the covariance (L, L) of the gradient with respect to the light parameters.
+
+    It is computed from the scatter of whole roots and whole views.
 
     Parameters
     ----------
     back : (N, 4, L) array
-        Weights of the nodes' gradients after their elimination.
+        Weights of the nodes' gradients after elimination of the nodes.
     lone : (V, N) bool array
         Mask of the profiles that contribute.
     """
     parts, light_profiles = profiles.host(), profiles.light
     if light_profiles is None:
-        raise ValueError("these profiles have no derivatives by the light parameters")
+        raise ValueError("the profiles have no derivatives with respect to the light parameters; pass changes to profiles()")
     radius, *light = (np.array(part, np.float64).reshape(profiles.shape) for part in (light_profiles.radius, *light_profiles.light))
     (views, count), roots, many = profiles.shape, len(tubes.branches), back.shape[2]
     of_root = sparse.csr_matrix((np.ones(count), (tubes.owner, np.arange(count))), shape=(roots, count))

@@ -1,10 +1,10 @@
 """Estimation of root sway: lateral displacement of the roots that changes from picture to picture.
 
-After a step of the table the roots keep swinging, and the rotating water drags them along. The displacement of a root
-below the net pot increases with depth. It has two parameters per view, and a third for rotation about the vertical
-(`recon.optics.cameras.Sway`). Fitted tubes give the lateral displacement in each view; their own positions are
-eliminated, as `root_calibration` does for the index. The sway is relative to the mean of all views, which cannot be
-distinguished from the shape.
+After a step of the table, the roots keep swinging, and the rotating water drags them along. The displacement of a root
+increases with the depth below the net pot. It has two parameters per view, and a third for rotation about the vertical
+(`recon.optics.cameras.Sway`). Fitted tubes provide the lateral displacement in each view. The positions of the nodes
+are eliminated, as in the calibration of the refractive index (`root_calibration`). The sway is relative to the mean of
+all views, which cannot be distinguished from the shape.
 """
 
 from __future__ import annotations
@@ -24,37 +24,40 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _LOOSE = 0.02
-"""Prior standard deviation of the sway, mm per mm of depth, and rad per mm: 2 mm at 100 mm. With more, no roots can be
-reconstructed."""
+"""Prior standard deviation of the sway, mm per mm of depth, and of its rotation, rad per mm of depth. It corresponds to
+2 mm at a depth of 100 mm. Roots with a larger sway cannot be reconstructed."""
 _LEAST_GAIN = 0.1
-"""Minimum relative reduction of the lateral distance of the roots. Static plants of the twin gain 0.004; a sway of 0.1
-mm at the tips gains 0.3."""
+"""Minimum relative reduction of the lateral distance between roots and tubes for the sway to be estimated. The
+reduction is 0.004 for static plants of the twin, and 0.3 for a sway of 0.1 mm at the tips."""
 _ROUNDS, _STEPS = 3, 3
-"""Number of refits of the tubes, and steps of each."""
+"""Maximum number of refits of the tubes, and number of iterations of each refit."""
 _LEAST_MM = 0.06
-"""Root mean square displacement above which the sway is corrected and the roots are reconstructed again, the same as in
-the motion check: a plant with this sway loses 2 % of its volume (with 0.3 mm at the tips, 0.12 mm over the whole plant,
-it lost 8 %)."""
+"""Root mean square displacement above which the sway is corrected and the roots are reconstructed again, mm. The motion
+check has the same threshold.
+
+A plant with this sway loses 2 % of its volume. With 0.3 mm at the tips, or 0.12 mm over the whole plant, it lost 8
+%."""
 
 
 def follow(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:
-    """Estimate the sway in each picture from fitted tubes, and refit them, until convergence.
+    """Estimate the sway in each picture from fitted tubes and refit the tubes, until convergence.
 
     Parameters
     ----------
     evidence, cameras : Evidence, Cameras
         Evidence and cameras of the same views, in the same order.
     tubes : Tubes
-        Tubes fitted to them.
+        Tubes fitted to the evidence.
     thick : (N,) bool array
-        As in `tube_fit.fit`.
+        Same as in `tube_fit.fit`.
     px_a_mm : float
-        Pixels per millimetre.
+        Image scale, px/mm.
 
     Returns
     -------
     evidence, cameras, tubes : Evidence, Cameras, Tubes
-        Refined with each view's sway; unchanged if the sway is negligible or there are too few roots.
+        Refined evidence, cameras and tubes with the sway of each view. They are unchanged if the sway is negligible or
+        there are too few roots.
     """
     given, nearest_px = (evidence, cameras, tubes), np.inf
     columns = root_calibration.Columns.per_view(len(cameras.views), len(SWAY), _LOOSE)
@@ -78,21 +81,21 @@ def follow(evidence: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, p
 
 
 def _has_sway(cameras: Cameras) -> bool:
-    """Return whether the cameras already have a sway."""
+    """Return whether the cameras already include a sway."""
     return any(view.sway != STILL for view in cameras.views)
 
 
 def has_moved(evidence: Evidence, cameras: Cameras, tubes: Tubes, px_a_mm: float) -> bool:
-    """Return whether the roots, with other cameras, have moved so far that they must be reconstructed again.
+    """Return whether the roots have moved so far, relative to other cameras, that they must be reconstructed again.
 
     Parameters
     ----------
     evidence, tubes : Evidence, Tubes
-        The views, and the current roots.
+        Current views, and current roots.
     cameras : Cameras
         Cameras with which the roots were reconstructed.
     px_a_mm : float
-        Pixels per millimetre.
+        Image scale, px/mm.
     """
     now, then = evidence.project(tubes.centre_mm), evidence.with_cameras(cameras).project(tubes.centre_mm)
     both = now.visible & then.visible

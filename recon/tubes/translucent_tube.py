@@ -1,25 +1,26 @@
-"""Appearance of a translucent root as a tube: two nested strips, narrower and fainter the thinner the root is.
+"""Appearance of a translucent root as a tube: two nested strips, which are narrower and fainter for thinner roots.
 
-A round root of radius w and attenuation mu, whose axis makes the angle theta with the line of sight, has the chord ``2
-w sqrt(1 - x^2) / sin(theta)`` at the fraction x of its radius, and absorbs
+Let w be the radius of a round root, mu its attenuation, and theta the angle between its axis and the line of sight. At
+the fraction x of its radius, the root has the chord ``2 w sqrt(1 - x^2) / sin(theta)`` and absorbs the fraction
 
     alpha(x) = 1 - exp(-2 tau sqrt(1 - x^2)),    tau = mu w / sin(theta)
 
-of the light. Tissue also refracts: with an index n times that of the water, a line of sight at x passes nearer to the
-axis, at x / n' (Bouguer), so that ``sqrt(1 - x^2 / n'^2)`` replaces the square root above and the rim is no longer
-transparent. Here n' is the index in the cross-section, and theta' the angle to the axis inside,
+of the light. Tissue also refracts. With an index n times that of water, a line of sight at x passes nearer to the axis,
+at x / n' (Bouguer). The square root above is then replaced by ``sqrt(1 - x^2 / n'^2)``, and the rim is no longer
+transparent. Here n' is the index in the cross-section, and theta' is the angle to the axis inside the root:
 
-    1 - 1 / n'^2 = (n^2 - 1) / (n^2 sin^2(theta')),    cos(theta') = cos(theta) / n,    tau = mu w / sin(theta').
+    1 - 1 / n'^2 = (n^2 - 1) / (n^2 sin^2(theta')),    cos(theta') = cos(theta) / n,    tau = mu w / sin(theta')
 
-Divided into levels, alpha is a stack of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1) integral
-s^(2k+1) dh``. Gauss quadrature of this stack (Golub and Welsch 1969, Math. Comp. 23:221) gives the two strips of
-half-widths e w and heights h with the same integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6 alpha``: with
-pixels and blur as wide as the root, pictures contain no more information.
+Divided into levels, alpha is a stack of strips of half-widths s, with ``integral x^(2k) alpha dx = 2 / (2k + 1)
+integral s^(2k+1) dh``. Gauss quadrature of this stack (Golub and Welsch 1969, Math. Comp. 23:221) yields two strips of
+half-widths e w and heights h with the same integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6 alpha``. If
+pixels and blur are as wide as the root, pictures contain no more information.
 
-Hairs of length l form a grey sleeve of attenuation m around the root. A line of sight through the sleeve only has the
-path ``sqrt((w + l)^2 - x^2) - sqrt(w^2 - x^2)`` in it on either side. Its faint opacity integrates to ``pi m l (2 w +
-l) / sin(theta)``, and x^2 times it to three quarters of ``w^2 + (w + l)^2``, a third of which is that of a strip. The
-sleeve is therefore one more strip, and the root's own strips absorb the light that it transmits.
+Hairs of length l form a grey sleeve of attenuation m around the root. On either side of the root, a line of sight
+passes through the sleeve over the length ``sqrt((w + l)^2 - x^2) - sqrt(w^2 - x^2)``. The faint opacity of the sleeve
+integrates to ``pi m l (2 w + l) / sin(theta)``. Its mean square of x is that of a strip whose squared half-width is
+three quarters of ``w^2 + (w + l)^2``. The sleeve is therefore represented by one more strip, and the root's own strips
+absorb the light that the sleeve transmits.
 """
 
 from __future__ import annotations
@@ -40,44 +41,47 @@ Array = NDArray[np.float64]
 LAYERS = 2
 """Number of strips that represent a root."""
 HAIRS = Hairs(length_mm=0.3, mu_per_mm=0.05)
-"""Hairs of radish in water are 0.1 to 0.5 mm long and 10 um thick, with about thirty per millimetre of root. They
-absorb a third of the light that reaches them and cover a seventh of each millimetre of the sleeve."""
+"""Root hairs of radish in water. They are 0.1 to 0.5 mm long and 10 um thick, with about thirty hairs per millimetre of
+root.
+
+The hairs absorb a third of the incident light and cover a seventh of each millimetre of the sleeve."""
 _TAU = np.geomspace(1e-4, 50.0, 1201)
-"""Tabulated optical depths of half a root; linear interpolation is accurate to 1e-5. Beyond, a root is opaque to 1e-4
-of its width."""
+"""Tabulated optical depths of half a root. Linear interpolation is accurate to 1e-5. At larger optical depths, a root
+is opaque to 1e-4 of its width."""
 _RIM = np.linspace(0.0, 0.8, 33)
-"""Tabulated chords at the rim, relative to those through the middle: sqrt(1 - 1 / n'^2). Linear interpolation is
+"""Tabulated ratios of the chord at the rim to the chord through the middle, sqrt(1 - 1 / n'^2). Linear interpolation is
 accurate to 1e-4."""
 _LEAST_SPREAD = 1e-9
-"""Variance of the squared half-widths below which a root is represented by one strip; smaller values are rounding."""
+"""Variance of the squared half-widths below which a root is represented by a single strip. Smaller variances are due to
+rounding."""
 _NODES = 400
-"""Number of nodes of the Gauss-Legendre quadrature of the moments."""
+"""Number of nodes in the Gauss-Legendre quadrature of the moments."""
 LEAST_SINE = 0.2
-"""Minimum sine of the angle between root and line of sight; smaller values are replaced by it, as no root is straight
-for more than a few diameters."""
+"""Lower limit of the sine of the angle between root and line of sight. Smaller values are replaced by this limit, since
+no root is straight for more than a few diameters."""
 
 
 @dataclass(frozen=True)
 class Strips:
-    """Strips that represent translucent roots; each field is (LAYERS, ...)."""
+    """Strips that represent translucent roots. Each field has shape (LAYERS, ...)."""
 
     width: Array
-    """e: half-width over the root's radius."""
+    """Ratio e of the strip's half-width to the root's radius."""
     height: Array
-    """h: opacity."""
+    """Opacity h of the strip."""
     width_slope: Array
-    """de / d log tau."""
+    """Derivative de / d log tau of the width."""
     height_slope: Array
-    """dh / d log tau."""
+    """Derivative dh / d log tau of the opacity."""
 
 
 def strips(tau: Array, index: float = 1.0) -> Strips:
-    """Return the strips of round translucent roots viewed from the side.
+    """Return the strips that represent round translucent roots viewed from the side.
 
     Parameters
     ----------
     tau : (...) float64 array
-        Attenuation times radius.
+        Product of attenuation and radius.
     index : float
         Refractive index of the tissue, relative to water.
     """
@@ -94,31 +98,32 @@ def strips(tau: Array, index: float = 1.0) -> Strips:
 
 @dataclass(frozen=True)
 class Layer:
-    """A strip of a root in a picture; all fields mi.Float."""
+    """Strip that represents a root in a picture. All fields are mi.Float."""
 
     half_px: Float
     height: Float
     by_width: Float
-    """Derivative of the coverage by the root's half-width, relative to that by the strip's own half-width."""
+    """Derivative of the coverage with respect to the root's half-width, relative to the derivative with respect to the
+    strip's half-width."""
     by_height: Float
-    """Derivative of the height by the root's half-width, 1/px."""
+    """Derivative of the strip's opacity with respect to the root's half-width, 1/px."""
 
 
 def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float, *, index: float = 1.0) -> list[Layer]:
-    """Return the strips of roots in a picture.
+    """Return the strips that represent roots in a picture.
 
-    This is the kernel version of `strips`; without attenuation, a root is one opaque strip.
+    This is the kernel version of `strips`. Without attenuation, a root is represented by a single opaque strip.
 
     Parameters
     ----------
     mu_per_mm : float or None
-        Attenuation; None for opaque roots.
+        Attenuation, 1/mm, or None for opaque roots.
     hairs : float
-        Strength of the hairs, relative to `HAIRS`.
+        Strength of the root hairs, relative to `HAIRS`.
     radius_mm, half_px : Float
-        Radius and half-width of the roots, mi.Float.
+        Radius of the roots, mm, and half-width in the picture, px (mi.Float).
     sine : Float
-        Sine of the angle between axis and line of sight, mi.Float.
+        Sine of the angle between root axis and line of sight (mi.Float).
     index : float
         Refractive index of the tissue, relative to water.
     """
@@ -126,12 +131,12 @@ def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float,
     if mu_per_mm is None:
         own = [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
     else:
-        own = _translucent(mu_per_mm, index, radius_mm, sine, half_px)
-    return _hairy(own, hairs, radius_mm, sine, half_px) if hairs else own
+        own = _translucent_strips(mu_per_mm, index, radius_mm, sine, half_px)
+    return _add_hairs(own, hairs, radius_mm, sine, half_px) if hairs else own
 
 
-def _translucent(mu_per_mm: float, index: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
-    """Return the strips of translucent roots without hairs."""
+def _translucent_strips(mu_per_mm: float, index: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+    """Return the strips that represent translucent roots without hairs."""
     log_tau, table = _table()
     rows = numbers(np.moveaxis(table, (2, 3), (0, 1)))  # widths and heights of both strips, then their slopes
     square = dr.opaque(mi.Float, index**2)
@@ -151,8 +156,8 @@ def _translucent(mu_per_mm: float, index: float, radius_mm: Float, sine: Float, 
     return [Layer(half_px * e[n], h[n], h[n] * (e[n] + e_slope[n]), h_slope[n] / half_px) for n in range(LAYERS)]
 
 
-def _hairy(own: list[Layer], strength: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
-    """Return the strips of roots attenuated by their hairs, and the strip of the hairs."""
+def _add_hairs(own: list[Layer], strength: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+    """Return the strips of roots, attenuated by root hairs, followed by the strip of the hairs."""
     long, mu = dr.opaque(mi.Float, HAIRS.length_mm), dr.opaque(mi.Float, strength * HAIRS.mu_per_mm)
     px_a_mm = half_px / radius_mm
     outer = radius_mm + long
@@ -167,18 +172,20 @@ def _hairy(own: list[Layer], strength: float, radius_mm: Float, sine: Float, hal
 
 
 _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
-"""Radii at which the absorbed light is tabulated, 0.3 % apart."""
+"""Radii at which the absorbed light is tabulated, mm, at relative intervals of 0.3 %."""
 
 
 def equivalent_radius(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
-    """Return the radii (N,) of roots that absorb as much light as opaque roots without hairs, viewed from the side.
+    """Return the radii (N,) of roots that absorb as much light as given opaque roots without hairs, mm.
+
+    All roots are viewed from the side.
 
     Parameters
     ----------
     opaque_mm : (N,) float64 array
-        Radii of the opaque roots.
+        Radii of the opaque roots, mm.
     mu_per_mm, hairs, index : float or None, float, float
-        As in `layers`.
+        Same as in `layers`.
     """
     if mu_per_mm is None and not hairs:
         return opaque_mm
@@ -187,14 +194,16 @@ def equivalent_radius(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 
 
 
 def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
-    """Return the radii (N,) of opaque roots without hairs that absorb as much light as given roots, from the side.
+    """Return the radii (N,) of opaque roots without hairs that absorb as much light as given roots, mm.
+
+    All roots are viewed from the side.
 
     Parameters
     ----------
     radius_mm : (N,) float64 array
-        Radii of the given roots.
+        Radii of the given roots, mm.
     mu_per_mm, hairs, index : float or None, float, float
-        As in `layers`.
+        Same as in `layers`.
     """
     own = radius_mm
     if mu_per_mm is not None:
@@ -209,7 +218,7 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0,
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Return log tau (T,) and the fields of `Strips` (4, LAYERS, R, T) for all of `_RIM`."""
+    """Return the tabulated log tau (T,), and the fields of `Strips` (4, LAYERS, R, T) for all ratios in `_RIM`."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     part = 0.5 * (node + 1.0)
     # x = cos(angle); more nodes at the rim, where the opacity of a dark root rises
@@ -217,7 +226,7 @@ def _table() -> tuple[Array, Array]:
     x, by_angle = np.cos(angle), np.sin(angle) * share
     chord = np.sqrt(1.0 - np.square(x) * (1.0 - np.square(_RIM[:, None])))
     powers = np.stack([(2 * k + 1) * by_angle * x ** (2 * k) for k in range(2 * LAYERS)], axis=1)
-    # of s^2, weighted with s dh: (4, R, T)
+    # moments of s^2, weighted with s dh: (4, R, T)
     moment = np.stack([-np.expm1(-2.0 * _TAU[:, None] * one) @ powers for one in chord]).transpose(2, 0, 1)
     mean = moment[1] / moment[0]
     variance = np.maximum(moment[2] / moment[0] - mean**2, _LEAST_SPREAD)

@@ -1,9 +1,10 @@
-"""Attenuation of thin roots: fit tubes as opaque and as translucent roots, and compare.
+"""Attenuation of thin roots, from fits of tubes as opaque and as translucent roots.
 
-The opacity of a thin root determines mu w^2 but not mu and w separately. Two effects separate them: a root inclined
-towards the line of sight is darker by 1 / sin(theta) if faint, and hardly darker if nearly opaque; and the pictures
-show the width. Attenuation, blur and hairs are fitted together with the tubes (`root_light`). Both fits are compared on
-the profiles of lone roots, with a robust loss that gives little weight to profiles with other objects.
+The opacity of a thin root determines mu w^2 but not mu and w separately. Two effects separate them. First, a root
+inclined towards the line of sight is darker by 1 / sin(theta) if it is faint, but hardly darker if it is nearly opaque.
+Second, the pictures show its width. Attenuation, blur and hairs are fitted together with the tubes (`root_light`). The
+two fits are compared on the profiles of lone roots, with a robust loss that gives little weight to profiles with other
+objects.
 """
 
 from __future__ import annotations
@@ -26,80 +27,88 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _START_PER_MM = 2.0
-"""Initial attenuation of translucent roots if there is no estimate from wide ones: the geometric mean of
-`root_light.FAINTEST` and 8 per mm."""
+"""Initial attenuation of translucent roots without an estimate from wide roots, 1/mm: the geometric mean of
+`root_light.FAINTEST` and 8/mm."""
 _STEPS, _TRANSLUCENT_STEPS = 5, 8
-"""Steps of the fit of opaque roots, and of translucent ones, which need more: log mu changes by at most 0.35 per
-step."""
+"""Number of iterations of the fit for opaque roots and for translucent roots. Translucent roots need more, since log mu
+changes by at most 0.35 per iteration."""
 _PERHAPS = 1.1
-"""Ratio of residuals, opaque to translucent, above which roots count as translucent if the difference is also
-significant (`_TELLING`); half of the excess of `CLEARLY`. Opaque plants of the twin have 1.01 to 1.03, an opaque bean
-1.09."""
+"""Ratio between the residuals of the opaque and the translucent model above which roots are considered translucent, if
+the difference is also significant (`_TELLING`).
+
+The excess of this ratio over 1 is half of that of `CLEARLY`. Opaque plants of the twin have ratios of 1.01 to 1.03, and
+an opaque bean has 1.09."""
 _TELLING, _EXCLUDED = 2.0, 3.0
-"""Minimum difference of two models in standard deviations, from the scatter of roots and views (opaque plants of the
-twin have 0.2 to 1.7, thin translucent ones 2.8 to 12), also between attenuation and the upper bound; and the difference
-at which hairs half as strong as those of radish are excluded."""
+"""Two thresholds of a difference in standard deviations, which are computed from the scatter of roots and views.
+
+Above the first, the difference between two models, or between the attenuation and its upper bound, is significant.
+Above the second, hairs half as strong as those of radish are excluded. Opaque plants of the twin have differences of
+0.2 to 1.7, and thin translucent plants of 2.8 to 12."""
 
 
 @dataclass(frozen=True)
 class TubeAttenuation:
-    """Attenuation of light by the roots, with the other light parameters they share."""
+    """Attenuation of light by the roots, with the other light parameters that they share."""
 
     mu_per_mm: float | None
-    """None for opaque roots."""
+    """Attenuation, 1/mm, or None for opaque roots."""
     light: Array
-    """(L,) fitted light parameters (`tube_profiles.LIGHT`)."""
+    """Fitted light parameters, shape (L,), in the order of `tube_profiles.LIGHT`."""
     covariance: Array
-    """(L, L) covariance of the light parameters; 0 for those not fitted."""
+    """Covariance of the light parameters, shape (L, L); 0 for parameters that were not fitted."""
     against_opaque: float
-    """Residual of the opaque model divided by that of the translucent model, on isolated roots; <1 favours opaque, 0 if
-    not compared."""
+    """Residual of the opaque model divided by the residual of the translucent model, for lone roots. Values below 1
+    favour the opaque model, and 0 means that the models were not compared."""
     profiles: int
-    """Number of profiles of isolated roots in the comparison."""
+    """Number of profiles of lone roots in the comparison."""
     rival_per_mm: float | None = None
-    """Attenuation that explains the pictures better than opaque roots, but not clearly."""
+    """Attenuation with which translucent roots explain the pictures better, but not clearly better, than opaque roots,
+    1/mm."""
     hairs: Literal["none", "maybe", "there"] = "none"
-    """Whether the roots have hairs; "maybe" if pictures with and without hairs would look alike."""
+    """Whether the roots have hairs. The value is "maybe" if pictures with and without hairs would look alike."""
 
     @staticmethod
     def opaque() -> TubeAttenuation:
-        """Return the attenuation of opaque roots without a comparison."""
+        """Return the attenuation of opaque roots without a comparison of models."""
         many = len(tube_profiles.LIGHT)
         return TubeAttenuation(None, np.zeros(many), np.zeros((many, many)), 0.0, 0)
 
     @property
     def sigma(self) -> float:
-        """Return the standard deviation of log mu; 0 for opaque roots."""
+        """Return the standard deviation of the logarithm of the attenuation, or 0 for opaque roots."""
         return float(np.sqrt(self.covariance[MU, MU]))
 
     def warnings(self) -> list[str]:
-        """Return warnings about an uncertain attenuation."""
+        """Return warnings about root hairs and about an uncertain attenuation."""
         hairs = []
         if self.hairs == "there":
             long_mm = translucent_tube.HAIRS.length_mm
-            hairs = [f"the roots appear to have hairs of about {long_mm:g} mm; light absorbed by the hairs is not attributed to the roots"]
+            hairs = [
+                f"the roots appear to have root hairs about {long_mm:g} mm long; "
+                "the light that these hairs absorb is not counted as root volume"
+            ]
         if self.rival_per_mm is None:
             return hairs
         return [
             *hairs,
-            f"roots may be translucent ({self.rival_per_mm:.2g} per mm): with opaque roots the residual of lone roots is "
-            f"{self.against_opaque:.2f} times as large, which may be due to chance; roots are assumed opaque",
+            f"the roots may be translucent (attenuation {self.rival_per_mm:.2g} per mm): opaque roots explain the pictures less well "
+            f"(the residual is {self.against_opaque:.2f} times as large), but this may be due to chance, so the roots are assumed opaque",
         ]
 
 
 def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None = None) -> tuple[TubeAttenuation, Fit]:
-    """Fit tubes as opaque and as translucent roots, and return the translucent fit if it is clearly better.
+    """Fit tubes as opaque and as translucent roots, and select the translucent fit if it is clearly better.
 
     Parameters
     ----------
     evidence : Evidence
-        Opacity, with roots assumed opaque; silhouettes constrain the blur only.
+        Measured opacity, with roots assumed opaque. Silhouettes constrain only the blur.
     fitted : Tubes
-        The tubes.
+        Tubes to be fitted.
     thick : (N,) bool array
-        Mask of nodes that are not changed.
+        Mask of the nodes of thick roots, whose radii are not adapted to the attenuation.
     learned_per_mm : float or None
-        Attenuation estimated from the widest roots (`translucency.learn`).
+        Attenuation estimated from the widest roots, 1/mm (`translucency.learn`).
     """
     opaque = tube_fit.fit(evidence, fitted, thick, steps=_STEPS, light=Prior.from_evidence(evidence))
     if not evidence.has_opacity or (opaque.few and learned_per_mm is None):
@@ -107,7 +116,8 @@ def find(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float |
     glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
     tubes = root_light.match_absorption(opaque.tubes, thick, evidence, glassy)
     prior = Prior.from_evidence(glassy, learned_per_mm)
-    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))  # some combination with an index looks like any edge
+    # With a free index, some combination of parameters would match any edge.
+    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))
     translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
     losses, lone = _losses(opaque, translucent, thick)
     if losses[0].sum() > _PERHAPS * losses[1].sum():  # the opaque fit had fewer steps
@@ -131,9 +141,9 @@ def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float
     Parameters
     ----------
     evidence, fitted, thick, learned_per_mm : Evidence, Tubes, (N,) bool array, float or None
-        As in `find`.
+        Same as in `find`.
     known : TubeAttenuation
-        Attenuation of the same roots.
+        Known attenuation of the same roots.
     """
     lit = root_light.with_light(replace(evidence, mu_per_mm=known.mu_per_mm), known.light)
     tubes = root_light.match_absorption(fitted, thick, evidence, lit)
@@ -141,7 +151,7 @@ def follow(evidence: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float
 
 
 def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
-    """Return an attenuation updated from a fit of the light, with its covariance and the presence of hairs."""
+    """Return an attenuation with the light parameters, their covariance and the presence of hairs from a fit."""
     light, system, prior = root_light.light_vector(fit.evidence), fit.light, fit.prior
     if system is None or prior is None:
         return attenuation
@@ -158,7 +168,10 @@ def update_attenuation(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuatio
 
 
 def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:
-    """Return the losses of both fits (2, V, N) on profiles that are of a lone root for both, and their mask (V, N)."""
+    """Return the losses (2, V, N) of both fits on profiles of lone roots, and the mask (V, N) of these profiles.
+
+    A profile is used only if it shows a lone root in both fits.
+    """
     fits = opaque, translucent
     lone = np.logical_and.reduce([tube_profiles.profiles(fit.rendering).is_lone for fit in fits]) & ~thick
     left = np.stack([tube_profiles.misfit(opaque.evidence, opaque.tubes, fit.rendering.difference) for fit in fits])
@@ -167,15 +180,15 @@ def _losses(opaque: Fit, translucent: Fit, thick: Mask) -> tuple[Array, Mask]:
 
 
 def significance(difference: Array, owner: NDArray[np.int64]) -> float:
-    """Return the sum of differences (V, N) in standard deviations.
+    """Return the sum of differences (V, N), in standard deviations.
 
-    Profiles of one root, or of one view, are not independent: the variance is that of their sums about zero. The result
-    is never larger than the square root of the number of profiles.
+    Profiles of one root, or of one view, are not independent. The variance is therefore that of their sums about zero.
+    The result is never larger than the square root of the number of profiles.
 
     Parameters
     ----------
     owner : (N,) int array
-        Root of each node.
+        Index of the root of each node.
     """
     by_root, by_view = np.bincount(owner, weights=difference.sum(axis=0)), difference.sum(axis=1)
     return float(difference.sum() / max(np.sqrt(np.square(by_root).sum() + np.square(by_view - by_view.mean()).sum()), 1e-12))

@@ -1,8 +1,8 @@
-"""Fit tubes to the coverage of all views: Gauss-Newton with smooth branches.
+"""Gauss-Newton fit of tubes to the coverage of all views, with a smoothness prior for branches.
 
-Where tubes hide each other, their residual gradients are computed one by one (the nodes' normal equations are
-independent except for the smoothness along a branch). The pictures are rendered again at every step, so that the
-iteration converges to a common solution.
+The residual gradients of tubes that hide each other are computed separately. The normal equations of the nodes are then
+independent, except for the smoothness along a branch. The tubes are rendered again in every iteration, so that the
+iterations converge to a common solution.
 """
 
 from __future__ import annotations
@@ -28,74 +28,77 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEPS = 8
-"""Steps of a complete fit: with the fraction `_RELAXED` per step, the remaining error of a radius is 0.4^8, less than a
-thousandth."""
+"""Number of iterations of a complete fit. With the fraction `_RELAXED` per iteration, the remaining error of a radius
+is 0.4^8, less than a thousandth."""
 _BEND = 2.0
-"""Weight of the squared second differences of positions, 1/mm2; a full profile of one view has a weight of about 10."""
+"""Weight of the squared second differences of node positions, 1/mm2. For comparison, a full profile in one view has a
+weight of about 10/mm2."""
 _SUPPLE_MM = 0.34
-"""Radius of roots with the bending stiffness `_BEND`.
+"""Radius of roots with the bending stiffness `_BEND`, mm.
 
-Within their own radius, the nodes of a wide tube would oscillate with its flanks. With a weight that grows with the
-fourth power, like the stiffness of a beam, nodes with data of 1600/mm2 (80 views of 4 px/mm) are smoothed over a third
-of their radius."""
+The nodes of a wide tube would oscillate with its flanks over distances shorter than its radius. The weight therefore
+increases with the fourth power of the radius, like the stiffness of a beam. Nodes with data of 1600/mm2 (80 views of 4
+px/mm) are smoothed over a third of their radius."""
 _TAPER = 12.0
-"""Weight of the squared relative differences of radii along a branch: roots keep their radius over more than a
-centimetre.
+"""Weight of the squared relative differences of radii along a branch, which corresponds to roots of constant radius
+over more than a centimetre.
 
-With less, dense clusters made one root thick and its neighbour thin from node to node, and too thick on average: a root
-that others hide has no lower bound.
-"""
+With a smaller weight, roots in dense clusters became alternately thick and thin from node to node, and too thick on
+average, since the radius of a hidden root has no lower bound."""
 _DAMPING, _ALONG = 0.05, 0.5
-"""Fractions of a node's own curvature added in all directions, and along the branch."""
+"""Fractions of a node's own curvature that are added in all directions, and along the branch."""
 _RELAXED = 0.6
-"""Fraction of the computed step of a radius that is applied: tubes that share pixels all respond at once, and full
-steps would oscillate between too wide and too thin."""
+"""Fraction of the computed step of a radius that is applied. Tubes that share pixels respond simultaneously, so that
+full steps would oscillate between too wide and too thin."""
 LEAST = 0.5
-"""Minimum curvature of a node, 1/mm2: a node that no view shows is not moved."""
+"""Minimum curvature of a node, 1/mm2, so that a node that no view shows is not moved."""
 _LARGEST_STEP_MM = 0.15
-"""Maximum displacement of a node per step: about the radius of a thin root, within which the profiles are
-informative."""
+"""Maximum displacement of a node per iteration, mm. This is about the radius of a thin root, within which the profiles
+are informative."""
 _MOST_SHARE, _MOST_MM = 0.3, 0.01
-"""Maximum change of a radius per step, relative and absolute, within which the slope of a profile is valid."""
+"""Maximum change of a radius per iteration, within which the slope of a profile is valid: the sum of a relative and an
+absolute change, mm."""
 _THINNEST_MM = 0.02
-"""Minimum radius of a tube: a fifth of a pixel wide at 0.2 mm per pixel."""
+"""Minimum radius of a tube, mm. Its width is a fifth of a pixel at 0.2 mm per pixel."""
 _STRETCH_NODES = 21
-"""Number of nodes, 12.6 mm at 0.6 mm spacing, over which a root has about the same thickness."""
+"""Number of nodes over which a root has approximately the same thickness: 12.6 mm at a spacing of 0.6 mm."""
 _BULGE = 1.12
-"""Maximum ratio of a radius to the median of its stretch: a bulge is another root alongside."""
+"""Maximum ratio between a radius and the median radius of the surrounding nodes. A larger radius is due to another root
+alongside."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted tubes, with the residuals of the last step."""
+    """Fitted tubes, with the residuals of the last iteration."""
 
     evidence: Evidence
-    """Evidence with the fitted light parameters."""
+    """Measured coverage of all views, with the fitted light parameters."""
     tubes: Tubes
     residual: ResidualGradient
     light: LightSystem | None
-    """Normal equations of the light parameters; None if they were not fitted."""
+    """Normal equations of the light parameters, or None if these were not fitted."""
     prior: Prior | None
-    """Prior of the light parameters."""
+    """Prior of the light parameters, or None if these were not fitted."""
     few: bool
-    """Whether lone roots were too few, so that only the blur was fitted, to all profiles."""
+    """Whether there were too few lone roots, so that only the blur was fitted, to all profiles."""
 
     @cached_property
     def rendering(self) -> Rendering:
-        """The rendering of the fitted tubes."""
+        """Rendering of the fitted tubes."""
         return Rendering.draw(self.evidence, self.tubes)
 
 
 def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, light: Prior | None = None) -> Fit:
-    """Fit positions and radii of the nodes, and the light parameters, to the pictures.
+    """Fit the positions and radii of the nodes, and the light parameters, to the pictures.
 
     Parameters
     ----------
     thick : (N,) bool array
-        Mask of nodes of thick roots, whose flanks are both visible: their radii are not smoothed, and do not constrain
-        the light parameters.
+        Mask of the nodes of thick roots, both of whose flanks are visible. Their radii are not smoothed and do not
+        constrain the light parameters.
     light : Prior, optional
-        Prior of attenuation, blur and hairs, which are then fitted with the tubes; otherwise they are fixed.
+        Prior of attenuation, blur and hairs, which are then fitted with the tubes. By default, these parameters are
+        fixed.
     """
     system, few = None, False
     for _ in range(steps):
@@ -114,14 +117,14 @@ def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, li
                 evidence, change = root_light.with_light(evidence, now + step), equations.by_light @ step
         tubes = _step(tubes, residual, smooth, change)
         tubes = with_geometry(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _limit_radii(tubes)))
-    release()  # no other tree's kernels have these sizes
+    release()  # kernels of other trees have other sizes
     return Fit(evidence, tubes, residual, system, light, few)
 
 
 def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, change: Array | None) -> Tubes:
     """Apply one damped Gauss-Newton step, in which the nodes follow a change of the light parameters.
 
-    ``change`` (N, 4) is the change of the nodes' gradient.
+    ``change`` (N, 4) is the corresponding change of the nodes' gradient.
     """
     count, tangent = len(tubes.radius_mm), tubes.tangents
     hessian = residual.hessian.copy()
@@ -143,12 +146,12 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, ch
 
 
 def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
-    """Return the response of nodes (N, 4, L) to the light parameters that keeps the explained pictures unchanged.
+    """Return the change (N, 4, L) of the nodes, per light parameter, that keeps the rendered tubes unchanged.
 
     Parameters
     ----------
     hessian, by_light : (N, 4, 4), (N, 4, L) array
-        Fields of `ResidualGradient` and `LightEquations`.
+        Field ``hessian`` of `ResidualGradient`, and field ``by_light`` of `LightEquations`.
     """
     count, many = len(tubes.radius_mm), by_light.shape[2]
     hessian = hessian + LEAST * np.eye(4)
@@ -158,16 +161,16 @@ def node_response(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
 
 
 def _limit_radii(tubes: Tubes) -> Array:
-    """Return radii (N,) clipped near the median of their stretch of the branch.
+    """Return the radii (N,), clipped to a range around the median radius of the surrounding nodes, mm.
 
-    A bulge is another root alongside.
+    A larger radius is due to another root alongside.
     """
-    typical = _typical(tubes)
+    typical = _median_radii(tubes)
     return np.clip(tubes.radius_mm, typical / _BULGE, typical * _BULGE)
 
 
-def _typical(tubes: Tubes) -> Array:
-    """Return the median radius (N,) over each node's stretch of its branch."""
+def _median_radii(tubes: Tubes) -> Array:
+    """Return the median radius (N,) of the surrounding nodes on the same branch, mm."""
     line, first, last = tubes.flattened
     first = first + (first > 0)  # the first node of a branch has its parent's radius
     own = np.arange(len(line))
@@ -181,10 +184,8 @@ def _typical(tubes: Tubes) -> Array:
 def prior(tubes: Tubes) -> sparse.csr_matrix:
     """Return the quadratic form (4 N, 4 N) of the smoothness prior.
 
-    It penalises bending, and changes of the radius within a branch.
-
-    Changes of the radius are relative to the typical radius of the stretch, so that a taproot may taper by the same
-    fraction of its width as a lateral.
+    The prior penalises bending, and changes of the radius within a branch. Changes of the radius are relative to the
+    typical radius of the surrounding nodes, so that a taproot may taper by the same fraction of its width as a lateral.
     """
     count = len(tubes.radius_mm)
     line, first, last = tubes.flattened
@@ -198,13 +199,13 @@ def prior(tubes: Tubes) -> sparse.csr_matrix:
     beam[(middle == first[middle] + 1) & (first[middle] > 0)] = 0.0  # a branch is hinged to its parent
     stiff = sparse.diags(_BEND * (1.0 + beam))
     taper = _differences(neighbours, np.array([-1.0, 1.0]), count)
-    typical = _typical(tubes)
+    typical = _median_radii(tubes)
     taper = sparse.diags(typical[neighbours].prod(axis=1) ** -0.5) @ taper
     position, radius = sparse.diags([1.0, 1.0, 1.0, 0.0]), sparse.diags([0.0, 0.0, 0.0, 1.0])
     return (sparse.kron(bend.T @ stiff @ bend, position) + sparse.kron(_TAPER * taper.T @ taper, radius)).tocsr()
 
 
 def _differences(nodes: NDArray[np.int64], weights: Array, count: int) -> sparse.csr_matrix:
-    """Return the matrix (len(nodes), count) of weighted sums of the nodes in each row."""
+    """Return a sparse matrix (len(nodes), count) that computes weighted sums of the nodes in each row."""
     rows = np.repeat(np.arange(len(nodes)), nodes.shape[1])
     return sparse.coo_matrix((np.tile(weights, len(nodes)), (rows, nodes.ravel())), shape=(len(nodes), count)).tocsr()

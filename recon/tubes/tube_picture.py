@@ -1,18 +1,17 @@
-"""Coverage pictures of tubes viewed through the water (Dr.Jit).
+"""Rendering of the coverage of tubes viewed through the water (Dr.Jit).
 
-A segment of a tube is a strip in a picture. With the distance d of its axis from a pixel's centre and the half-width w,
-it covers the fraction
+A segment of a tube appears as a strip in a picture. If its axis has the distance d from a pixel's centre and its
+half-width is w, the segment covers the fraction
 
     c = F(d + w) - F(d - w)
 
 of the pixel, where F(x) is the fraction of the pixel on one side of a straight edge at distance x. For an edge in the
-direction (t_x, t_y) it is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|:
-the square pixel projected along the edge. Blur of standard deviation s widens them, a^2 + 6 s^2 and b^2 + 6 s^2 (exact
-in variance). Roots hide each other: coverages combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c)
-add up. A pixel belongs to the segment on whose side of the dividing line between two segments its centre lies; on that
-line both axes have the same distance. The last segment of a branch ends in half an ellipse, the picture of a rounded
-tip, and fades out. The kernel walks along the rows of each strip and visits only covered pixels, about a third of the
-bounding box.
+direction (t_x, t_y), F is the integral of a trapezoid. This trapezoid is the square pixel projected along the edge, the
+convolution of two boxes of widths a = |t_x| and b = |t_y|. Blur with standard deviation s increases the squared widths
+to a^2 + 6 s^2 and b^2 + 6 s^2, which is exact in variance. Roots hide each other: coverages combine as 1 - prod (1 -
+c), so that the optical depths t = -log(1 - c) add up. At the joint of two segments, a pixel is assigned to the segment
+whose axis is nearer. The last segment of a branch ends in half an ellipse, the picture of a rounded tip, and fades out.
+The kernel loops over the rows of each strip and visits only covered pixels, about a third of the bounding box.
 """
 
 from __future__ import annotations
@@ -33,38 +32,40 @@ from rhizotwin.recon.tubes.translucent_tube import Layer
 from rhizotwin.recon.tubes.tubes import Tubes
 
 PIXEL_SIGMA = 12.0**-0.5
-"""Standard deviation of a square pixel."""
+"""Standard deviation of a square pixel, px."""
 _NARROWEST_PX = 0.1
-"""Minimum width of the boxes: an edge along the rows, without blur, would have a box of zero width."""
+"""Minimum width of the two boxes whose convolution is the projection of a pixel, px. Without blur, an edge along the
+rows would have a box of zero width."""
 _LEAST_PX = 1e-3
-"""Minimum length of a segment in a picture; shorter ones have no direction."""
+"""Minimum length of a segment in a picture, px. The direction of shorter segments is undefined."""
 _NOTHING, _ENDS = 1e-4, 4.0
-"""Negligible optical depth, and distance beyond a tip, in standard deviations, where the depth has fallen to it."""
+"""Negligible optical depth, and distance beyond a tip at which the depth has decreased to this value, in standard
+deviations of the blur."""
 _STEEPEST = 1e-3
-"""Minimum sine of the angle between a segment and the rows and columns; flatter segments are clipped as if they had it,
-an error of a hundredth of a pixel."""
+"""Lower limit of the sine of the angle between a segment and the pixel rows or columns. It causes a clipping error of a
+hundredth of a pixel for segments at smaller angles."""
 _FAR_PX = 3.0
-"""Distance from an edge beyond which a pixel lies entirely on one side, blur included."""
+"""Distance from an edge beyond which a pixel, including blur, lies entirely on one side of the edge, px."""
 _HIDDEN = 5.3
 """Optical depth of masked pixels, equal to that of a tube with full coverage (`FULLEST`)."""
 FULLEST = 0.995
-"""Maximum coverage, below one since its optical depth would be infinite."""
+"""Maximum coverage. It is less than 1, since the optical depth would otherwise be infinite."""
 
 
 def _on_one_side(x: Float, outer: Float, inner: Float, per_area: Float) -> Float:
-    """Return the fraction of a pixel, with a trapezoidal projection, that lies on one side of an edge at x."""
+    """Return the fraction of a pixel, with a trapezoidal projection, on one side of an edge at distance x."""
     x = dr.clip(x, -_FAR_PX, _FAR_PX)
     ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
     return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
 
 
 def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
-    """Return the light transmitted by tubes and masked pixels in all views: mi.Float, (V, H, W) flattened.
+    """Return the transmittance of tubes and masked pixels in all views (mi.Float, flattened (V, H, W)).
 
     Parameters
     ----------
     evidence, tubes, at : Evidence, Tubes, Nodes
-        Views with their masks; the tree, and the positions of its nodes in the pictures.
+        Views with their masks, tree of tubes, and positions of its nodes in the pictures.
     """
     passes.add("renderings")
     depth, strips = (1.0 - mi.Float(evidence.usable)) * _HIDDEN, _Strips.project(evidence, tubes, at)
@@ -72,7 +73,7 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     if strips is None:
         return dr.exp(-depth)
     (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way
-    # Opaque, since every literal value of blur would compile a new kernel.
+    # Opaque, since every literal value of the blur would require a new kernel.
     sigma, spread = dr.opaque(mi.Float, float(np.hypot(evidence.blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * evidence.blur_px**2)
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
@@ -121,42 +122,46 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
 
 @dataclass(frozen=True)
 class _Strips:
-    """Segments of tubes in the views that show both their ends, (M,) on the device."""
+    """Segments of tubes, projected into all views that show both of their ends.
+
+    All fields have shape (M,) on the device.
+    """
 
     start: UInt32
-    """mi.UInt32, offset of the view's picture."""
+    """Offset of the view's picture in flattened pictures (mi.UInt32)."""
     begin: Vector2f
-    """mi.Vector2f, pixel of the first end."""
+    """Pixel coordinates of the segment's first end (mi.Vector2f)."""
     way: Vector2f
-    """mi.Vector2f, unit direction."""
+    """Unit vector from the segment's first to its second end (mi.Vector2f)."""
     length: Float
-    """mi.Float, px."""
+    """Length of the segment, px (mi.Float)."""
     cuts: tuple[Vector2f, Vector2f]
-    """mi.Vector2f, unit normals of the lines that clip the segment at both ends.
+    """Unit normals of the lines that clip the segment at both ends (mi.Vector2f).
 
-    Two segments share the line that bisects the angle between them, unless the angle is sharper than a right angle.
-    With perpendicular cuts, bends had notches outside, and fits moved the nodes of wide tubes back and forth."""
+    Two adjacent segments share the line that bisects the angle between them, unless the angle is sharper than a right
+    angle. With perpendicular lines, bends had notches on their outside, and fits moved the nodes of wide tubes back and
+    forth."""
     half_px: tuple[Float, Float]
-    """mi.Float, half-widths at both ends."""
+    """Half-widths at both ends of the segment, px (mi.Float)."""
     cap_px: Float
-    """mi.Float, length of the rounded tip that follows; 0 where the branch continues."""
+    """Length of the rounded tip after the segment, px (mi.Float). It is 0 where the branch continues."""
     layers: tuple[list[Layer], list[Layer]]
-    """The strips that represent it, at both ends."""
+    """Strips that represent the segment at both ends."""
 
     @property
     def widest_px(self) -> Float:
-        """Return the largest half-width of the strips, mi.Float: hairs reach farther than the root."""
+        """Return the largest half-width of the strips, px (mi.Float). Root hairs extend beyond the root."""
         return reduce(dr.maximum, [layer.half_px for end in self.layers for layer in end])
 
     @staticmethod
     def project(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
-        """Return the strips of all views; None if no view shows any."""
+        """Project the segments of tubes into all views, or return None if no view shows any."""
         p, (views, nodes), segments = at.on_device, at.shape, tubes.segments
         count, nodes = dr.opaque(mi.UInt32, len(segments)), dr.opaque(mi.UInt32, nodes)
         numbered = [wholes(end) for end in segments.T]
 
         def ends(place: UInt32) -> tuple[UInt32, UInt32, list[UInt32]]:
-            """Return views, segments and the indices of both ends in (V, N), flattened."""
+            """Return view indices, segment indices, and flattened (V, N) indices of the nodes at both ends."""
             view = place // count
             segment = place - view * count
             return view, segment, [view * nodes + dr.gather(mi.UInt32, end, segment) for end in numbered]
@@ -195,9 +200,9 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
     Parameters
     ----------
     beside : list of UInt32
-        Indices of the nodes before and after the segments.
+        Indices of the nodes before and after each segment.
     here, there, way : Vector2f
-        Pixels of both ends, and the unit direction from one to the other.
+        Pixels of both ends, and unit vector from the first to the second.
     """
     before, after = (dr.gather(mi.Vector2f, p.px, node) for node in beside)
     onto, onward = here - before, after - there
@@ -215,20 +220,21 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
 
 @dataclass(frozen=True)
 class Rendering:
-    """Tubes rendered in all views, and the residual coverage."""
+    """Tubes rendered in all views, with the residual coverage."""
 
     evidence: Evidence
     tubes: Tubes
     at: Nodes
     """Positions of the nodes in the pictures."""
     passing: Float
-    """mi.Float, (V, H, W) flattened: `transmittance`. Unlike its logarithm, it may be averaged over pixels."""
+    """Transmittance of the tubes in all views (mi.Float, flattened (V, H, W)). Unlike its logarithm, it may be averaged
+    over pixels."""
     difference: Kernel
-    """mi.Float16, (V, H, W) flattened: measured minus explained coverage, 0 where masked."""
+    """Measured minus explained coverage in all views (mi.Float16, flattened (V, H, W)); 0 for masked pixels."""
 
     @staticmethod
     def draw(evidence: Evidence, tubes: Tubes) -> Rendering:
-        """Render tubes."""
+        """Render tubes in all views."""
         at = evidence.project(tubes.centre_mm)
         passing = transmittance(evidence, tubes, at)
         difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.usable)
@@ -236,12 +242,14 @@ class Rendering:
         return Rendering(evidence, tubes, at, passing, difference)
 
     def change(self, evidence: Evidence, tubes: Tubes, step: float) -> Kernel:
-        """Return the difference quotient of coverage with other light or radii: mi.Float16, (V, H, W) flattened.
+        """Return the difference quotient of the coverage with respect to a light parameter or the radii.
+
+        The result is mi.Float16, flattened (V, H, W).
 
         Parameters
         ----------
         evidence, tubes : Evidence, Tubes
-            With one parameter increased by ``step``, and the nodes unchanged.
+            Evidence and tubes with one parameter increased by ``step``, and the nodes at the same positions.
         """
         change = (self.passing - transmittance(evidence, tubes, self.at)) * mi.Float(self.evidence.usable)
         change = mi.Float16(change * dr.opaque(mi.Float, 1.0 / step))

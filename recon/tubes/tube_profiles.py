@@ -1,10 +1,9 @@
-"""Profiles across the tubes at every node and in every view (Dr.Jit).
+"""Coverage profiles across the tubes at every node in every view (Dr.Jit).
 
-They give the residual coverage along a profile, and its derivatives by the node's position and radius.
-
-In a profile across a tube at offsets o, the derivative of the coverage is -(g(o + w) - g(o - w)) v by a shift and (g(o
-+ w) + g(o - w)) v by the half-width w, where g is the Gaussian of the pixel and v the fraction that other tubes leave
-visible.
+The profiles provide the residual coverage, and its derivatives with respect to the node's position and radius. At the
+offset o across a tube of half-width w, the derivative of the coverage is -(g(o + w) - g(o - w)) v with respect to a
+lateral shift, and (g(o + w) + g(o - w)) v with respect to w. Here, g is the Gaussian of the pixel, and v is the
+fraction that other tubes leave visible.
 """
 
 from __future__ import annotations
@@ -28,60 +27,67 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Array = NDArray[np.float64]
 
 _SAMPLES = 14
-"""Number of samples in a profile, half of them at each edge."""
+"""Number of samples in a profile. Half of them are at each edge of the tube."""
 _MARGIN_PX = 1.8
-"""Distance on both sides of each edge, or up to the middle, over which a profile is compared; elsewhere the coverage
-does not depend on shift and width."""
+"""Distance on both sides of a tube's edge over which a profile is compared, px. Inside the tube, it is limited by the
+centre line. Elsewhere, the coverage does not depend on shift and width."""
 _INTERPOLATION_VARIANCE = 0.1
-"""Variance of the blur by bilinear interpolation, px2."""
+"""Variance of the blur caused by bilinear interpolation, px2."""
 _LEAST_SPEED_PX = 0.3
-"""Minimum length of a tube in the picture, px per mm along its axis: a tube viewed end-on shows no strip."""
+"""Minimum projected length of a tube, px per mm along its axis. A tube viewed end-on does not appear as a strip."""
 LIGHT = ("log mu", "blur variance", "hairs", "index")
-"""Parameters shared by all roots: logarithm of the attenuation, variance of the pictures' blur (px2), strength of the
-hairs, and relative excess of the roots' refractive index over that of water."""
+"""Names of the light parameters that all roots share: logarithm of the attenuation, variance of the blur of the
+pictures (px2), strength of the root hairs, and relative excess of the roots' refractive index over that of water."""
 _ALONE = 0.95
-"""Minimum transmittance beside a lone root. Transmittance of the other tubes on the root itself would be less reliable:
-where the root almost covers a pixel, it is the quotient of two small numbers."""
-_LEAST_SINE = 0.3
-"""Minimum sine of a lone root: steeper roots constrain their bends more than their light."""
-OUTLIER = 0.05
-"""Sum of squared differences over a profile, px, above which a view loses weight as it contains another object.
+"""Minimum transmittance of other tubes beside a root for the root to be considered lone.
 
-Only coverage that the tubes do not explain counts, since it may be another root. Pixels that the tubes cover but the
-picture shows empty are errors.
-"""
+The transmittance on the root itself would be less reliable. Where the root almost covers a pixel, it is the quotient of
+two small numbers."""
+_LEAST_SINE = 0.3
+"""Minimum sine of the angle between a lone root and the line of sight. Roots at smaller angles constrain their bends
+more than their light parameters."""
+OUTLIER = 0.05
+"""Squared residual, integrated over a profile, above which a view has a reduced weight because it contains another
+object, px.
+
+Only coverage that the tubes do not explain is included, since it may be due to another root. Pixels that the tubes
+cover but the picture shows empty are errors of the tubes."""
 
 
 @dataclass(frozen=True)
 class Sections:
-    """Cross-sections at nodes, in the views that show them and not end-on; (M,) on the device."""
+    """Cross-sections of tubes at nodes, with fields of shape (M,) on the device.
+
+    Views that do not show a node, or that show the tube end-on, have no cross-section.
+    """
 
     shape: tuple[int, int]
-    """Number of views and nodes, V and N."""
+    """Number of views V and number of nodes N."""
     place: UInt32
-    """mi.UInt32, index into (V, N), flattened."""
+    """Index of each cross-section in arrays of shape (V, N), flattened (mi.UInt32)."""
     start: UInt32
-    """mi.UInt32, offset of the view's picture."""
+    """Offset of the view's picture in flattened pictures (mi.UInt32)."""
     columns: int
     rows: int
     px: Vector2f
-    """mi.Vector2f, pixel of the node."""
+    """Pixel coordinates of the node (mi.Vector2f)."""
     normal: Vector2f
-    """mi.Vector2f, unit direction across the tube in the picture."""
+    """Unit vector across the tube in the picture (mi.Vector2f)."""
     across: Vector3f
-    """mi.Vector3f, gradient of the position across the tube by the node (canister frame), px/mm."""
+    """Gradient of the picture position across the tube with respect to the node, canister frame, px/mm
+    (mi.Vector3f)."""
     scale: Float
-    """mi.Float, scale across the tube, px/mm."""
+    """Image scale across the tube, px/mm (mi.Float)."""
     half_px: Float
-    """mi.Float, half-width of the tube."""
+    """Half-width of the tube, px (mi.Float)."""
     sine: Float
-    """mi.Float, sine of the angle between the tube and the line of sight."""
+    """Sine of the angle between the tube and the line of sight (mi.Float)."""
     layers: list[Layer]
-    """The strips that represent the tube."""
+    """Strips that represent the tube."""
 
     @staticmethod
     def cut(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
-        """Return the cross-sections at the nodes of tubes; None if no view shows any."""
+        """Return the cross-sections at the nodes of tubes, or None if no view shows any."""
         p, count = at.on_device, dr.opaque(mi.UInt32, at.shape[1])
         tangent = vectors(tubes.tangents)
         t = at.in_all_views(tangent)
@@ -106,13 +112,13 @@ class Sections:
         return int(dr.width(self.place))
 
     def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
-        """Return the offset across the tube, px, of sample k of a profile from ``-reach_px`` to ``reach_px``."""
+        """Return the offset of sample k across the tube, px, in a profile from ``-reach_px`` to ``reach_px``."""
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
 
     def at_edge(self, k: UInt32 | int) -> Float:
-        """Return the offset across the tube, px, of sample k of `_SAMPLES` about the two edges.
+        """Return the offset of sample k across the tube, px, out of `_SAMPLES` samples around its two edges.
 
-        Samples are `edge_step` apart.
+        Adjacent samples at one edge are `edge_step` apart.
         """
         number, half = mi.Float(k), _SAMPLES // 2
         first = number < half
@@ -121,17 +127,17 @@ class Sections:
 
     @property
     def edge_step(self) -> Float:
-        """Return the spacing of the samples about an edge, mi.Float, px."""
+        """Return the spacing of the samples around an edge, px (mi.Float)."""
         return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
-        """Sample flattened images of all views at a perpendicular offset from the tube's centre line (bilinear)."""
+        """Sample flattened pictures of all views bilinearly at an offset from the tube's centre line."""
         u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
         v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
 
     def spread(self, value: Float) -> Float:
-        """Scatter values (M,) to (V, N) flattened, mi.Float; 0 where there is no cross-section."""
+        """Scatter values (M,) to an array of shape (V, N), flattened (mi.Float); 0 without a cross-section."""
         whole = dr.zeros(mi.Float, self.shape[0] * self.shape[1])
         dr.scatter(whole, value, self.place)
         return whole
@@ -139,14 +145,14 @@ class Sections:
 
 @dataclass(frozen=True)
 class ResidualGradient:
-    """Normal equations of position and radius of each node, H x = g, from the residuals of all views."""
+    """Normal equations H x = g for the position and radius of each node, from the residuals of all views."""
 
     hessian: Array
-    """(N, 4, 4) of x, y, z, radius."""
+    """Matrix H of each node for x, y, z and radius, shape (N, 4, 4)."""
     gradient: Array
-    """(N, 4)"""
+    """Right-hand side g of each node for x, y, z and radius, shape (N, 4)."""
     visible: Array
-    """(N,) fraction of the nodes' coverage, summed over the views, that nothing hides."""
+    """Fraction of each node's coverage that no other tube hides, summed over the views, shape (N,)."""
 
     def select(self, nodes: NDArray[np.int64]) -> ResidualGradient:
         """Return the equations of a subset of the nodes (M,)."""
@@ -158,75 +164,81 @@ class LightEquations:
     """Joint normal equations of nodes and light parameters."""
 
     by_light: Array
-    """(N, 4, L) derivative of the gradient (x, y, z, radius) by `LIGHT`, from all profiles."""
+    """Derivative of each node's gradient (x, y, z, radius) with respect to `LIGHT`, shape (N, 4, L), from all
+    profiles."""
     lone: Array
-    """(N, 4 + L, 4 + L) of x, y, z, radius and `LIGHT`, from lone profiles."""
+    """Joint normal matrix for x, y, z, radius and `LIGHT`, shape (N, 4 + L, 4 + L), from the profiles of lone roots."""
     gradient: Array
-    """(N, 4 + L)"""
+    """Joint right-hand side for x, y, z, radius and `LIGHT`, shape (N, 4 + L), from the profiles of lone roots."""
 
 
 @dataclass(frozen=True)
 class HostProfiles:
-    """Profile integrals of each view (V) across the tube at each node (N)."""
+    """Integrals over the profiles across each of N nodes in each of V views, as NumPy arrays."""
 
     across: Array
-    """(V, N, 3) gradient of the position across the tube by the node, px/mm."""
+    """Gradient of the picture position across the tube with respect to the node, shape (V, N, 3), px/mm."""
     scale: Array
-    """(V, N) scale across the tube, px/mm."""
+    """Image scale across the tube, shape (V, N), px/mm."""
     shift_2: Array
-    """(V, N) squared derivative of the coverage by a shift in px; 0 where the view has no data."""
+    """Squared derivative of the coverage with respect to a lateral shift in px, shape (V, N). It is 0 if the view has
+    no data."""
     shift_width: Array
     width_2: Array
     shift: Array
-    """(V, N) derivative by the shift times the residual."""
+    """Product of the residual and the derivative of the coverage with respect to the shift, shape (V, N)."""
     width: Array
     shown: Array
-    """(V, N) coverage that nothing hides."""
+    """Coverage of the node that no other tube hides, shape (V, N)."""
     whole: Array
 
 
 @dataclass(frozen=True)
 class Changes:
-    """Derivatives of the coverage in all views, mi.Float16, (V, H, W) flattened: differences of pictures.
+    """Derivatives of the coverage in all views, computed as differences of renderings.
 
-    Along the valley in which wider and fainter roots look alike, less than a hundredth of the derivatives remains; the
-    analytic derivatives with a Gaussian edge are not accurate enough.
+    They are mi.Float16, flattened (V, H, W). Analytic derivatives with a Gaussian edge are not accurate enough: along
+    the valley in which wider, fainter roots look the same, less than a hundredth of the derivatives remains.
     """
 
     radius: Kernel
-    """Derivative by the logarithm of all radii."""
+    """Derivative of the coverage with respect to the logarithm of all radii."""
     light: dict[int, Kernel]
-    """Derivatives by the selected parameters of `LIGHT`."""
+    """Derivatives of the coverage with respect to selected parameters of `LIGHT`, keyed by their index."""
 
 
 @dataclass(frozen=True)
 class LightProfiles:
-    """Profile integrals for the light parameters; on the device, (V, N) flattened, 0 except for lone roots."""
+    """Profile integrals for the light parameters, as arrays of shape (V, N), flattened on the device.
+
+    Unless stated otherwise, they are 0 for roots that are not lone.
+    """
 
     by_shift: tuple[Float, ...]
-    """Derivatives by `LIGHT` times the derivative by the shift, of all profiles."""
+    """Products of two derivatives of the coverage, with respect to `LIGHT` and to the shift, for all profiles."""
     by_width: tuple[Float, ...]
-    """Derivatives by `LIGHT` times the derivative by the width, of all profiles."""
+    """Products of two derivatives of the coverage, with respect to `LIGHT` and to the width, for all profiles."""
     shift_radius: Float
-    """Derivative by the radius from `Changes`, times that by the shift; px/mm, as for all following products with the
-    radius."""
+    """Product of two derivatives of the coverage, with respect to the shift and to the radius (from `Changes`),
+    px/mm."""
     radius_2: Float
     radius: Float
-    """Derivative by the radius times the residual."""
+    """Product of the residual and the derivative of the coverage with respect to the radius."""
     by_radius: tuple[Float, ...]
     light_2: tuple[Float, ...]
-    """Products of the derivatives by `LIGHT`, upper triangle."""
+    """Products of the derivatives of the coverage with respect to `LIGHT`, upper triangle of the matrix."""
     light: tuple[Float, ...]
-    """Derivatives by `LIGHT` times the residual."""
+    """Products of the residual and the derivatives of the coverage with respect to `LIGHT`."""
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """`HostProfiles` on the device, (V, N) flattened."""
+    """Profile integrals of `HostProfiles`, as arrays of shape (V, N), flattened on the device."""
 
     shape: tuple[int, int]
     across: Vector3f
-    """mi.Vector3f; all others mi.Float."""
+    """Gradient of the picture position across the tube with respect to the node, px/mm (mi.Vector3f). All other fields
+    are mi.Float."""
     scale: Float
     shift_2: Float
     shift_width: Float
@@ -236,7 +248,7 @@ class Profiles:
     shown: Float
     whole: Float
     lone: Float
-    """1 for a lone root, which nothing else hides or overlaps, else 0."""
+    """1 for lone roots, which nothing else hides or overlaps, otherwise 0."""
     light: LightProfiles | None = None
 
     @property
@@ -245,7 +257,7 @@ class Profiles:
         return np.array(self.lone).reshape(self.shape) > 0.0
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
-        """Return the profiles, or those of some nodes (M,), as NumPy arrays."""
+        """Return the profiles of all nodes, or of selected nodes (M,), as NumPy arrays."""
         views, count = self.shape
         chosen = np.arange(count) if nodes is None else nodes
         place = wholes(np.arange(views)[:, None] * count + chosen)
@@ -257,10 +269,10 @@ class Profiles:
         return HostProfiles(np.stack([read(part) for part in self.across], axis=-1), *(read(getattr(self, name)) for name in names))
 
     def residual_gradient(self) -> ResidualGradient:
-        """Return the normal equations of all views together."""
+        """Return the normal equations of the nodes, summed over all views."""
 
         def terms(at: UInt32) -> Iterator[Float]:
-            """Yield the sums of a view: position by position (upper triangle), by radius, gradient, coverage."""
+            """Yield the contributions of a view: products of x, y, z and radius, gradient, and coverage."""
             parts = [dr.gather(mi.Float, part, at) for part in self.across]
             names = [field.name for field in fields(HostProfiles)[1:]]
             scale, shift_2, shift_width, width_2, shift, width, shown, whole = (
@@ -278,13 +290,13 @@ class Profiles:
         return ResidualGradient(_symmetric(found[:, :10], _NODE), found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
     def light_equations(self) -> LightEquations:
-        """Return the normal equations of nodes and light parameters, from lone profiles."""
+        """Return the joint normal equations of nodes and light parameters from the profiles of lone roots."""
         light, many = self.light, len(LIGHT)
         if light is None:
-            raise ValueError("these profiles have no derivatives by the light parameters")
+            raise ValueError("the profiles have no derivatives with respect to the light parameters; pass changes to profiles()")
 
         def terms(at: UInt32) -> Iterator[Float]:
-            """Yield the sums of a view: products of x, y, z, radius and `LIGHT` by rows, gradient, then `by_light`."""
+            """Yield the contributions of a view: products of x, y, z, radius and `LIGHT`, gradient, and `by_light`."""
             read = partial(dr.gather, mi.Float, index=at)
             parts, scale, lone = [read(part) for part in self.across], read(self.scale), read(self.lone)
             by_shift, by_width, by_radius = ([read(part) for part in group] for group in (light.by_shift, light.by_width, light.by_radius))
@@ -308,7 +320,7 @@ class Profiles:
         return LightEquations(by_light, _symmetric(found[:, :products], np.triu_indices(size)), found[:, products : products + size])
 
     def _over_views(self, terms: Callable[[UInt32], Iterator[Float]], size: int) -> Array:
-        """Return the sums (N, size) over the contributions of all views."""
+        """Return the contributions of all views, summed for each node, shape (N, size)."""
         views, count = self.shape
         nodes = dr.opaque(mi.UInt32, count)
 
@@ -326,7 +338,7 @@ _NODE = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3,
 
 
 def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Array:
-    """Return symmetric matrices (N, K, K) from products (N, P) with given rows and columns."""
+    """Return symmetric matrices (N, K, K), given their elements (N, P) at specified rows and columns."""
     row, column = place
     size = int(column.max()) + 1
     found = np.empty((len(products), size, size))
@@ -335,16 +347,16 @@ def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64
 
 
 def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = False) -> Profiles:
-    """Compare pictures and tubes across every node in every view.
+    """Compare pictures and rendered tubes along profiles across every node in every view.
 
     Parameters
     ----------
     drawn : Rendering
-        The tubes.
+        Rendered tubes.
     changes : Changes, optional
-        Derivatives by the light parameters; without them, no light equations are computed.
+        Derivatives with respect to the light parameters. Without them, no light equations are computed.
     every : bool
-        Whether all profiles are used for the light parameters, if those of lone roots are too few.
+        Whether all profiles are used for the light parameters, because profiles of lone roots are too few.
     """
     evidence, at = drawn.evidence, drawn.at
     cut = Sections.cut(evidence, drawn.tubes, at)
@@ -372,7 +384,7 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
         of_light = () if changes is None else _light_terms(cut, o, changes, shift, width, d)
         return k + 1, *(total + term for total, term in zip(sums, (*terms, *about, *of_light), strict=True))
 
-    many = _size(changes) - 5  # without direction, scale and lone
+    many = _size(changes) - 5  # excluding direction, scale and lone
     begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(many + 3))
     sums = list(dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:])
     uncovered, passing, passing_alone = sums[7:10]
@@ -383,14 +395,14 @@ def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = 
     factors = [weight] * 5 + [step] * 2 + [weight] * of_all + [weight * alone] * (many - 7 - of_all)
     summed = [total * factor for total, factor in zip(sums[:7] + sums[10:], factors if changes else factors[:7], strict=True)]
     found = [cut.spread(part) for part in (*cut.across, cut.scale, alone, *summed)]
-    dr.eval(found)  # evaluated together, to traverse the profiles once
+    dr.eval(found)  # evaluated together, so that the profiles are traversed only once
     return _assemble(cut.shape, found, changes)
 
 
 def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
-    """Yield the contributions of a sample at an offset to `LightProfiles`, in the order of its fields."""
+    """Yield the contributions of the sample at offset ``o`` to `LightProfiles`, in the order of its fields."""
     (radius,) = cut.read(o, changes.radius)
-    radius *= cut.scale / cut.half_px  # by mm
+    radius *= cut.scale / cut.half_px  # derivative per mm
     light = [cut.read(o, changes.light[k])[0] if k in changes.light else mi.Float(0.0) for k in range(len(LIGHT))]
     yield from (shift * part for part in light)
     yield from (width * part for part in light)
@@ -401,13 +413,13 @@ def _light_terms(cut: Sections, o: Float, changes: Changes, shift: Float, width:
 
 
 def _size(changes: Changes | None) -> int:
-    """Return the number of values per profile."""
+    """Return the number of values stored for each profile."""
     many = len(LIGHT)
     return 12 if changes is None else 12 + 4 * many + 3 + many * (many + 1) // 2
 
 
 def _assemble(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
-    """Assemble the profiles from the values."""
+    """Assemble profiles from their flattened values."""
     x, y, z, scale, lone, shift_2, shift_width, width_2, shift, width, shown, whole, *rest = parts
     across, many = mi.Vector3f(x, y, z), len(LIGHT)
     light = None
@@ -421,14 +433,14 @@ def _assemble(shape: tuple[int, int], parts: list[Float], changes: Changes | Non
 
 
 def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
-    """Return the squared difference (V, N), px, integrated over both edges of every node.
+    """Return the squared residual (V, N), integrated over both edges of the tube at every node, px.
 
     The result is NaN where a view does not show the node.
 
     Parameters
     ----------
     tubes, difference : Tubes, Float
-        The tubes, and the residual coverage of a rendering (`Rendering`).
+        Tubes, and residual coverage of their rendering (`Rendering`).
     """
     at = evidence.project(tubes.centre_mm)
     cut = Sections.cut(evidence, tubes, at)

@@ -18,48 +18,51 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SPACING_MM = 0.6
-"""Distance between the nodes of a branch."""
+"""Distance between adjacent nodes of a branch, mm."""
 TANGENT_NODES = 4
 """Number of nodes over which the tangent of a branch is computed."""
 SMOOTH_MM = 0.4
-"""Standard deviation of the Gaussian that smooths the steps between cells in a traced path."""
-_FEW = 16  # nearest nodes tested first for one that precedes a path
-_OBLIQUE = 3.0  # maximum ratio of path to straight distance from a parent's axis to a lateral: 20 degrees
+"""Standard deviation of the Gaussian that smooths the steps between cells in a traced path, mm."""
+_FEW = 16  # number of nearest nodes among which a preceding node is searched first
+_OBLIQUE = 3.0  # maximum ratio of path length to distance between a parent's axis and a lateral, for 20 degrees
 _STUB_MM = 0.7  # slightly more than the node spacing
 
 
 @dataclass(frozen=True)
 class Tubes:
-    """A tree of tubes.
+    """Tree of tubes.
 
-    A branch lists its nodes from its base to its tip. The first node of every branch except the first belongs to the
-    parent: there the branch leaves the parent's centre line, with the radius of its own second node.
+    A branch is a list of nodes from its base to its tip. Except in the first branch, the first node is a node of the
+    parent, where the branch leaves the parent's centre line. There, the branch has the radius of its own second node.
     """
 
     centre_mm: Array
-    """(N, 3) nodes, canister frame."""
+    """Positions of the nodes, shape (N, 3), canister frame, mm."""
     radius_mm: Array
-    """(N,)"""
+    """Radii of the nodes, shape (N,), mm."""
     branches: tuple[Index, ...]
-    """Node indices of each branch; parents before children."""
+    """Node indices of each branch. Parents come before children."""
 
     @property
     def segments(self) -> Index:
-        """Return the pairs of nodes (S, 2) joined by a segment."""
+        """Return the pairs of nodes (S, 2) that are joined by a segment."""
         line, first, _ = self.flattened
         follows = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[follows - 1], line[follows]], axis=1)
 
     @property
     def segment_neighbours(self) -> Index:
-        """Return the nodes (S, 2) of a branch before and after each segment; the segment's own end if there is none."""
+        """Return the nodes (S, 2) before and after each segment on the same branch.
+
+        At the end of a branch, the segment's own end is returned instead.
+        """
         line, first, last = self.flattened
         place = np.flatnonzero(first < np.arange(len(line)))
         return np.stack([line[np.maximum(place - 2, first[place])], line[np.minimum(place + 1, last[place])]], axis=1)
 
     @property
     def segment_radii(self) -> tuple[Array, Array]:
-        """Return the radii (S,) at both ends of each segment.
+        """Return the radii (S,) at both ends of each segment, mm.
 
         The first segment of a branch begins with the radius of its second node.
         """
@@ -70,19 +73,22 @@ class Tubes:
         return begin, end
 
     def own(self, branch: int) -> Index:
-        """Return the nodes (n,) of a branch without its parent's."""
+        """Return the nodes (n,) of a branch, excluding the node of its parent."""
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
 
     @property
     def flattened(self) -> tuple[Index, Index, Index]:
-        """Return the concatenated nodes (M,) of all branches, and the bounds (M,), (M,) of each node's branch."""
+        """Return the concatenated nodes (M,) of all branches, and the bounds (M,), (M,) of each node's branch.
+
+        The bounds are the first and the last index of the branch in the concatenated array.
+        """
         count = np.array([len(branch) for branch in self.branches])
         end = np.cumsum(count)
         return np.concatenate(self.branches), np.repeat(end - count, count), np.repeat(end - 1, count)
 
     @property
     def owner(self) -> Index:
-        """Return the branch (N,) that each node belongs to."""
+        """Return the index (N,) of the branch that contains each node."""
         owner = np.zeros(len(self.centre_mm), np.int64)
         for k in range(len(self.branches)):
             owner[self.own(k)] = k
@@ -90,7 +96,7 @@ class Tubes:
 
     @property
     def ends(self) -> tuple[Index, ...]:
-        """Return the nodes (n,) of each branch's end: from its last lateral, or its base, to its tip."""
+        """Return the nodes (n,) at the end of each branch, from its last lateral or its base to its tip."""
         bearing = np.zeros(len(self.radius_mm), bool)
         bearing[[nodes[0] for nodes in self.branches[1:]]] = True
         last = (int(np.flatnonzero(bearing[self.own(k)]).max(initial=-1)) + (k > 0) for k in range(len(self.branches)))
@@ -108,7 +114,7 @@ class Tubes:
         return np.asarray(tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12))
 
     def radii(self, branch: int) -> Array:
-        """Return the radii (n,) along a branch."""
+        """Return the radii (n,) along a branch, mm."""
         nodes = self.branches[branch]
         radius = self.radius_mm[nodes].copy()
         if branch > 0:
@@ -117,11 +123,11 @@ class Tubes:
 
     @property
     def length_mm(self) -> float:
-        """Return the total length of the centre lines."""
+        """Return the total length of the centre lines, mm."""
         return math.fsum(polyline.length_mm(self.centre_mm[b]) for b in self.branches)
 
     def keep(self, stays: NDArray[np.bool_]) -> Tubes:
-        """Keep the nodes (N,) of a mask returned by `prune_mask`."""
+        """Return the tree restricted to the nodes of a mask (N,), as returned by `prune_mask`."""
         number = np.cumsum(stays) - 1
         kept = [branch[stays[branch]] for k, branch in enumerate(self.branches) if stays[self.own(k)].any()]
         return Tubes(self.centre_mm[stays], self.radius_mm[stays], tuple(number[branch] for branch in kept))
@@ -129,7 +135,8 @@ class Tubes:
     def prune_mask(self, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the mask (N,) of nodes that remain after branches are cut back from their tips.
 
-        The nodes ``gone`` (N,) beyond the last one to keep are removed, unless they bear a remaining branch.
+        Nodes marked in ``gone`` (N,) are removed if they lie beyond the last unmarked node of their branch, unless a
+        remaining branch begins there.
         """
         stays = ~gone
         for k in range(len(self.branches) - 1, -1, -1):  # children before parents
@@ -142,9 +149,10 @@ class Tubes:
         return stays
 
     def cut_detours(self, gone: NDArray[np.bool_]) -> Tubes:
-        """Attach branches to the nearest earlier tube if their first nodes are ``gone`` (N,) and make a long detour.
+        """Remove long detours at the beginning of branches whose first nodes are marked in ``gone`` (N,).
 
-        The nodes of the detours remain, without a branch.
+        The branches are attached to the nearest earlier tube instead. The nodes of the detours remain, without a
+        branch.
         """
         owner, branches = self.owner, list(self.branches)
         bears = np.zeros(len(owner), bool)
@@ -164,14 +172,14 @@ class Tubes:
 
 
 def place_nodes(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
-    """Smooth paths and place evenly spaced nodes on them.
+    """Smooth paths, and place evenly spaced nodes on them.
 
     Parameters
     ----------
     paths : sequence of float64 array
-        Points (n, 3) of each branch, from a point of its parent to its tip; parents before children.
+        Points (n, 3) of each branch, from a point of its parent to its tip. Parents come before children.
     radius_mm : sequence of float64 array
-        Radii (n,) at these points.
+        Radii (n,) at these points, mm.
     """
     strung = [_resample(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
     strung[1:] = [(points[1:], thickness[1:]) for points, thickness in strung[1:]]  # the first node belongs to the parent
@@ -183,26 +191,29 @@ def place_nodes(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
 
 
 def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
-    """Return for each point (M, 3) the nearest of the first ``count`` (M,) centres; 0 where there is none."""
+    """Return, for each point (M, 3), the index (M,) of the nearest among the first ``count`` (M,) centres.
+
+    The index is 0 if ``count`` is 0.
+    """
     near = cKDTree(centre).query(points, k=min(_FEW, len(centre)))[1].reshape(len(points), -1)
     allowed = near < count[:, None]
     found = np.where(allowed.any(axis=1), near[np.arange(len(near)), allowed.argmax(axis=1)], 0)
-    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all near ones come later
+    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all of the nearest nodes come later
         found[k] = np.linalg.norm(centre[: count[k]] - points[k], axis=1).argmin()
     return np.asarray(found, np.int64)
 
 
 def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
-    """Attach paths to a tree, with nodes placed on them; a path that begins at a tip extends that branch.
+    """Attach paths to a tree, and place nodes on them. A path that begins at a tip extends that branch.
 
     Parameters
     ----------
     paths : sequence of float64 array
         Points (n, 3) of each new branch, from its parent to its tip.
     radius_mm : sequence of float64 array
-        Radii (n,) at these points.
+        Radii (n,) at these points, mm.
     parents : sequence of int
-        Node of the tree at which each begins; -1 for the nearest node of the preceding new branches.
+        Node of the tree at which each path begins, or -1 for the nearest node of the preceding new branches.
     """
     centres, radii, branches, count = [tree.centre_mm], [tree.radius_mm], list(tree.branches), len(tree.radius_mm)
     tips = {int(nodes[-1]): k for k, nodes in enumerate(branches)}
@@ -224,7 +235,7 @@ def attach(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], pare
 
 
 def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
-    """Smooth a path with fixed ends, and place nodes on it."""
+    """Smooth a path with fixed ends, and place evenly spaced nodes on it."""
     step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1))) if len(path) > 1 else 1.0
     pad = len(path) - 1
     mirrored = np.concatenate([2 * path[:1] - path[:0:-1], path, 2 * path[-1:] - path[-2::-1]])
@@ -236,10 +247,10 @@ def _resample(path: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def merge_stubs(tubes: Tubes) -> Tubes:
-    """Continue branches in the child that leaves at their end: no root ends where a lateral leaves it.
+    """Continue branches in the child that begins at their end, since no root ends where a lateral leaves it.
 
-    Of several children, the one with the smallest bend is chosen; a remainder beyond them shorter than the node spacing
-    is removed.
+    Of several children, the one with the smallest bend is chosen. The remainder of the branch beyond its children is
+    removed if it is shorter than the node spacing.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
@@ -264,7 +275,7 @@ def merge_stubs(tubes: Tubes) -> Tubes:
 
 
 def fill_gaps(tubes: Tubes) -> Tubes:
-    """Insert nodes into segments that are much longer than the others."""
+    """Insert nodes into segments that are much longer than the node spacing."""
     centres, radii, branches, count = [tubes.centre_mm], [tubes.radius_mm], list(tubes.branches), len(tubes.radius_mm)
     for k, nodes in enumerate(branches):
         way = np.diff(tubes.centre_mm[nodes], axis=0)
@@ -283,11 +294,10 @@ def fill_gaps(tubes: Tubes) -> Tubes:
 
 
 def trim_inside_parents(tubes: Tubes) -> Tubes:
-    """Move the bases of laterals to the points of their parents' axes that their tangents point to.
+    """Remove the hidden part of each lateral inside its parent.
 
-    The hidden part of a lateral within its parent is removed.
-
-    A path to the axis of a thick root may run along inside it, as no picture constrains it there.
+    The base of the lateral is moved to the point of the parent's axis to which the lateral's tangent points. Inside a
+    thick root, pictures do not constrain the path to the axis, which may therefore run along the root.
     """
     centre, radius = tubes.centre_mm, tubes.radius_mm
     branches, used, instead = list(tubes.branches), np.ones(len(radius), bool), np.arange(len(radius))
@@ -312,12 +322,15 @@ def trim_inside_parents(tubes: Tubes) -> Tubes:
 
 
 def with_geometry(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
-    """Return tubes with other centres (N, 3) and radii (N,)."""
+    """Return tubes with new centres (N, 3) and radii (N,), mm."""
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
 
 
 def owners(branches: Sequence[Index | None], count: int) -> Index:
-    """Return the branch (N,) that each of ``count`` nodes belongs to, -1 for none; branches may be None."""
+    """Return the index (N,) of the branch that contains each of ``count`` nodes, or -1 for none.
+
+    Removed branches are None.
+    """
     owner = np.full(count, -1)
     for k, nodes in enumerate(branches):
         if nodes is not None:
@@ -326,14 +339,14 @@ def owners(branches: Sequence[Index | None], count: int) -> Index:
 
 
 def ancestors(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
-    """Return a branch, its parent, and so on to the first branch (0).
+    """Return the indices of a branch, its parent, and all further ancestors up to the first branch (0).
 
-    The list ends before 0 if a parent is missing, or in a cycle.
+    The list ends earlier if a parent is missing or the branches form a cycle.
 
     Parameters
     ----------
     owner : Index
-        (N,) branch of each node, -1 for none.
+        Index (N,) of the branch that contains each node, or -1 for none.
     """
     found: list[int] = []
     while branch >= 0 and branch not in found and (nodes := branches[branch]) is not None:
@@ -343,12 +356,12 @@ def ancestors(branches: Sequence[Index | None], owner: Index, branch: int) -> li
 
 
 def list_children(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
-    """Return the children of each branch that has any.
+    """Return the children of each branch that has children, keyed by the branch.
 
     Parameters
     ----------
     owner : Index
-        (N,) branch of each node.
+        Index (N,) of the branch that contains each node.
     """
     children: dict[int, list[int]] = {}
     for k, nodes in enumerate(branches):
@@ -358,7 +371,7 @@ def list_children(branches: Sequence[Index | None], owner: Index) -> dict[int, l
 
 
 def parents_first(branches: Sequence[Index | None], count: int) -> list[int]:
-    """Return the indices (K,) of branches connected to the first, parents before children.
+    """Return the indices (K,) of all branches connected to the first branch. Parents come before children.
 
     Parameters
     ----------
