@@ -55,13 +55,13 @@ class Way(NamedTuple):
     spans: mi.UInt32
     """Number of straight ray segments through the region of fine structures."""
     start: mi.Point3f
-    """Start of the last of these segments, mm."""
+    """Start of the last ray segment through the region of fine structures, mm."""
     heading: mi.Vector3f
-    """Direction of the last of these segments."""
+    """Unit direction of the last ray segment through the region of fine structures."""
 
 
 class Backlit:
-    """Tracer of camera rays through a scene.
+    """Tracer of primary camera rays through a Mitsuba scene.
 
     Parameters
     ----------
@@ -90,7 +90,9 @@ class Backlit:
         dr.make_opaque(self.roots)
 
     def aim(self, target: str) -> None:
-        """Select the shape whose coverage is computed by its identifier.
+        """Select the shape, by its identifier, whose coverage is computed.
+
+        The coverage is zero if the shape does not exist.
 
         The coverage is zero if the shape does not exist.
         """

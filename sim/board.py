@@ -56,7 +56,7 @@ class BoardPictures:
     camera: Camera
     """True camera, including distortion."""
     cam_from_board: dict[str, frames.Array]
-    """Pose of the board (4, 4), mm, by file name."""
+    """Pose of the board in the camera frame (4, 4), mm, by file name."""
 
 
 def simulate_board(

@@ -178,8 +178,8 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
         raise UserError("specimen.orders is empty; must contain at least the parameters of the taproot.")
     if z + radius_mm > limits.high_z_mm or z - radius_mm < limits.low_z_mm or np.hypot(x, y) + radius_mm > limits.radius_mm:
         raise UserError(
-            f"specimen.origin_mm {specimen.origin_mm} is too close to the edge of the water for a root of diameter "
-            f"{2.0 * radius_mm:.2f} mm; must be at least {radius_mm:.2f} mm inside the limits: z {limits.low_z_mm:.1f} to "
+            f"specimen.origin_mm {specimen.origin_mm} is too close to the edge of the water; a root of diameter "
+            f"{2.0 * radius_mm:.2f} mm must begin at least {radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to "
             f"{limits.high_z_mm:.1f} mm and radius {limits.radius_mm:.1f} mm."
         )
 
@@ -236,7 +236,9 @@ def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) 
 
 
 def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
-    """Cut a centre line with points every `STEP_MM` at a length.
+    """Cut a centre line at a given length, and return its points (N, 3) and arc lengths (N,), mm.
+
+    The centre line has a point every `STEP_MM`.
 
     Return its points (N, 3) and their arc lengths (N,), mm.
     """

@@ -33,11 +33,11 @@ FLOOR_REFLECTANCE = 0.10
 ALGAE_GAP_MM = 0.05
 """Distance of algae films from the wall, mm, much larger than rounding errors of rays and much smaller than a pixel."""
 OUTER_GAP_MM = 0.05
-"""Distance of dirt on the outside from the wall, mm, with the same considerations."""
+"""Distance of dirt on the outside from the wall, mm, larger than rounding errors of rays and smaller than a pixel."""
 DIRT_TEXEL_MM = 0.1
 """Edge of a texel of the dirt, mm, half a pixel on the wall at 800x600."""
 OVAL_SIDES = 1440
-"""Number of facets of an oval wall. They deviate by at most 0.2 um from the oval and have its exact normals."""
+"""Number of facets of an oval wall. The facets deviate by at most 0.2 um from the oval. Their normals are exact."""
 TURBID_ALBEDO = 0.7
 """Albedo of turbid water (assumed): fraction of the extinction that is due to scattering."""
 TURBID_FORWARD = 0.9
@@ -53,7 +53,7 @@ def build(
     lamps: bool = True,
     dirt_reach_mm: float | None = None,
 ) -> mi.Scene:
-    """Build the Mitsuba scene of a world, without a sensor.
+    """Build the Mitsuba scene of a rig with its drawn disturbances, without a sensor.
 
     Parameters
     ----------

@@ -133,9 +133,9 @@ def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
     if distances_mm[worst] > TOUCH_MM:
         x, y, z = points_mm[worst]
         raise UserError(
-            f"{what} extends {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm. Its size is "
-            f"{format_size(points_mm)} mm. The water extends to radius {canister.inner_radius_mm:g} mm, "
-            f"z {canister.floor_z_mm:g} to {scene.water.level_mm:g} mm. {_advice(points_mm, scene)}"
+            f"{what} extends {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
+            f"the specimen has a size of {format_size(points_mm)} mm, and the water is limited by "
+            f"radius {canister.inner_radius_mm:g} and z {canister.floor_z_mm:g} to {scene.water.level_mm:g} mm. {_advice(points_mm, scene)}"
         )
 
 

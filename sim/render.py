@@ -1,4 +1,4 @@
-"""Render the views of a world, each independently of all other views.
+"""Render the views of a scene with drawn disturbances, each independently of all other views.
 
 Most pixels of a backlit picture are smooth, which is tested with rays through the corners of all pixels. All rays of a
 pixel are only traced if its corner rays meet different surfaces, if the light varies nonlinearly between them, on the
@@ -41,8 +41,8 @@ four corners has an error of a twelfth of this difference in each direction."""
 BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
 """Cells of a 4 x 4 lattice, one per row and column, in which a pixel is searched for fine structures."""
 ROOM_MARGIN_MM = 3.0
-"""Margin around fine structures, mm, wider than a pixel, so that pixels on the boundary of the enclosing region contain
-none of them."""
+"""Margin of the region that encloses fine structures, mm. The margin is wider than a pixel, so that a pixel on the
+region's boundary contains no fine structure."""
 SWAYS = 5.0
 """Maximum sway of a specimen, in standard deviations."""
 _TRACING = 21  # key of the path tracer's random stream
@@ -67,7 +67,7 @@ def check_samples(fidelity: str, samples: int | None) -> int:
 
 
 class Renderer:
-    """Renderer for the views of a world.
+    """Renderer for the views of a scene with drawn disturbances.
 
     Parameters
     ----------

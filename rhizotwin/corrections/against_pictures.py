@@ -30,7 +30,7 @@ _VIEWS = 8
 
 @dataclass(frozen=True)
 class Comparison:
-    """Increase, due to corrections, of the disagreement between the shape and the pictures."""
+    """Disagreement between shape and pictures that manual corrections added."""
 
     missed: float
     """Increase of the unexplained fraction of a silhouette, maximum over the compared views. The maximum is used
@@ -39,7 +39,7 @@ class Comparison:
     """Increase of the fraction of the shape's volume that lies where the pictures show no roots."""
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
-        """Compare both fractions with the limit for unexplained coverage between views (``trust.missed``)."""
+        """Compare the missing and surplus fractions that corrections added with the limit ``trust.missed``."""
         lacking = f"the corrected shape does not explain {100.0 * self.missed:.1f} % of the roots in a picture"
         beyond = f"{100.0 * self.surplus:.1f} % of the corrected shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"

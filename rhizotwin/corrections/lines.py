@@ -96,7 +96,7 @@ class Line:
         return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces), sigma_mm=sigma)
 
     def stretches(self, chosen: Mask) -> list[tuple[int, int]]:
-        """Return the first and last index of each run of two or more consecutive selected points (N,)."""
+        """Return first and last index of each run of at least two consecutive points selected by a mask (N,)."""
         rows = np.flatnonzero(chosen)
         runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         return [(int(run[0]), int(run[-1])) for run in runs if len(run) > 1]

@@ -47,12 +47,12 @@ class Edit:
     when: str
     """Time of the correction, UTC, ISO 8601."""
     roots: tuple[int, ...] = ()
-    """Numbers of the roots to correct. Roots are numbered by their position in ``roots.rsml``, new roots after them in
-    order of creation."""
+    """Numbers of the roots to correct. The roots of ``roots.rsml`` are numbered by their position in the file. New
+    roots have the following numbers, in order of creation."""
     laterals: bool = False
-    """Whether the laterals of the roots are deleted with them."""
+    """Whether a deletion of roots includes their laterals."""
     runs: tuple[tuple[int, int], ...] = ()
-    """Voxels as runs (first row, number of rows) of ``shape.npz``."""
+    """Voxels to correct, as runs (first row, number of rows) in ``shape.npz``."""
     box_mm: tuple[Triple, Triple] | None = None
     """Lowest and highest corner of the box, mm, canister frame."""
     point_mm: Triple | None = None

@@ -1,4 +1,4 @@
-"""Division of a result's volume among its roots, from which the volume after a deletion is computed without delay.
+"""Divide the volume of a result among its roots, so that the volume after a deletion is computed immediately.
 
 The reconstruction fills tubes with sample points, each of which represents a part of the tube's volume
 (`recon.tubes.filling`). The same points divide each voxel's volume among the roots. Where tubes overlap, the volume is
@@ -30,7 +30,7 @@ Singles = NDArray[np.float32]
 Numbers = NDArray[np.int32]
 
 _SAMPLES_A_NODE = 1.8
-"""Sample points per edge of a finest voxel, as in the reconstruction."""
+"""Number of sample points along the edge of a finest voxel, as in the reconstruction."""
 _FINEST_SPACING_MM = 0.05
 """Minimum spacing of sample points, mm."""
 _MOST_SAMPLES = 1_000_000
@@ -40,7 +40,7 @@ of the time and memory."""
 _LEAST_A_DISC = 6
 """Minimum number of sample points per cross-section of a tube."""
 _END_MM = 1e-6
-"""Tolerance within which an arc length equals that of a source's end, mm."""
+"""Tolerance, mm, within which an arc length counts as the end of a source."""
 _NEAR_VOXELS = 2.0
 """Maximum distance of unexplained volume from the root to which it is assigned, in voxels."""
 _NEAR_MM = 3.0
@@ -61,11 +61,11 @@ class _Samples:
     leaf: Numbers
     """Row of the voxel that contains each point (S,)."""
     pair: Numbers
-    """Index of a point in each overlap (K,). An overlap is a point that also lies inside an earlier source."""
+    """Index (K,) of each sample point that also lies inside an earlier source, in the following called an overlap."""
     cover: Numbers
-    """Index of the earlier source in each overlap (K,)."""
+    """Index (K,) of the earlier source at each overlap."""
     cover_mm: Singles
-    """Arc length along the earlier source in each overlap (K,), mm."""
+    """Arc length (K,) along the earlier source at each overlap, mm."""
 
 
 @dataclass
@@ -87,7 +87,7 @@ class Solid:
     sources: list[tuple[Array, Array]] = field(default_factory=list)
     """Points (M, 3) and diameters (M,) of each source, mm."""
     given: int = 0
-    """Number of sources of the reconstruction. Sources of corrections come after them."""
+    """Number of sources from the reconstruction. Sources added by corrections follow in the list."""
     _parts: list[_Samples] = field(default_factory=list)
     _claim: Array = field(default_factory=lambda: np.zeros(0))
     _rest_mm3: Array = field(default_factory=lambda: np.zeros(0))
@@ -142,7 +142,9 @@ class Solid:
         return polyline.length_mm(self.sources[source][0])
 
     def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
-        """Add roots, and voxels where they leave the shape, and return the indices of the new sources.
+        """Add roots and return the indices of the new sources.
+
+        Voxels are added where the roots leave the shape. Each root has points (M, 3) and diameters (M,), mm.
 
         Each root has points (M, 3) and diameters (M,), mm.
         """
@@ -174,7 +176,7 @@ class Solid:
         return numbers
 
     def volumes_mm3(self, pieces: Iterable[Piece], gone: Mask) -> Array:
-        """Return the volume in each voxel (N,), mm3, if parts of sources and some voxels are deleted.
+        """Return the remaining volume in each voxel (N,), mm3, after parts of sources and voxels were deleted.
 
         Parameters
         ----------
@@ -334,7 +336,7 @@ class Solid:
 
 
 def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
-    """Convert lines to tubes without common nodes."""
+    """Convert centre lines to tubes that have no nodes in common."""
     from rhizotwin.recon.tubes.tubes import Tubes
 
     count = np.cumsum([0, *(len(points) for points, _ in lines)])

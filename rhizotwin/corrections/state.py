@@ -51,9 +51,9 @@ class State:
     gone: Mask
     """Whether a voxel was deleted (N,)."""
     removed: Lines
-    """Deleted roots by number, before their deletion."""
+    """Deleted roots by number, as they were before the deletion."""
     next_number: int
-    """Number of the next root that a correction creates."""
+    """Number that the next new root will have."""
     base_mm: tuple[float, float, float] | None = None
     """Base of the plant, mm, canister frame. None: not corrected."""
 
@@ -73,7 +73,7 @@ class State:
 
 
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
-    """Return the state before corrections. Root k is source k of the solid."""
+    """Return the state of a result before corrections, in which root k is source k of the solid."""
     lines = roots_of.as_lines(roots)
     return State(lines, np.zeros(len(solid.size), bool), {}, len(lines))
 
@@ -135,10 +135,10 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
 
 
 def _check_roots(state: State, edit: Edit) -> list[int]:
-    """Return the numbers of the correction's roots. Raise an error if a root does not exist."""
+    """Return the numbers of the roots to correct. Raise an error if a root does not exist."""
     lost = [root for root in edit.roots if root not in state.lines]
     if lost or not edit.roots:
-        raise UserError(f"correction '{edit.do}': root {lost[0]} does not exist" if lost else f"correction '{edit.do}' contains no root")
+        raise UserError(f"correction '{edit.do}': root {lost[0]} does not exist" if lost else f"correction '{edit.do}' needs a root")
     return list(edit.roots)
 
 
@@ -250,7 +250,7 @@ def _join(state: State, one: int, other: int, solid: Solid) -> State:
 
 
 def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
-    """Replace roots by their fit. Parts that were excluded from the fit keep their volume."""
+    """Replace roots by their fitted geometry. Parts that were excluded from the fit keep their volume."""
     changed = {number: root for number, root in found.items() if not root.stays.all()}
     runs = {number: _runs(root.stays) for number, root in changed.items()}
     made = [(number, a, b) for number in changed for a, b, stays in runs[number] if not stays]

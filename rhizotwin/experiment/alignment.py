@@ -56,7 +56,7 @@ def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
 
 
 def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
-    """Register a plant at two ages.
+    """Register the roots of a plant at two ages.
 
     Both lists begin with the taproot and contain at least one root. The algorithm runs twice, from the alignment by the
     marker strip and from coinciding root bases. The registration with the smaller residual is returned.

@@ -26,8 +26,8 @@ leave-one-out cross-validation needs one more."""
 SHARE = 0.9
 """Coverage probability of the prediction intervals."""
 MIXED = 100.0
-"""Ratio of a plant's mass per volume to the median of all plants, or its inverse, from which the mass is assumed to
-have the wrong unit. Species differ by less than a factor of ten."""
+"""Ratio of mass per volume between a plant and the median of all plants (or the inverse ratio) above which the unit of
+the mass is assumed to be wrong. Species differ by less than a factor of ten."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +219,7 @@ def _check_units(found: Sequence[Pair]) -> None:
 
 
 def applicable_relations(model: Model, measured: Measured) -> tuple[Relation, ...]:
-    """Return the relations of a model that can be applied to a result, because their traits were measured.
+    """Return the relations of a model whose traits were measured in a result.
 
     Raises
     ------

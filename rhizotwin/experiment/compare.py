@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 SURE = 0.05
 """Significance level for differences between treatments."""
 ROUNDING = 1e-12
-"""Numerical tolerance of logarithms of traits, below which a difference is assumed to be zero."""
+"""Numerical tolerance below which a difference of logarithms is assumed to be zero."""
 LEAST_PLANTS = 2
 """Minimum number of plants per treatment for a comparison."""
 
@@ -100,9 +100,9 @@ class Difference:
     size: float
     """Ratio of the trait between both treatments on the mean day."""
     size_interval: tuple[float, float]
-    """90 % interval of the ratio."""
+    """90 % interval of the ratio of the trait between both treatments."""
     size_p: float
-    """p value of the ratio."""
+    """p value of the ratio of the trait between both treatments."""
     rate_per_day: float
     """Difference of the relative growth rates, 1/day."""
     rate_p: float
@@ -112,7 +112,7 @@ class Difference:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the ratio differs significantly from 1. The growth rate is not taken into account."""
+        """Whether the ratio of the trait differs significantly from 1. The growth rate is not taken into account."""
         return self.size_p < SURE
 
 
@@ -220,7 +220,7 @@ def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], 
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
-    """Return the fixed effects (P,) and their standard errors (P,).
+    """Fit a mixed model and return its fixed effects (P,) and their standard errors (P,).
 
     With one observation per plant, the random level cannot be estimated and ordinary least squares is used. Powell's
     method is used because the likelihood has no gradient where a variance is zero. Gradient methods stopped early for

@@ -23,7 +23,8 @@ MOST_SHARED = 0.9
 """Maximum squared correlation between the concentrations of two ions that are fitted separately, equivalent to a
 variance inflation factor of 10 (Marquardt 1970, Technometrics 12:591)."""
 _SAME = 1e-6
-"""Relative tolerance within which two concentrations are equal. Tables contain seven digits."""
+"""Relative tolerance within which two concentrations are equal. The tolerance exceeds rounding errors in tables, which
+contain seven digits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ class Response:
         return exp(self.slope * (self.range_mmol[1] - self.range_mmol[0]))
 
     def sentence(self, trait: str) -> str:
-        """Return a sentence that describes the response."""
+        """Return a sentence that describes the response of a trait to the ion."""
         least, most = self.range_mmol
         low, high = (100.0 * (exp(end * (most - least)) - 1.0) for end in self.slope_interval)
         beside = f" (together with {', '.join(self.with_ions)})" if self.with_ions else ""
@@ -171,7 +172,7 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
 
 
 def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
-    """Compute the partial residuals of the responses for a plot.
+    """Compute the partial residuals of fitted dose responses for a plot.
 
     Parameters
     ----------

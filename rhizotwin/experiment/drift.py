@@ -84,7 +84,7 @@ class Chart:
     values: tuple[float, ...]
     """Values of the quantity at these times."""
     centre: float
-    """Mean of the values."""
+    """Centre line of the chart, which is the mean of the values."""
     sigma: float | None
     """Standard deviation estimated from the moving range. None if there are too few points."""
     slope_per_day: float
@@ -107,7 +107,7 @@ class Chart:
 
     @property
     def has_trend(self) -> bool:
-        """Whether the slope is significant."""
+        """Whether the slope of the straight line differs significantly from zero."""
         return self.slope_p < SURE
 
     @property
@@ -122,7 +122,7 @@ class Chart:
 
 
 def rig_numbers(summary: Json) -> dict[str, float]:
-    """Return the quantities of the rig in a ``result.json`` by the names of `RIG_NUMBERS`.
+    """Return the quantities of the rig that ``result.json`` contains, by the names of `RIG_NUMBERS`.
 
     If the reconstruction corrected the focal length with the markers or the roots, its uncorrected part is 1. The level
     of the panel is measured by `panel_level` instead.
@@ -200,7 +200,7 @@ def _trend(t: np.ndarray[Any, Any], x: np.ndarray[Any, Any]) -> tuple[float, flo
 
 
 def _tilt_deg(pose: Any) -> float | None:
-    """Return the angle between the z axes of two frames, deg."""
+    """Return the angle between the z axes of the two frames of a pose, deg, None without a pose."""
     if pose is None:
         return None
     return degrees(acos(max(-1.0, min(1.0, float(pose[2][2])))))

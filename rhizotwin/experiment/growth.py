@@ -25,11 +25,11 @@ class Growth:
     """Growth of a set of plants over several days."""
 
     plants: Mapping[str, Sequence[Measured]]
-    """Results of each plant, sorted by day, by name of the plant."""
+    """Results by name of the plant, sorted by day."""
     tracked: Mapping[str, TrackedPlant]
-    """Tracked roots of the plants that were scanned on at least two days, by name of the plant."""
+    """Tracked roots by name of the plant, for plants that were scanned on at least two days."""
     seen: Mapping[str, Sequence[Observation]]
-    """Reliable values of each trait, by name of the trait."""
+    """Reliable values by name of the trait."""
     curves: Mapping[str, Sequence[Point]]
     """Mean of each treatment on each day, by name of the trait."""
     compared: Mapping[str, Sequence[Difference]]

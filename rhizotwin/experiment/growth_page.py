@@ -113,14 +113,14 @@ def drift_cautions(charts: Mapping[str, Chart], trait: str, size: float) -> list
             change = 100.0 * chart.change / chart.centre
             found.append(
                 f"{trait}: caution: the {BY_NAME[name].heading.partition(',')[0].partition(' (')[0]} changed by {change:.2g} % during the "
-                f"experiment, which could change the {trait} by {100.0 * (factor - 1.0):.2g} %, as much as this difference; compare plants "
-                "that were scanned at the same time, and see 'rhizotwin catalogue report'."
+                f"experiment, which could change the {trait} by {100.0 * (factor - 1.0):.2g} %, as much as the treatments differ; "
+                "compare plants that were scanned at the same time (see 'rhizotwin catalogue report')."
             )
     return found
 
 
 def sentences(growth: Growth) -> list[str]:
-    """Return the findings as sentences."""
+    """Return the findings on growth, treatments and dose responses as sentences."""
     found = []
     for trait, compared in growth.compared.items():
         for one in compared:

@@ -20,7 +20,7 @@ from rhizotwin.scenes.trait_table import csv_text, format_exact
 
 _PREDICTED = {"plant", "day", "mass", "mass (g)"}
 QUANTITIES = {"fresh": "wet mass (g)", "dry": "dry mass (g)", "water": "water content (%)"}
-"""Quantities with their axis labels."""
+"""Axis label of each plotted quantity."""
 PARTS = (*ORGANS, "plant")
 """Parts of a plant for which masses are plotted. ``plant`` is the sum of root and shoot."""
 

@@ -22,7 +22,7 @@ KINDS = tuple(f"{organ}_{state}" for organ in ORGANS for state in STATES)
 BALANCE_G = 1e-4
 """Readability of the laboratory balance of the thesis, g."""
 GRAMS = {"g": 1.0, "mg": 1e-3, "kg": 1e3}
-"""Units of mass in grams."""
+"""Size of each supported unit of mass, g."""
 _COLUMN = re.compile(rf"({'|'.join(ORGANS)})_(fresh|dry|foil_scraped|foil)_(\w+)")
 
 

@@ -26,10 +26,11 @@ LEAST_SHARE = 0.5
 RESIDUALS = 4.0
 """Tolerance within which a point lies on a root, in units of the median residual of the alignment."""
 LEAST_ON_MM = 0.5
-"""Minimum of this tolerance, mm: diameter of a fine root plus tracing error, about one voxel each."""
+"""Minimum tolerance within which a point lies on a root, mm: diameter of a fine root plus tracing error, about one
+voxel each."""
 LEAST_COSINE = 0.7
-"""Minimum absolute cosine of the angle between the directions of matching points, about 45 degrees, so that crossing
-roots are distinguished."""
+"""Minimum absolute cosine of the angle between the directions of matching points (45 degrees), which distinguishes
+crossing roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +162,7 @@ def _align_day(day: Day, aligned: Aligned) -> Day:
 
 
 def _match_roots(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[int, int]:
-    """Map the index of each matched root of the current day to its index among the known roots."""
+    """Match the roots of two days, and return the index of the known root by index of the current root."""
     if not known:
         return {}
     mine, theirs = _Points.of(known), _Points.of(today)
@@ -182,7 +183,7 @@ def _match_roots(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> 
 
 
 def _new_name(tracks: dict[str, Track], parent: str) -> str:
-    """Return a new name: the parent's name, and the number of the lateral in order of appearance."""
+    """Return the name of a new root: the parent's name and the number of the lateral in order of appearance."""
     count = sum(track.parent == parent for track in tracks.values())
     return f"{parent}.{count + 1}" if parent else str(count + 1)
 

@@ -37,18 +37,18 @@ class Measured:
     traits: Mapping[str, float]
     """Measured traits by their names in tables, in the units of `scenes.trait_table`."""
     assessed: Mapping[str, Assessment] = field(default_factory=dict)
-    """Assessments of the traits by the same names. A trait without an entry is not assessed."""
+    """Assessments of the traits by their names in tables. A trait without an entry is not assessed."""
     ions: Mapping[str, float] = field(default_factory=dict)
     """Ion concentrations of the nutrient solution, mmol/l, empty if unknown."""
     folder: Path | None = None
     """Result folder. None if the traits were read from a table."""
 
     def assessment(self, trait: str) -> Assessment:
-        """Return the assessment of a trait."""
+        """Return the assessment of a trait: reliability and 90 % interval."""
         return self.assessed.get(trait, NOT_ASSESSED)
 
     def usable(self, trait: str) -> float | None:
-        """Return the value of a trait, None unless the value is positive and not marked as not reliable."""
+        """Return the value of a trait, None if the value is not positive or is marked as not reliable."""
         value = self.traits.get(trait, 0.0)
         return value if value > 0.0 and self.assessment(trait).verdict != "not reliable" else None
 
@@ -152,7 +152,7 @@ def _read_folder(folder: Path) -> list[Measured]:
 
 
 def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
-    """Return a sentence for each trait about the number of unreliable values that are excluded, and the reasons."""
+    """Return one sentence per trait with the number of excluded unreliable values and the reasons."""
     sentences = []
     for trait in traits:
         known = [one for one in found if one.traits.get(trait, 0.0) > 0.0]

@@ -71,7 +71,7 @@ def load_model(path: Path) -> Model:
 
 
 def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
-    """Predict all masses of all results for which the trait of the model's relation was measured."""
+    """Predict the masses of all results in which the traits of the model were measured."""
     found = []
     for one in measured:
         for relation in applicable_relations(model, one):

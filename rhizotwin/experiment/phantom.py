@@ -54,7 +54,7 @@ class Wire:
 
     @property
     def verdict(self) -> str:
-        """Whether the wire was measured successfully, with the reason, as text."""
+        """Text that states whether the wire was measured successfully, with the reason if it was not."""
         if self.length_mm < LEAST_MM:
             return f"not measurable: less than {LEAST_MM:g} mm of the wire were detected"
         return f"{'measured' if self.is_measured else 'not measurable'} within {100.0 * TOLERANCE:g} %"

@@ -24,7 +24,7 @@ class Row:
     where: str
     """File and line, for error messages."""
     cells: dict[str, str]
-    """Cells by column name. Missing cells are empty."""
+    """Cells of the row as text, by column name. Missing cells are empty."""
 
 
 def read_table(path: Path) -> list[Row]:

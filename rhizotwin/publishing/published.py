@@ -27,7 +27,7 @@ class Scan:
     name: str
     """Name of the dataset's folder in the publication."""
     dataset: Dataset
-    """The dataset."""
+    """Dataset with its scene and pictures."""
 
     @property
     def place(self) -> str:

@@ -36,7 +36,7 @@ TRUTH_RGB = (0.42, 0.62, 0.80)
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
 """Colour of unusable pixels, red, blended with the grey picture."""
 _VIEWS_SHOWN = 4
-"""Number of views in a row."""
+"""Number of views that are shown side by side."""
 SHRINK = 2
 """Supersampling factor of renderings in each direction."""
 PANEL_PX = 640

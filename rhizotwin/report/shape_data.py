@@ -23,7 +23,7 @@ def pack_shape(surface: Mesh, roots: Sequence[Root]) -> dict[str, Any]:
     """Return a surface with centre lines and colours as JSON values that ``page.js`` reads.
 
     Coordinates are stored in units of 1/65535 of the largest extent, a few micrometres. Diameters are stored in
-    micrometres. Each vertex has the index of the nearest centre-line point, whose colour it is drawn in.
+    micrometres. Each vertex refers to the nearest centre-line point and has the colour of this point.
 
     Parameters
     ----------

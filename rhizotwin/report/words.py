@@ -62,7 +62,7 @@ def volume_text(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def headline(summary: dict[str, Any]) -> tuple[str, str]:
-    """Return the first line of a report and the line below it."""
+    """Return the headline of a report, which states the volume, and the line below the headline."""
     found, interval = volume_text(summary)
     if summary["volume_trusted"]:
         return f"volume {found}", f"90 % interval {interval}"
@@ -122,7 +122,7 @@ def _with_unit(definition: Definition, value: float | int | None, half: float | 
 
 
 def _number(definition: Definition, value: float, half: float | None) -> str:
-    """Format a value of a trait in the unit of reports.
+    """Format a value of a trait in the unit that reports use.
 
     Parameters
     ----------

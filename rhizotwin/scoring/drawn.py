@@ -65,7 +65,7 @@ def pixels(view: View, optics: Optics, points_mm: Array) -> Array:
 def _project_segments(view: View, optics: Optics, root: Root) -> Array:
     """Return a quadrangle (N - 1, 4, 2), pixels, for each segment of a root.
 
-    Its long sides are the projected axis, shifted by the radius perpendicular to the line of sight.
+    The long sides of a quadrangle are the projected axis, shifted by the radius perpendicular to the line of sight.
     """
     points = root.points_mm
     across = np.cross(np.gradient(points, axis=0), points - view.centre_mm)

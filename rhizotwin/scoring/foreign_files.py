@@ -188,7 +188,7 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
             raise ValueError("the voxels must be stored in the same file with the encoding raw or gzip")
         most = result_files.MOST_SHAPE_MIB * 2**20
         if math.prod(int(size) for size in header["sizes"]) > most:
-            raise ValueError(f"the size {header['sizes']} is too large")
+            raise ValueError(f"the array of size {header['sizes']} is too large; use larger voxels")
         if encoding != "raw":
             unpacked = zlib.decompressobj(zlib.MAX_WBITS | 32)
             unpacked.decompress(file.read(), most)

@@ -62,9 +62,9 @@ class Score(VolumeScore):
     extents_error_max: float
     """Maximum absolute value of the three relative errors."""
     voxels: VoxelScore
-    """Agreement of the occupied voxels."""
+    """Agreement of the occupied voxels with the true solid."""
     surface: SurfaceScore
-    """Distances between the surfaces."""
+    """Distances between the surface of the result and the true surface."""
     poses: PoseScore | None
     """Errors of the camera poses. None if no view was used."""
     rig: tuple[RigError, ...]
@@ -72,13 +72,13 @@ class Score(VolumeScore):
     masks: MaskScore | None
     """Errors of the silhouettes. None if the result contains no silhouettes."""
     hull: HullScore
-    """Agreement of the visual hull."""
+    """Agreement of the visual hull with the true solid."""
     roots: RootScore | None
-    """Agreement of the centre lines. None if the truth or the result has no roots."""
+    """Agreement of the centre lines with the true centre lines. None if the truth or the result has no roots."""
     plants: tuple[PlantScore, ...]
     """Scores of the plants if the canister contains several. Empty for a single plant."""
     shoot: ShootScore | None
-    """Agreement of the shoot. None if the truth or the result has no shoot."""
+    """Agreement of the shoot with the true shoot. None if the truth or the result has no shoot."""
     traits: dict[str, TraitScore]
     """Errors of the traits by the names of `scenes.trait_table`."""
     blind_mm3: float
@@ -91,7 +91,10 @@ class Score(VolumeScore):
     """Warnings of the reconstruction."""
 
     def to_dict(self) -> Json:
-        """Convert to JSON values, with the fields of ``voxels`` at the top level. Infinite values become None."""
+        """Convert the score to values that the json module can write.
+
+        The fields of ``voxels`` are at the top level. Infinite values become None.
+        """
         found = asdict(self)
         voxels = found.pop("voxels")
         found = {**found, **voxels}

@@ -62,7 +62,7 @@ class StatedScore:
     value: float
     """Reported value in the trait's unit."""
     true: float
-    """True value."""
+    """True value in the trait's unit."""
     error: float
     """Relative error (found / true - 1), or the difference in degrees for an angle."""
     interval: tuple[float, float] | None = None
@@ -94,18 +94,18 @@ class FileScore:
     """Volume of the intersection divided by volume of the union, exact for meshes that bound a solid, computed from
     occupancies for voxels. None if unknown."""
     surface: SurfaceScore | None = None
-    """Distances between the surfaces. None if the output has no surface."""
+    """Distances between the surface of the output and the true surface. None if the output has no surface."""
     roots: RootScore | None = None
-    """Agreement of the centre lines. None if the output has no centre lines."""
+    """Agreement of the centre lines with the true centre lines. None if the output has no centre lines."""
     topology: TopologyScore | None = None
-    """Agreement of the branching. None if the output has no centre lines."""
+    """Agreement of the branching with the true branching. None if the output has no centre lines."""
     traits: dict[str, StatedScore]
     """Errors of the traits by name."""
     notes: tuple[str, ...] = ()
     """Sentences about values that could not be computed."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to JSON values. Infinite values become None."""
+        """Convert the score to values that the json module can write. Infinite values become None."""
         return {key: plain(value) for key, value in asdict(self).items()}
 
     def table(self) -> str:
@@ -330,7 +330,9 @@ def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
 
 
 def _compare_with_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """Compute volume (mm3) and intersection over union from voxels for a self-intersecting mesh, and notes.
+    """Compute volume, mm3, and intersection over union of a self-intersecting mesh from voxels, and notes.
+
+    Volume and intersection over union are None if the mesh is not closed.
 
     None for an open mesh.
     """

@@ -59,7 +59,7 @@ class PictureScore:
     """Intersection over union of the covered areas by picture."""
 
     def to_dict(self) -> Json:
-        """Convert to JSON values."""
+        """Convert the score to values that the json module can write."""
         return asdict(self)
 
     def table(self) -> str:

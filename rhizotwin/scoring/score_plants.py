@@ -42,7 +42,7 @@ class PlantScore:
     root."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the rows of the text table."""
+        """Return the rows (name, text) of the score's text table."""
         return [
             (f"plant {self.plant}", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {100.0 * self.volume_error:+.2f} %"),
             ("  length", f"{self.length_mm:.1f} mm, true {self.length_true_mm:.1f} mm: {100.0 * self.length_error:+.2f} %"),

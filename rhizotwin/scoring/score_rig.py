@@ -12,7 +12,7 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.calibration_table import Row, rows
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
-"""Index of each quantity in the sequence of tilts and offsets."""
+"""Index of each tilt and offset in the vector of the canister's pose parameters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class RigError:
     found: float
     """Calibrated value."""
     true: float
-    """True value."""
+    """True value of the parameter."""
     sigma: float | None
     """Standard deviation reported by the result. None if not reported."""
     unit: str

@@ -52,7 +52,7 @@ class ShootScore:
     """NDVI and NDRE as (found, true). Empty if the shoot was imaged in a single band."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the rows of the text table."""
+        """Return the rows (name, text) of the score's text table."""
         return [
             ("shoot", ""),
             ("  height", f"{self.height_mm:.2f} mm, true {self.height_true_mm:.2f} mm: {100.0 * self.height_error:+.2f} %"),

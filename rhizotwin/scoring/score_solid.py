@@ -37,7 +37,7 @@ class VolumeScore:
     """Reliability of the volume in one sentence."""
 
     def to_dict(self) -> Json:
-        """Convert to JSON values."""
+        """Convert the score to values that the json module can write."""
         return asdict(self)
 
     def table(self) -> str:
@@ -56,7 +56,7 @@ class SolidScore(VolumeScore):
     extents_error: Triple
     """Relative errors of the bounding box along x, y and z."""
     surface: SurfaceScore
-    """Distances between the surfaces."""
+    """Distances between the surface of the result and the true surface."""
     result_from_solid: tuple[tuple[float, ...], ...]
     """Rigid transform (4, 4) that registers the solid to the result, mm."""
 
@@ -128,7 +128,7 @@ def volume_fields(found: Result, volume_mm3: float) -> Json:
 
 
 def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
-    """Return the rows of the text table for the volume."""
+    """Return the rows (name, text) of a score's text table that show the volume."""
     low, high = score.volume_interval_mm3
     verdict = "contains" if score.interval_holds_truth else "does not contain"
     found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (score.volume_mm3, score.volume_true_mm3))
@@ -140,13 +140,13 @@ def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
 
 
 def extent_rows(found_mm: Triple, true_mm: Triple, errors: Triple) -> list[tuple[str, str]]:
-    """Return the rows of the text table for the bounding box."""
+    """Return the rows (name, text) of a score's text table that show the bounding box."""
     each = zip("xyz", found_mm, true_mm, errors, strict=True)
     return [(f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {percent(error)}") for axis, found, true, error in each]
 
 
 def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
-    """Return the rows of the text table for the surface distances."""
+    """Return the rows (name, text) of a score's text table that show the surface distances."""
     return [
         ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
         ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),

@@ -15,7 +15,9 @@ _STEP_MM = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class TopologyScore:
-    """Agreement of the branching.
+    """Agreement of the branching with the true branching.
+
+    Roots are matched by the length over which they lie within `NEAR_MM` of each other.
 
     Roots are matched by the length over which they lie within `NEAR_MM` of each other.
     """

@@ -47,7 +47,7 @@ def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
 
 
 def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
-    """Return the rows of the text table for the traits that are known for both result and truth."""
+    """Return the rows (name, text) of a score's text table for traits known in both result and truth."""
     lines = []
     for name, score in scores.items():
         if score.error is None:

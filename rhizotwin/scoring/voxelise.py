@@ -40,7 +40,7 @@ class Crossings:
     """Size of the bounding box in voxels (3,), increased by one along z so that the topmost crossing of a column has an
     index."""
     x_range: tuple[int, int]
-    """First column index along x, and last index plus one."""
+    """Range of column indices along x (first, last + 1)."""
     keys: Ints
     """Flat index of the first voxel centre above each crossing (M,), in ascending order."""
     inside: NDArray[np.bool_]
@@ -191,7 +191,7 @@ def cross_columns(
         balanced = _are_balanced(columns, signs, size)
     if not balanced.all():
         raise ValueError(
-            f"the mesh is not closed: {int((~balanced).sum())} of {size} vertical lines enter and leave it a different number of times"
+            f"the mesh is not closed: {int((~balanced).sum())} of {size} vertical test lines enter and leave the mesh unequally often"
         )
 
     keys = columns * shape[2] + heights

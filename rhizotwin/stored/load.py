@@ -155,7 +155,7 @@ def read_silhouette(folder: Path, file: str) -> Silhouette:
 
 @dataclass(frozen=True)
 class _Stored(Mapping[str, Silhouette]):
-    """Silhouettes in a result folder by file name of the picture. Each is read when it is accessed."""
+    """Silhouettes in a result folder by file name of the picture. A silhouette is read from its file on access."""
 
     folder: Path
     """Result folder."""

@@ -32,7 +32,7 @@ RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
 )
-"""File and folder names in a result folder that is replaced by a new result. A folder with a log of corrections
+"""Names of files and folders in a result folder that a new result may replace. A folder with a log of corrections
 (edits.json) is not replaced."""
 
 
@@ -53,7 +53,7 @@ def read_summary(folder: Path) -> Json:
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
         raise UserError(
-            f"{path} has schema_version {version!r}, but this program can only read version {SCHEMA_VERSION}; repeat the reconstruction."
+            f"{path} has the format version (schema_version) {version!r}, but must have {SCHEMA_VERSION}; repeat the reconstruction."
         )
     if fault := summary_checks.find_fault(summary):
         raise UserError(f"{path} {fault}; repeat the reconstruction.")

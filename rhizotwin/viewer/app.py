@@ -194,7 +194,7 @@ class Viewer(Drawing):
         if shown.dataset is None:
             self.notify("refitting needs the pictures; restart the viewer with 'rhizotwin view RESULT DATASET'")
             return
-        self.notify("The roots are being refitted to the pictures ...")
+        self.notify("the roots are being refitted to the pictures ...")
         shown.session.refit = fitter(shown.session.folder, shown.dataset)
         self.correct("fit")
 

@@ -55,13 +55,13 @@ class Look:
     colour: str = "order"
     """Root property that is shown by the colour."""
     truth: str = TRUTH[0]
-    """Display mode of the true shape."""
+    """Display mode of the true shape, one of `TRUTH`."""
     low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
     """Lowest corner of the clipping box, mm, canister frame."""
     high_mm: Triple = (_FAR_MM, _FAR_MM, _FAR_MM)
     """Highest corner of the clipping box, mm, canister frame."""
     click: str = CLICKS[0]
-    """Click mode."""
+    """Effect of a click into the 3D view, one of `CLICKS`."""
 
     @property
     def is_unclipped(self) -> bool:

@@ -34,7 +34,7 @@ class _Button:
     label: str
     """Text on the button."""
     act: Callable[[], object]
-    """Function that is called when the button is pressed."""
+    """Function that is called when a user presses the button."""
     enabled: Callable[[], bool]
     """Function that returns whether the button is enabled."""
     hint: str = ""

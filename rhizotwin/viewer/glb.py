@@ -1,4 +1,4 @@
-"""Write coloured triangle meshes as binary glTF 2.0, the fastest format for browsers.
+"""Write coloured triangle meshes as binary glTF 2.0, which browsers display without conversion.
 
 The file contains a single mesh with normals and a rough, non-metallic material that is visible from the front only. A
 separate writer is used because small files are drawn fastest. Specification:

@@ -66,7 +66,7 @@ def root(number: int, lines: Lines, order: int) -> str:
 
 
 def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
-    """Return the description of the selection."""
+    """Return a text with the number and size of the selected roots and voxels."""
     if not roots and not voxels:
         return f"{_PADDED}Nothing is selected. Click a root, or hold Shift and drag a rectangle.</div>"
     parts = []
