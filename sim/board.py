@@ -54,7 +54,7 @@ class BoardPictures:
     """True camera and poses of simulated pictures of a board."""
 
     camera: Camera
-    """True camera, including distortion."""
+    """True camera of the simulated pictures, including distortion."""
     cam_from_board: dict[str, frames.Array]
     """Pose of the board in the camera frame (4, 4), mm, by file name."""
 
@@ -76,7 +76,7 @@ def simulate_board(
     pictures : int
         Number of pictures. The files are board_000.png, board_001.png and so on.
     seed : int
-        Random seed for poses and noise. Each picture is independent of the number of pictures.
+        Random seed for poses and noise. A picture does not depend on the number of pictures.
     monitor : Monitor, optional
         Progress monitor.
 

@@ -19,11 +19,11 @@ class Bounds:
     """Limits of root surfaces, canister frame."""
 
     radius_mm: float
-    """Maximum distance from the axis, mm."""
+    """Maximum distance of a root surface from the canister's axis, mm."""
     low_z_mm: float
-    """Minimum height, mm."""
+    """Minimum height of a root surface, mm, canister frame."""
     high_z_mm: float
-    """Maximum height, mm."""
+    """Maximum height of a root surface, mm, canister frame."""
 
 
 def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:

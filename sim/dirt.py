@@ -14,13 +14,13 @@ class Patch:
     """Round algae film on the inner wall."""
 
     azimuth_rad: float
-    """Azimuth of the centre, rad."""
+    """Azimuth of the film's centre, rad."""
     z_mm: float
-    """Height of the centre, mm, canister frame."""
+    """Height of the film's centre, mm, canister frame."""
     radius_mm: float
-    """Mean radius, mm."""
+    """Mean radius of the film, mm."""
     opacity: float
-    """Opacity in the middle, 0 to 1."""
+    """Opacity in the middle of the film, 0 to 1."""
     lobes_rad: tuple[float, ...]
     """Phases of the harmonics 2, 3, 4, ... of the outline, rad."""
 

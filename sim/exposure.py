@@ -29,8 +29,8 @@ def expose(
     camera : Camera
         Camera with the bit depth of its converter, ``bits``, and its transfer curve, ``transfer``.
     disturbances : Disturbances
-        Noise, variation of exposure and white balance, vignetting, bit depth of stored pictures, and a different
-        transfer curve.
+        Noise, variation of exposure and white balance, vignetting, bit depth of stored pictures, and transfer curve
+        that replaces the curve of the camera.
     rng : Generator
         Random generator for the picture.
 

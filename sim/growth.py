@@ -43,11 +43,11 @@ class _GrownBud(NamedTuple):
     root: Root | None
     """Grown root. None if the root is too short to emerge."""
     length_mm: float
-    """Length of the root, mm."""
+    """Current length of the root, mm."""
     max_length_mm: float
-    """Final length, mm."""
+    """Final length of the root, mm."""
     elongation_mm_per_day: float
-    """Initial growth rate, mm/day."""
+    """Initial growth rate of the root, mm/day."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class _Bud:
     parent: int
     """Index of the parent root, -1 for none."""
     order: int
-    """Order of the root."""
+    """Order of the root, 0 for a root without a parent."""
     start_mm: Array
     """Base of the root (3,), mm, canister frame."""
     heading: Array

@@ -49,7 +49,7 @@ class World:
     seed: int
     """Random seed."""
     cameras: tuple[TrueCamera, ...]
-    """True camera of each view, in the order of the plan."""
+    """True camera of each view, in the order of the scan plan."""
     n_water: float
     """True refractive index of the water."""
     canister: Canister

@@ -30,12 +30,13 @@ _STEPS = 8
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
     """Create a function that fits roots to the pictures of a dataset, using the coverage stored with the result.
 
-    The function does not change thick roots. The first point of a lateral remains on its parent.
+    The function does not change thick roots. The first point of a lateral remains on its parent. The errors below are
+    raised when the function is called.
 
     Raises
     ------
     UserError
-        Raised by the returned function if roots are translucent, or the result contains no coverage of a picture.
+        If roots are translucent, or the result contains no coverage of a picture.
     """
 
     def fit(lines: Lines) -> dict[int, Refitted]:

@@ -59,7 +59,7 @@ class State:
 
     @property
     def pieces(self) -> list[Piece]:
-        """Return the remaining parts of all sources."""
+        """Return the parts of all sources that remain after the corrections."""
         return [piece for line in self.lines.values() for piece in line.pieces]
 
     @property

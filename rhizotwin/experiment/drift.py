@@ -35,7 +35,7 @@ class RigNumber:
     """Quantity of the rig that every scan measures."""
 
     name: str
-    """Name of the quantity."""
+    """Name of the monitored quantity of the rig."""
     heading: str
     """Description of the quantity for users, with its unit."""
     effects: Mapping[str, float]
@@ -82,7 +82,7 @@ class Chart:
     times: tuple[float, ...]
     """Times of the points, days, in ascending order."""
     values: tuple[float, ...]
-    """Values of the quantity at these times."""
+    """Values of the monitored quantity at the times of the points."""
     centre: float
     """Centre line of the chart, which is the mean of the values."""
     sigma: float | None
@@ -169,7 +169,7 @@ def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:
     Parameters
     ----------
     times : sequence of float
-        Times of at least one point, days, in any order.
+        Times of the points, days, in any order, at least one.
     values : sequence of float
         Values of the quantity at these times.
     """

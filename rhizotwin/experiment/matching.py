@@ -66,7 +66,7 @@ class Track:
     parent: str
     """Name of the parent root, empty for a root without a parent."""
     order: int
-    """Order of the root."""
+    """Order of the root, 0 for a root without a parent."""
     states: list[RootState] = field(default_factory=list)
     """Observations of the root, sorted by day."""
     absent_day: float = 0.0

@@ -42,9 +42,9 @@ class Stated:
     """Value of a trait as reported by another method."""
 
     value: float
-    """Reported value in the trait's unit."""
+    """Value that the method reports, in the unit of the trait."""
     interval: tuple[float, float] | None = None
-    """Reported 90 % interval. None if not reported."""
+    """90 % interval that the method reports, None if not reported."""
 
 
 def read_shape(path: Path) -> Mesh:

@@ -60,7 +60,7 @@ class Score(VolumeScore):
     extents_error: Triple
     """Relative errors of the bounding box along x, y and z."""
     extents_error_max: float
-    """Maximum absolute value of the three relative errors."""
+    """Maximum absolute relative error of the bounding box along x, y and z."""
     voxels: VoxelScore
     """Agreement of the occupied voxels with the true solid."""
     surface: SurfaceScore

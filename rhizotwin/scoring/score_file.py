@@ -60,13 +60,13 @@ class StatedScore:
     """Reported value of a trait compared with the ground truth."""
 
     value: float
-    """Reported value in the trait's unit."""
+    """Value that the method reports, in the unit of the trait."""
     true: float
     """True value in the trait's unit."""
     error: float
     """Relative error (found / true - 1), or the difference in degrees for an angle."""
     interval: tuple[float, float] | None = None
-    """Reported 90 % interval. None if not reported."""
+    """90 % interval that the method reports, None if not reported."""
     holds: bool | None = None
     """Whether the interval contains the true value. None without an interval."""
     interval_score: float | None = None
@@ -85,7 +85,7 @@ class FileScore:
     volume_mm3: float | None = None
     """Volume of the output, mm3. None if unknown."""
     volume_true_mm3: float
-    """True volume, mm3."""
+    """True volume of the specimen, mm3."""
     volume_error: float | None = None
     """Relative error of the volume. None if unknown."""
     extents_error: tuple[float, float, float] | None = None

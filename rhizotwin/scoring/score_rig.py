@@ -22,7 +22,7 @@ class RigError:
     quantity: str
     """Name of the parameter."""
     found: float
-    """Calibrated value."""
+    """Calibrated value of the parameter."""
     true: float
     """True value of the parameter."""
     sigma: float | None

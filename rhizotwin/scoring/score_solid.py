@@ -24,7 +24,7 @@ class VolumeScore:
     volume_mm3: float
     """Volume of the result, mm3."""
     volume_true_mm3: float
-    """True volume, mm3."""
+    """True volume of the specimen, mm3."""
     volume_error: float
     """Relative error of the volume."""
     volume_interval_mm3: tuple[float, float]

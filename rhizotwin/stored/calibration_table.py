@@ -16,9 +16,9 @@ class Row:
     quantity: str
     """Name of the parameter."""
     given: float
-    """Value before calibration."""
+    """Value of the parameter before calibration."""
     found: float
-    """Calibrated value."""
+    """Calibrated value of the parameter."""
     sigma: float | None
     """Standard deviation of the calibrated value. None if unknown."""
     unit: str

@@ -107,7 +107,7 @@ class Drawing:
 
     @property
     def shown(self) -> Shown:
-        """Return the displayed result."""
+        """Return the result that is currently displayed."""
         return self._loaded[self._place]
 
     @property
@@ -140,7 +140,7 @@ class Drawing:
         return bool(lines) and float(np.median(np.concatenate([line.diameters_mm for line in lines]))) < THIN_MM
 
     def changed(self) -> None:
-        """Update the panels."""
+        """Update the panels of all browsers."""
         for follow in self.on_change:
             follow()
 

@@ -38,7 +38,7 @@ class _Button:
     enabled: Callable[[], bool]
     """Function that returns whether the button is enabled."""
     hint: str = ""
-    """Tooltip."""
+    """Tooltip of the button."""
     red: bool = False
     """Whether the button is red, because it deletes something."""
     key: Literal["delete", "escape", "Z", "Y", "S"] | None = None

@@ -60,9 +60,9 @@ class Screen:
     camera_from_world: Array
     """Homogeneous transform (4, 4) to the camera frame, with the axes of OpenCV."""
     fov: float
-    """Vertical field of view, rad."""
+    """Vertical field of view of the camera, rad."""
     aspect: float
-    """Ratio of width to height."""
+    """Ratio of the picture's width to its height."""
 
     def inside(self, point_mm: Array, low: tuple[float, float], high: tuple[float, float]) -> NDArray[np.bool_]:
         """Return which points (N, 3) lie inside a screen rectangle, whose corners are 0 to 1 from the upper left."""

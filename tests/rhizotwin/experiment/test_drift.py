@@ -87,4 +87,4 @@ def test_growth_says_so_beside_a_small_effect(ball_result):
     assert growth.drift["focal_left"].has_trend
     (caution,) = [one for one in sentences(growth) if "caution" in one]
     assert "the focal length changed by 2 % during the experiment" in caution
-    assert "as much as this difference" in caution
+    assert "as much as the treatments differ" in caution
