@@ -47,7 +47,7 @@ class Way(NamedTuple):
     light: mi.Float
     """Radiance that reaches the camera, as a fraction of full scale."""
     coverage: mi.Float
-    """Whether a ray met the specimen, 1 or 0."""
+    """1 if a ray met the specimen, otherwise 0."""
     course: mi.UInt32
     """Identifier of the sequence of surfaces, equal for rays that met the same surfaces in the same order."""
     end: mi.ShapePtr

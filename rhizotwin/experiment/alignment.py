@@ -25,7 +25,7 @@ KEPT = 0.7
 """Fraction of the younger plant's points, nearest to the older plant, that are used in the fit. The remaining points
 lie on roots that moved or were traced at one age only."""
 MOST_ROUNDS = 60
-"""Maximum number of iterations."""
+"""Maximum number of iterations of the registration."""
 STILL_MM = 1e-4
 """Maximum change of a coordinate in an iteration at which the algorithm has converged, mm."""
 

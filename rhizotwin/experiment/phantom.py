@@ -22,8 +22,8 @@ TOLERANCE = 0.03
 LEAST_MM = 10.0
 """Minimum detected length of a wire that was measured successfully, mm. Errors at the ends dominate shorter lengths."""
 NEAREST = 1.35
-"""Maximum ratio between the diameters of a root and of the wire to which the root is assigned, or its inverse. Wires
-whose diameters double are separated by a factor of 1.41."""
+"""Maximum ratio between the diameters of a root and the wire to which the root is assigned, or its inverse. For wires
+whose diameters double, the midpoint between two wires is at a ratio of 1.41."""
 
 
 @dataclass(frozen=True, kw_only=True)

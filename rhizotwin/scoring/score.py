@@ -101,7 +101,7 @@ class Score(VolumeScore):
         return {key: plain(value) for key, value in found.items()}
 
     def __repr__(self) -> str:
-        """Return the first lines of the text table."""
+        """Return the first lines of the score's text table."""
         lines = self.table().splitlines()
         rest = len(lines) - SHOWN_LINES
         return "\n".join(lines if rest <= 1 else [*lines[:SHOWN_LINES], f"... {rest} more lines, see print(score.table())"])
@@ -111,7 +111,7 @@ class Score(VolumeScore):
         return f"<pre>{html.escape(self.table())}</pre>"
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         shoot = [] if self.shoot is None else self.shoot.rows()
         plants = [row for plant in self.plants for row in plant.rows()]
         rows = [*self._shape_rows(), *plants, *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]

@@ -109,7 +109,7 @@ class FileScore:
         return {key: plain(value) for key, value in asdict(self).items()}
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         rows: list[tuple[str, str]] = []
         if self.volume_mm3 is not None and self.volume_error is not None:
             rows.append(

@@ -63,7 +63,7 @@ class PictureScore:
         return asdict(self)
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         ignored = f"; {self.known} used pictures were excluded" if self.known else ""
         rows = [
             ("pictures", f"{self.pictures} unused pictures were compared{ignored}"),

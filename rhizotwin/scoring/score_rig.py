@@ -20,7 +20,7 @@ class RigError:
     """Error of a rig parameter that was calibrated from the pictures."""
 
     quantity: str
-    """Name of the parameter."""
+    """Name of the calibrated rig parameter."""
     found: float
     """Calibrated value of the parameter."""
     true: float

@@ -41,7 +41,7 @@ class VolumeScore:
         return asdict(self)
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         return table_of(f"{self.scene}, compared with a known volume", volume_rows(self))
 
 
@@ -61,7 +61,7 @@ class SolidScore(VolumeScore):
     """Rigid transform (4, 4) that registers the solid to the result, mm."""
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         rows = [*volume_rows(self), *extent_rows(self.extents_mm, self.extents_true_mm, self.extents_error), *surface_rows(self.surface)]
         return table_of(f"{self.scene}, compared with a registered solid", rows)
 

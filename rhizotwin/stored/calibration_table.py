@@ -14,7 +14,7 @@ class Row:
     """Parameter that was calibrated from the pictures."""
 
     quantity: str
-    """Name of the parameter."""
+    """Name of the calibrated rig parameter."""
     given: float
     """Value of the parameter before calibration."""
     found: float

@@ -27,7 +27,7 @@ class Nodes:
     radius_mm: Array
     """Radius of the root at each node (N,), mm."""
     root: Index
-    """Number of each node's root (N,)."""
+    """Number of the root on which each node lies (N,)."""
 
     @classmethod
     def of(cls, lines: Iterable[tuple[int, Line]]) -> Nodes:
