@@ -1,1 +1,1 @@
-"""Simulation of pictures: draws the rig's errors, renders scenes with Mitsuba, writes datasets with truth."""
+"""Simulation of scans: draw errors of the rig, render scenes with Mitsuba, and write datasets with ground truth."""

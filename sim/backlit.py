@@ -1,10 +1,10 @@
-"""Fast deterministic rendering: only the primary refracted path of each camera ray, without random numbers.
+"""Fast deterministic rendering without random numbers that traces only the primary refracted path of each camera ray.
 
-A ray crosses every interface by its transmitted branch (or by total reflection), weighted by the transmittance, until
-it meets a light or an opaque surface, or leaves the scene. The index of refracting roots is close to that of water, so
-that light is only reflected at grazing angles with a small deflection: it comes from the panel, as transmitted light
-does, and is added to it (docs/decisions/roots-refract.md). The same path determines whether the ray met the specimen,
-and its sequence of surfaces.
+At every interface a ray follows the transmitted branch (or total reflection), weighted by the transmittance, until it
+meets a light or an opaque surface, or leaves the scene. The refractive index of refracting roots is similar to that of
+water. Roots therefore reflect light only at grazing angles with a small deflection. The reflected light comes from the
+panel, like the transmitted light, and both are added (docs/decisions/roots-refract.md). The same path determines
+whether the ray met the specimen, and the sequence of surfaces that it met.
 """
 
 from __future__ import annotations
@@ -17,59 +17,64 @@ import mitsuba as mi
 from rhizotwin.sim.lights import Lamps
 
 MAX_DEPTH = 48
-"""Maximum number of surfaces on a path; longer paths are trapped in a wall by total reflection, and dark."""
+"""Maximum number of surfaces on a path. Rays with longer paths are trapped in a wall by total reflection and are
+dark."""
 STEP_MM = 0.01
-"""Distance by which a ray continues beyond an interface, larger than rounding errors; along the ray this causes no
-sideways displacement."""
+"""Distance by which a ray continues beyond an interface, mm, larger than rounding errors. The step is along the ray and
+therefore causes no sideways displacement."""
 AMBIENT = 0.065
-"""Radiance of white objects in the canister by stray light, in units of full scale: the average of path tracing."""
+"""Radiance of a white object in the canister due to stray light, as a fraction of full scale, averaged from path
+tracing."""
 LEAST_SPAN_MM = 1.0
-"""Minimum length of a segment in the space of fine structures; shorter ones contain none, as the 0.05 mm of water
-behind a film on the wall."""
+"""Minimum length of a ray segment in the region of fine structures, mm. Shorter segments contain none of these
+structures, for example the 0.05 mm of water behind a film on the wall."""
 
 
 class Room(NamedTuple):
-    """An upright cylinder about the canister's axis."""
+    """Vertical cylinder about the canister's axis."""
 
     radius_mm: float
+    """Radius of the cylinder, mm."""
     low_mm: float
+    """Height of the lower end, mm, canister frame."""
     high_mm: float
+    """Height of the upper end, mm, canister frame."""
 
 
 class Way(NamedTuple):
-    """Results of tracing rays."""
+    """Results of tracing rays through the scene."""
 
     light: mi.Float
-    """Radiance that reaches the camera; 1 is full scale."""
+    """Radiance that reaches the camera, as a fraction of full scale."""
     coverage: mi.Float
-    """1 if the specimen was met, else 0."""
+    """1 if a ray met the specimen, otherwise 0."""
     course: mi.UInt32
-    """Identifier of the sequence of surfaces; it is equal for rays that met the same surfaces in the same order."""
+    """Identifier of the sequence of surfaces, equal for rays that met the same surfaces in the same order."""
     end: mi.ShapePtr
-    """Last surface met; null if the ray left the scene or met a light."""
+    """Last surface that a ray met, null if the ray left the scene or met a light."""
     spans: mi.UInt32
-    """Number of straight segments through the given space."""
+    """Number of straight ray segments through the region of fine structures."""
     start: mi.Point3f
-    """Start of the last of these segments."""
+    """Start of the last ray segment through the region of fine structures, mm."""
     heading: mi.Vector3f
-    """Direction of that segment."""
+    """Unit direction of the last ray segment through the region of fine structures."""
 
 
 class Backlit:
-    """Traces camera rays through a scene without its lights.
+    """Tracer of primary camera rays through a Mitsuba scene.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        Scene without the two lights, in the canister frame.
+        Scene without the two lights, canister frame.
     lamps : Lamps
-        Lights, placed for the view.
+        Lights at their positions in the view.
     media : bool
-        Whether the scene has attenuating media (turbid water, translucent roots), which take additional time.
+        Whether the scene contains attenuating media (turbid water, translucent roots), which increase the time.
     room : Room or None
-        Space of fine structures; ``spans`` counts the segments through it.
+        Region of fine structures, through which ray segments are counted in ``spans``.
     roots : str
-        Id of the shape whose reflected light is added to the transmitted light.
+        Identifier of the shape whose reflected light is added to the transmitted light.
     """
 
     def __init__(self, scene: Any, lamps: Lamps, *, media: bool, room: Room | None = None, roots: str = "") -> None:
@@ -85,18 +90,23 @@ class Backlit:
         dr.make_opaque(self.roots)
 
     def aim(self, target: str) -> None:
-        """Select the shape, by its id, whose coverage is computed; without such a shape, the coverage is 0."""
+        """Select the shape, by its identifier, whose coverage is computed.
+
+        The coverage is zero if the shape does not exist.
+
+        The coverage is zero if the shape does not exist.
+        """
         self.target = self.shapes.get(target, dr.zeros(mi.ShapePtr))
         dr.make_opaque(self.target)
 
     @dr.syntax  # type: ignore[untyped-decorator]
     def follow(self, ray_: Any, active: Any = True) -> Way:
-        """Trace rays, and return the results."""
+        """Trace rays through the scene."""
         ray = mi.Ray3f(dr.detach(ray_))  # current segment
-        beta = mi.Spectrum(1.0)  # fraction of the light ahead that reaches the camera
+        beta = mi.Spectrum(1.0)  # fraction of the light in front of the ray that reaches the camera
         radiance = mi.Spectrum(0.0)
         coverage = mi.Float(0.0)  # 1 after the path met the target
-        outside = mi.Bool(True)  # no interface was crossed: the front light illuminates surfaces directly
+        outside = mi.Bool(True)  # no interface was crossed, so that the front light illuminates surfaces directly
         medium = dr.zeros(mi.MediumPtr)  # medium of the segment
         depth = mi.UInt32(0)
         course = mi.UInt32(0)
@@ -126,7 +136,7 @@ class Backlit:
 
             if dr.hint(self.media, mode="scalar"):
                 inside = active & (medium != dr.zeros(mi.MediumPtr))
-                beta[inside] *= self.let_through(medium, si, inside)
+                beta[inside] *= self.transmittance(medium, si, inside)
 
             bs, weight, smooth = self.cross(si, active)
 
@@ -150,15 +160,15 @@ class Backlit:
 
         return Way(radiance[0], coverage, course, end, spans, start, heading)
 
-    def let_through(self, medium: Any, si: Any, active: Any) -> Any:
-        """Return the transmittance of a medium over a segment.
+    def transmittance(self, medium: Any, si: Any, active: Any) -> Any:
+        """Return the transmittance of a medium along a ray segment.
 
         Parameters
         ----------
         medium : mi.MediumPtr
             Medium of the segment.
         si : mi.SurfaceInteraction3f
-            Surface at the end of the segment.
+            Intersection with the surface at the end of the segment.
         active : mi.Bool
             Active rays.
 
@@ -175,7 +185,7 @@ class Backlit:
     def cross(self, si: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the transmitted branch of a surface, its weight, and whether the surface is smooth.
 
-        A first sample close to 1 exceeds every reflectance except that of total reflection.
+        The first random number, close to 1, exceeds every reflectance except for total reflection.
         """
         bs, weight = si.bsdf().sample(mi.BSDFContext(), si, 1.0 - 1e-6, mi.Point2f(0.5), active)
         return bs, weight, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
@@ -188,26 +198,26 @@ class Backlit:
         si : mi.SurfaceInteraction3f
             Intersection with the surface.
         outside : mi.Bool
-            Whether it is in air, where the lamps illuminate it.
+            Whether the surface is in air, where the lamps illuminate it.
         active : mi.Bool
             Active rays.
 
         Returns
         -------
         mi.UnpolarizedSpectrum
-            Radiance; 1 is full scale.
+            Radiance, as a fraction of full scale.
         """
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         lit = si.wi.z > 0.0
         return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * AMBIENT)
 
     def crosses_room(self, ray: Any, t: Any) -> Any:
-        """Return whether a segment passes through the space of fine structures for at least `LEAST_SPAN_MM`."""
+        """Return whether a ray segment passes through the region of fine structures for at least `LEAST_SPAN_MM`."""
         low, high, radius = self.bounds
         a = ray.d.x * ray.d.x + ray.d.y * ray.d.y
         b = ray.o.x * ray.d.x + ray.o.y * ray.d.y
         c = ray.o.x * ray.o.x + ray.o.y * ray.o.y - radius * radius
-        root = dr.safe_sqrt(b * b - a * c)  # 0 if it misses the cylinder
+        root = dr.safe_sqrt(b * b - a * c)  # 0 if the ray misses the cylinder
         down, up = (low - ray.o.z) / ray.d.z, (high - ray.o.z) / ray.d.z
         near = dr.maximum(dr.maximum((-b - root) / a, dr.minimum(down, up)), 0.0)
         far = dr.minimum(dr.minimum((root - b) / a, dr.maximum(down, up)), t)

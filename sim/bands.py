@@ -1,4 +1,4 @@
-"""Scenes in one band of the camera: light, leaves, roots and water at the band's wavelength."""
+"""Convert a scene to a single band of the camera: light, leaves, roots and water at the band's wavelength."""
 
 from dataclasses import replace
 
@@ -24,19 +24,19 @@ WATER_PER_M = (
     (975.0, 45.0),
     (1000.0, 36.0),
 )
-"""Absorption of pure water by wavelength (nm): Pope and Fry 1997 (Appl. Opt. 36:8710) up to 700 nm, Kou et al. 1993
-(Appl. Opt. 32:3531) beyond, rounded."""
+"""Absorption coefficient of pure water, 1/m, by wavelength, nm. The values are rounded from Pope and Fry 1997 (Appl.
+Opt. 36:8710) up to 700 nm, and from Kou et al. 1993 (Appl. Opt. 32:3531) beyond."""
 MU_NM = 550.0
-"""Wavelength of the profile's ``root_mu_per_mm``."""
+"""Wavelength to which the profile's ``root_mu_per_mm`` refers, nm."""
 MU_POWER = -1.0
-"""Exponent of the wavelength dependence of root attenuation, which is caused by scattering (soft tissue has -0.7 to
--1.5: Jacques 2013, Phys. Med. Biol. 58:R37, table 1)."""
+"""Exponent of the wavelength in the attenuation of roots, which is caused by scattering. Soft tissue has -0.7 to -1.5
+(Jacques 2013, Phys. Med. Biol. 58:R37, table 1)."""
 
 
 def scene_in_band(scene: Scene, name: str) -> Scene:
-    """Return the scene in the band of that name, as a scene with a single band; for an empty name the scene itself.
+    """Return a scene in one of its bands as a scene with a single band. An empty name returns the scene unchanged.
 
-    Pictures of a band are grey, so that white-balance variations are disabled.
+    White-balance variations are disabled, because pictures of a band are grey.
     """
     if not name:
         return scene
@@ -48,7 +48,9 @@ def scene_in_band(scene: Scene, name: str) -> Scene:
         camera=replace(scene.camera, bands=()),
         plan=replace(scene.plan, rings=tuple(replace(ring, bands=()) for ring in scene.plan.rings)),
         lights=scene.lights_in(name),
-        water=replace(scene.water, absorption_per_mm=scene.water.absorption_per_mm + _at(WATER_PER_M, band.wavelength_nm) / 1000.0),
+        water=replace(
+            scene.water, absorption_per_mm=scene.water.absorption_per_mm + _interpolate(WATER_PER_M, band.wavelength_nm) / 1000.0
+        ),
         shoot=None if scene.shoot is None else replace(scene.shoot, reflectance=reflectance(scene.shoot, band)),
         disturbances=replace(
             wrong,
@@ -59,12 +61,12 @@ def scene_in_band(scene: Scene, name: str) -> Scene:
 
 
 def reflectance(shoot: Shoot, band: Band) -> float:
-    """Return the reflectance of leaves at a band's centre."""
-    return _at(shoot.spectrum, band.wavelength_nm)
+    """Return the reflectance of leaves at a band's central wavelength, 0 to 1."""
+    return _interpolate(shoot.spectrum, band.wavelength_nm)
 
 
 def true_colour(scene: Scene) -> dict[str, float]:
-    """Return the true colour of a scene's shoot: reflectances by range and vegetation indices."""
+    """Return the true reflectances and vegetation indices of a scene's shoot by name."""
     if scene.shoot is None:
         return {}
     known = {band.name: band for band in scene.camera.bands}
@@ -72,6 +74,6 @@ def true_colour(scene: Scene) -> dict[str, float]:
     return {f"reflectance_{name}": value for name, value in by_name.items()} | vegetation_indices(by_name)
 
 
-def _at(table: tuple[tuple[float, float], ...], wavelength_nm: float) -> float:
-    """Interpolate a table by wavelength, with constant extrapolation."""
+def _interpolate(table: tuple[tuple[float, float], ...], wavelength_nm: float) -> float:
+    """Interpolate a table by wavelength, nm, with constant extrapolation."""
     return float(np.interp(wavelength_nm, *np.array(table).T))

@@ -1,4 +1,4 @@
-"""Simulated pictures of the calibration board in air, uniformly lit, with the true lens."""
+"""Simulate pictures of the calibration board in air with uniform illumination and the true lens."""
 
 from __future__ import annotations
 
@@ -27,61 +27,63 @@ from rhizotwin.sim.textures import bitmap
 from rhizotwin.sim.world import lens_distortion
 
 BORDER_MM = 12.0
-"""White margin around the pattern."""
+"""Width of the white margin around the pattern, mm."""
 TEXELS_PER_MM = 12.0
-"""Resolution of the painted pattern: a third of a pixel at 800x600."""
+"""Resolution of the painted pattern, texels per mm, equivalent to a third of a pixel at 800x600."""
 MOST_TEXELS = 6000
-"""Maximum length of the texture's longer side; larger boards are painted at lower resolution."""
+"""Maximum length of the texture's longer side, texels. Larger boards are painted with a lower resolution."""
 SIDE = 7
-"""Rays per pixel: SIDE x SIDE on a regular lattice; a prime number."""
+"""Number of rays per pixel in each direction, on a regular lattice. The number must be prime."""
 MAX_RAYS = 8_000_000
 """Maximum number of rays per kernel launch, as in `sim.render`."""
 LEAST_VISIBLE = 0.6
-"""Minimum fraction of the board's corners that must be visible in a pose."""
+"""Minimum fraction of the board's corners that must be visible in a picture."""
 LEAST_SQUARE_PX = 20.0
-"""Minimum size of a square in the picture: a marker covers 3/4 of it, and OpenCV requires 2 px for each of its 6
-modules."""
+"""Minimum edge of a square in the picture, pixels. A marker has 3/4 of this edge, and OpenCV needs 2 pixels for each of
+the marker's 6 modules."""
 ATTEMPTS = 300
-"""Maximum number of random poses until one shows enough of the board; a board of suitable size takes a few."""
+"""Maximum number of random poses that are drawn until a pose shows enough of the board. A few are usually
+sufficient."""
 TRUTH = Path("truth") / "camera.json"
+"""Path of the true camera and poses, relative to the folder of the pictures."""
 _POSE, _NOISE = 41, 42  # keys of the random streams
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoardPictures:
-    """Result of `simulate_board`."""
+    """True camera and poses of simulated pictures of a board."""
 
     camera: Camera
-    """True lens, including distortion."""
+    """True camera of the simulated pictures, including distortion."""
     cam_from_board: dict[str, frames.Array]
-    """Pose of the board, by file name."""
+    """Pose of the board in the camera frame (4, 4), mm, by file name."""
 
 
 def simulate_board(
     scene: Scene, board: CharucoBoard, folder: Path, *, pictures: int = 20, seed: int = 0, monitor: Monitor | None = None
 ) -> BoardPictures:
-    """Render pictures of the board, ``board.toml`` and ``truth/camera.json`` into a new folder.
+    """Render pictures of a board to a new folder, together with ``board.toml`` and ``truth/camera.json``.
 
     Parameters
     ----------
     scene : Scene
-        Scene, of which camera, working distance of the first ring, and ``disturbances`` (distortion, aperture, focus
-        and noise) are used.
+        Scene whose camera, working distance of the first ring, and ``disturbances`` (distortion, aperture, focus and
+        noise) are used.
     board : CharucoBoard
-        The printed board.
+        Printed board.
     folder : Path
-        New or empty folder, written atomically.
+        New or empty folder, which is written atomically.
     pictures : int
-        Number of pictures, named board_000.png and so on.
+        Number of pictures. The files are board_000.png, board_001.png and so on.
     seed : int
-        Random seed for poses and noise; picture k does not depend on the pictures before it.
+        Random seed for poses and noise. A picture does not depend on the number of pictures.
     monitor : Monitor, optional
-        Receives the progress.
+        Progress monitor.
 
     Returns
     -------
     BoardPictures
-        Folder, true camera and true poses.
+        True camera and true poses.
 
     Raises
     ------
@@ -107,26 +109,27 @@ def simulate_board(
 def true_camera(scene: Scene) -> Camera:
     """Return the scene's camera with the true distortion of its lens.
 
-    A profile's ``focal_error`` is excluded, as it occurs after the calibration.
+    The ``focal_error`` of a profile is not applied, because it arises after the calibration.
     """
     return replace(scene.camera, distortion=lens_distortion(scene))
 
 
 def working_distance_mm(scene: Scene) -> float:
-    """Return the distance from the camera to the table's axis along the optical axis, in the first ring."""
+    """Return the distance from the camera to the table's axis along the optical axis in the first ring, mm."""
     ring = scene.plan.rings[0]
     return float(ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)))
 
 
 def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> frames.Array:
-    """Draw the pose ``cam_from_board`` of one picture.
+    """Draw the random pose ``cam_from_board`` of a picture.
 
-    The board is rotated by multiples of 90 degrees, tilted in all directions, and placed anywhere in the picture.
+    The board is rotated by multiples of 90 degrees, tilted in all directions, and placed at any position in the
+    picture.
 
     Parameters
     ----------
     scene : Scene
-        Camera and working distance.
+        Scene with camera and working distance.
     board : CharucoBoard
         Board that must be visible.
     seed, index : int
@@ -135,14 +138,14 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
     Returns
     -------
     (4, 4) array
-        First random pose in which enough of the board is visible.
+        First random pose in which a sufficient part of the board is visible, mm.
     """
     camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
     middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm
     best = 0.0
     for _ in range(ATTEMPTS):
         tilt_rad = np.deg2rad(rng.uniform(0.0, 10.0) if index % 5 == 0 else rng.uniform(20.0, 45.0))
-        towards_rad = 2.399963 * index + rng.uniform(0.0, 1.0)  # the golden angle distributes the directions of the tilt
+        towards_rad = 2.399963 * index + rng.uniform(0.0, 1.0)  # multiples of the golden angle distribute the directions of the tilt evenly
         roll_rad = np.deg2rad(90.0 * (index % 4) + rng.normal(0.0, 8.0))
         turn = Rotation.from_rotvec(tilt_rad * np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0])) * Rotation.from_rotvec(
             [0.0, 0.0, roll_rad]
@@ -157,19 +160,19 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
             if square_px < LEAST_SQUARE_PX:
                 raise UserError(
                     f"the board's squares of {board.square_mm:g} mm are only {square_px:.0f} px wide at the working distance of "
-                    f"{working_distance_mm(scene):.0f} mm, below {LEAST_SQUARE_PX:g}: use larger ones (--square-mm)"
+                    f"{working_distance_mm(scene):.0f} mm; must be at least {LEAST_SQUARE_PX:g} px wide; use larger squares (--square-mm)"
                 )
             return cam_from_board
         best = max(best, share)
     (wide_mm, high_mm), depth = board.size_mm, working_distance_mm(scene)
     raise UserError(
-        f"the board of {wide_mm:g} x {high_mm:g} mm is too large for the camera at {depth:.0f} mm: at most {best:.0%} of its "
-        f"corners are in the picture, {LEAST_VISIBLE:.0%} are required; use fewer or smaller squares"
+        f"the board of {wide_mm:g} x {high_mm:g} mm is too large for the camera at {depth:.0f} mm: at most {best:.0%} of its corners "
+        f"are in the picture, but {LEAST_VISIBLE:.0%} are needed; use fewer or smaller squares"
     )
 
 
 def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Array) -> float:
-    """Return the fraction of the corners in the picture; 0 if one is close to the camera or behind it."""
+    """Return the fraction of the corners inside the picture, zero if a corner is close to or behind the camera."""
     at_cam = frames.apply(cam_from_board, corners_mm)
     if at_cam[:, 2].min() < 0.4 * at_cam[:, 2].mean():
         return 0.0
@@ -178,21 +181,21 @@ def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Ar
 
 
 def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Array) -> frames.Array:
-    """Project points (N, 3) of the board to pixels (N, 2); pixel centres have integer coordinates.
+    """Project points (N, 3) on the board to pixels (N, 2). Pixel centres have integer coordinates.
 
     Parameters
     ----------
     camera : Camera
-        Lens and distortion.
+        Camera with distortion.
     cam_from_board : (4, 4) array
-        Pose of the board.
+        Pose of the board, mm.
     points_mm : (N, 3) array
-        Points on the board.
+        Points in the board's frame, mm.
 
     Returns
     -------
     (N, 2) array
-        Pixels.
+        Pixel coordinates.
     """
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -203,7 +206,7 @@ def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Arra
 
 
 class BoardRenderer:
-    """Renders the board in a scene's camera."""
+    """Renderer of the board as seen by a scene's camera."""
 
     def __init__(self, scene: Scene, board: CharucoBoard) -> None:
         wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
@@ -225,10 +228,10 @@ class BoardRenderer:
         )
 
     def light(self, cam_from_board: frames.Array) -> NDArray[np.float32]:
-        """Return a picture of linear light (H, W), with 1 as full scale, black beside the board.
+        """Render a picture of linear light (H, W) as a fraction of full scale, black outside the board.
 
-        Uniform illumination from all directions makes the radiance of the matt paper proportional to its reflectance,
-        without randomness or shadows.
+        Illumination is uniform from all directions. The radiance of the matt paper is therefore proportional to its
+        reflectance, without shadows and without random numbers.
         """
         sensor.set_pose(self.eye, cam_from_board)
         width, height = self.image_wh
@@ -240,7 +243,7 @@ class BoardRenderer:
             pixel, ray = index // (SIDE * SIDE), index % (SIDE * SIDE)
             u = (mi.Float(pixel % width) + (mi.Float(ray % SIDE) + 0.5) / SIDE) / width
             v = (mi.Float(pixel // width) + dr.opaque(mi.Float, first) + (mi.Float(ray // SIDE) + 0.5) / SIDE) / height
-            primary, _ = self.eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), _on_lens(ray))
+            primary, _ = self.eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), _lens_positions(ray))
             hit = self.board.ray_intersect(primary)
             seen = hit.bsdf(primary).eval_diffuse_reflectance(hit, hit.is_valid())
             light = dr.select(hit.is_valid(), seen[0], 0.0)
@@ -249,7 +252,10 @@ class BoardRenderer:
 
 
 def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
-    """Paint the board's reflectance (rows, columns) including its border, row 0 at the top, averaged over texels."""
+    """Return the board's reflectance (rows, columns), including the margin, averaged over texels.
+
+    Row 0 is at the top.
+    """
     wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
     scale = min(TEXELS_PER_MM, MOST_TEXELS / max(wide_mm, high_mm))
     columns, rows = round(wide_mm * scale), round(high_mm * scale)
@@ -262,17 +268,17 @@ def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
 
 
 def _coverage(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
-    """Return the range of texels between ``edges`` that an interval touches, and the covered fraction of each."""
+    """Return the range of texels between ``edges`` that overlap an interval, and the covered fraction of each texel."""
     first, last = int(np.searchsorted(edges, low, "right")) - 1, int(np.searchsorted(edges, high, "left"))
     low_edges, high_edges = edges[first:last], edges[first + 1 : last + 1]
     return slice(first, last), (np.minimum(high_edges, high) - np.maximum(low_edges, low)) / (high_edges - low_edges)
 
 
-def _on_lens(ray: mi.UInt32) -> mi.Point2f:
-    """Return the point on the lens for each lattice ray of a pixel.
+def _lens_positions(ray: mi.UInt32) -> mi.Point2f:
+    """Return the position on the lens, 0 to 1, of each lattice ray of a pixel.
 
-    The two coordinates on the lens and the two in the pixel form an orthogonal array (SIDE is a prime): all pairs of
-    them are uncorrelated, so that blur causes no displacement.
+    The two coordinates on the lens and the two coordinates in the pixel form an orthogonal array, because SIDE is
+    prime. All pairs of coordinates are uncorrelated, so that blur causes no displacement.
     """
     a, b = ray % SIDE, ray // SIDE
     return mi.Point2f((mi.Float((a + b) % SIDE) + 0.5) / SIDE, (mi.Float((a + 2 * b) % SIDE) + 0.5) / SIDE)

@@ -1,4 +1,4 @@
-"""Confinement of roots to the water: they turn along the wall, the floor and the net pot's grid."""
+"""Confine growing roots to the water: roots turn along the wall, the floor and the net pot's grid."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,23 @@ from rhizotwin.scenes.specimens import GrownSpecimen
 Array = NDArray[np.float64]
 
 WALL_TURN_MM = 6.0
-"""Radius of the arc on which a root turns away from an obstacle."""
+"""Radius of the arc on which a root turns away from an obstacle, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """Limits of root surfaces, in the canister frame."""
+    """Limits of root surfaces, canister frame."""
 
     radius_mm: float
+    """Maximum distance of a root surface from the canister's axis, mm."""
     low_z_mm: float
+    """Minimum height of a root surface, mm, canister frame."""
     high_z_mm: float
+    """Maximum height of a root surface, mm, canister frame."""
 
 
 def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
-    """Return the limits of a specimen's root surfaces: the water below the grid, minus the specimen's margins.
+    """Return the limits of a specimen's root surfaces: the water below the grid without the specimen's margins.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> B
     Returns
     -------
     Bounds
-        Radius and heights, mm.
+        Limits of root surfaces.
     """
     return Bounds(
         radius_mm=canister.inner_radius_mm - specimen.wall_margin_mm,
@@ -46,23 +49,23 @@ def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> B
 
 
 def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Deflect headings (N, 3) near the limits, as on an arc of radius `WALL_TURN_MM` that is tangent to the limit.
+    """Deflect growth directions (N, 3) near the limits, as on an arc of radius `WALL_TURN_MM` tangent to the limit.
 
     Parameters
     ----------
     points_mm : (N, 3) array
-        Tips, canister frame.
+        Root tips, mm, canister frame.
     heading : (N, 3) array
-        Unit vectors.
+        Unit vectors of the growth direction.
     radii_mm : (N,) array
-        Radii of the roots at these points.
+        Radii of the roots at their tips, mm.
     limits : Bounds
         Limits of root surfaces.
 
     Returns
     -------
     (N, 3) array
-        Unit vectors.
+        Unit vectors of the deflected growth direction.
     """
     radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
     azimuth_rad = np.arctan2(points_mm[:, 1], points_mm[:, 0])
@@ -81,28 +84,28 @@ def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> 
         limited[:, 0] = np.minimum(local[:, 0], out_max)
         limited[:, 2] = np.clip(local[:, 2], -down_max, up_max)
         length = np.linalg.norm(limited, axis=1)
-        # heading straight at the limit: turn along it
+        # roots perpendicular to the limit turn along the limit
         limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])
         local = limited / np.linalg.norm(limited, axis=1, keepdims=True)
     return np.concatenate([local[:, :1] * outward + local[:, 1:2] * around, local[:, 2:]], axis=1)
 
 
 def keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Move points (N, 3) beyond the limits, after a finite step, back onto them.
+    """Move points (N, 3) that lie beyond the limits after a finite step back to the limits.
 
     Parameters
     ----------
     points_mm : (N, 3) array
-        Points of centre lines, canister frame.
+        Points of centre lines, mm, canister frame.
     radii_mm : (N,) array
-        Radii of the roots at these points.
+        Radii of the roots at these points, mm.
     limits : Bounds
         Limits of root surfaces.
 
     Returns
     -------
     (N, 3) array
-        Corrected points, mm.
+        Points within the limits, mm.
     """
     radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
     shrink = np.minimum(1.0, (limits.radius_mm - radii_mm) / np.maximum(radius_mm, 1e-9))

@@ -1,4 +1,4 @@
-"""Contamination of the canister: algae films, felt fibres, air bubbles, dust and scratches, drawn from a scene."""
+"""Contamination of the canister, drawn at random: algae films, felt fibres, air bubbles, dust and scratches."""
 
 from dataclasses import dataclass
 
@@ -11,59 +11,69 @@ from rhizotwin.scenes.model import Scene
 
 @dataclass(frozen=True, kw_only=True)
 class Patch:
-    """A round algae film on the inner wall."""
+    """Round algae film on the inner wall."""
 
     azimuth_rad: float
+    """Azimuth of the film's centre, rad."""
     z_mm: float
+    """Height of the film's centre, mm, canister frame."""
     radius_mm: float
+    """Mean radius of the film, mm."""
     opacity: float
+    """Opacity in the middle of the film, 0 to 1."""
     lobes_rad: tuple[float, ...]
-    """Phases of the outline's harmonics 2, 3, 4, ..."""
+    """Phases of the harmonics 2, 3, 4, ... of the outline, rad."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fibre:
-    """A black fibre that hangs from the net pot's felt."""
+    """Black fibre that hangs from the felt of the net pot."""
 
     points_mm: NDArray[np.float64]
-    """Centre line (N, 3) in the canister frame, from the felt downwards."""
+    """Centre line (N, 3) from the felt downwards, mm, canister frame."""
     radius_mm: float
+    """Radius of the fibre, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bubble:
-    """An air bubble in the water at the wall, canister frame."""
+    """Air bubble in the water at the wall."""
 
     x_mm: float
+    """x coordinate of the centre, mm, canister frame."""
     y_mm: float
+    """y coordinate of the centre, mm, canister frame."""
     z_mm: float
+    """z coordinate of the centre, mm, canister frame."""
     radius_mm: float
+    """Radius of the bubble, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OuterDirt:
-    """Dust and scratches on the canister's outside, which rotate with it, as positions on the unrolled wall.
+    """Dust and scratches on the outside of the canister, which rotate with the canister.
 
-    The coordinates are azimuth (rad) and z (mm).
+    Positions are on the unrolled wall, as azimuth (rad) and height z (mm).
     """
 
     specks: NDArray[np.float64]
-    """(N, 3) azimuth, z, radius in mm."""
+    """Azimuth (rad), height (mm) and radius (mm) of each dust speck (N, 3)."""
     scratches: NDArray[np.float64]
-    """(M, 4) azimuth and z of both ends."""
+    """Azimuth (rad) and height (mm) of both ends of each scratch (M, 4)."""
 
 
 SPECK_MM = 0.05, 0.25
-"""Range of the radii of dust specks: settled airborne dust that is not wiped off (household dust is up to about half a
-millimetre in size)."""
+"""Range of the radii of dust specks, mm: settled airborne dust that is not wiped off. Household dust has sizes of up to
+about 0.5 mm."""
 SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
-"""Length, width and opacity of scratches (assumed): fine ones from wiping, half a pixel wide."""
+"""Range of lengths (mm), width (mm) and opacity of scratches (assumed): fine scratches from wiping, half a pixel
+wide."""
 SEAM_WIDE_MM = 1.0
-"""Width of the seam, as stated for the scene key."""
+"""Width of the seam, mm, as documented for the scene key."""
 
 
 def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
-    """Draw specks and scratches at random positions on the outside below the net pot's skirt."""
+    """Draw dust specks and scratches at random positions on the outside, below the skirt of the net pot."""
     wrong, canister = scene.disturbances, scene.canister
     low_mm, high_mm = canister.floor_z_mm, scene.net_pot.skirt_bottom_mm
     count = wrong.dust_specks
@@ -79,18 +89,18 @@ def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
 def outer_opacity(
     dirt: OuterDirt, *, seam_rad: float, seam_opacity: float, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
 ) -> NDArray[np.float32]:
-    """Paint dust, scratches and the seam on an unrolled wall, laid out as by `opacity_map`.
+    """Paint dust, scratches and the seam on an unrolled wall with the layout of `opacity_map`.
 
     Parameters
     ----------
     dirt : OuterDirt
         Dust and scratches.
     seam_rad, seam_opacity : float
-        Azimuth of the seam, and the fraction of light that it absorbs.
+        Azimuth of the seam, rad, and fraction of light that the seam absorbs.
     radius_mm, z_range_mm : float, tuple of float
-        Radius of the wall, and its lowest and highest z.
+        Radius of the wall, and its lowest and highest z, mm.
     mm_per_texel : float
-        Edge of a texel.
+        Edge of a texel, mm.
 
     Returns
     -------
@@ -99,8 +109,8 @@ def outer_opacity(
     """
     low_mm, high_mm = z_range_mm
     columns, rows = round(2.0 * np.pi * radius_mm / mm_per_texel), max(8, round((high_mm - low_mm) / mm_per_texel))
-    fine = 16  # OpenCV draws with a resolution of a sixteenth of a texel
-    picture = np.zeros((rows, 3 * columns), np.uint8)  # three turns, for shapes that cross the edge
+    fine = 16  # OpenCV rounds coordinates to a sixteenth of a texel
+    picture = np.zeros((rows, 3 * columns), np.uint8)  # three copies of the wall side by side, for shapes that cross the edge
 
     def place(azimuth: float, z_mm: float) -> tuple[int, int]:
         column = (np.mod(azimuth, 2.0 * np.pi) / (2.0 * np.pi) + 1.0) * columns - 0.5
@@ -119,15 +129,15 @@ def outer_opacity(
     return np.asarray(np.maximum(turns, seam[None, :]), np.float32)
 
 
-def near(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
-    """Return 1 (rows, columns) if any pixel is painted within a square about a texel, else 0."""
+def dilate_opacity(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
+    """Dilate a painted picture: return 1 for texels (rows, columns) with paint in a surrounding square, otherwise 0."""
     side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
     painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
     return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
 
 
 def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
-    """Draw algae films with radii of 2 to 8 mm and 50 to 100 % of the profile's opacity on the wetted wall."""
+    """Draw algae films on the wetted wall, with radii of 2 to 8 mm and 50 to 100 % of the profile's opacity."""
     wrong = scene.disturbances
     low_mm, high_mm = scene.canister.floor_z_mm, min(scene.net_pot.grid_z_mm, scene.water.level_mm)
     return tuple(
@@ -143,12 +153,12 @@ def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
 
 
 def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> tuple[Fibre, ...]:
-    """Draw felt fibres, 20 to 60 um thick, 2 to 10 mm long and randomly bent, which hang from the grid.
+    """Draw felt fibres that hang from the grid, 20 to 60 um thick, 2 to 10 mm long and randomly bent.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the number of fibres, grid and water.
+        Scene with the number of fibres, the grid and the water.
     rng : np.random.Generator
         Random generator.
     points : int
@@ -157,7 +167,7 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
     Returns
     -------
     tuple of Fibre
-        Centre lines and radii.
+        Fibres with centre lines and radii.
     """
     reach_mm = 0.9 * scene.canister.inner_radius_mm
     fibres = []
@@ -174,23 +184,23 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
 
 
 def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
-    """Draw bubbles with radii of 0.2 to 1 mm, separated from the wall by ``gap_mm`` of water.
+    """Draw air bubbles with radii of 0.2 to 1 mm, separated from the wall by ``gap_mm`` of water.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the number of bubbles, and the water.
+        Scene with the number of bubbles and the water.
     rng : np.random.Generator
         Random generator.
     wall_mm : float
-        Minimum radius of the wall.
+        Minimum radius of the wall, mm.
     gap_mm : float
-        Distance between a bubble and the wall.
+        Distance between a bubble and the wall, mm.
 
     Returns
     -------
     tuple of Bubble
-        Centres and radii.
+        Bubbles with centres and radii.
     """
     low_mm, high_mm = scene.canister.floor_z_mm + 2.0, min(scene.net_pot.grid_z_mm, scene.water.level_mm) - 2.0
     bubbles = []
@@ -215,15 +225,15 @@ def opacity_map(
     patches : tuple of Patch
         Algae films.
     radius_mm, z_range_mm : float, tuple of float
-        Radius of the wall, and its lowest and highest z.
+        Radius of the wall, and its lowest and highest z, mm.
     mm_per_texel : float
-        Edge of a texel.
+        Edge of a texel, mm.
 
     Returns
     -------
     (rows, columns) float32 array
-        Opacity, with row 0 at the top and column 0 at azimuth 0, which increases with the column. The edge of a film
-        fades over a quarter of its radius.
+        Opacity, 0 to 1, with row 0 at the top and column 0 at azimuth 0. The azimuth increases with the column. The
+        edge of a film fades over a quarter of the film's radius.
     """
     low_mm, high_mm = z_range_mm
     columns = max(8, round(2.0 * np.pi * radius_mm / mm_per_texel))

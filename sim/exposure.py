@@ -1,4 +1,4 @@
-"""Conversion of linear light to pixel values: lens, noise, clipping, quantisation, transfer curve and colours."""
+"""Convert linear light to pixel values: vignetting, noise, clipping, quantisation, transfer curve and white balance."""
 
 from dataclasses import replace
 from typing import Any
@@ -11,10 +11,10 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
-"""Full-well capacity in electrons for profiles with read noise but without photon noise (about that of the Pi HQ
-camera's pixels)."""
+"""Full-well capacity, electrons, of profiles with read noise but without photon noise, similar to that of the Pi HQ
+camera's pixels."""
 MANY_E = 25.0
-"""Number of electrons from which quantiles are computed by an expansion."""
+"""Mean number of electrons from which quantiles are computed with an expansion."""
 
 
 def expose(
@@ -25,19 +25,19 @@ def expose(
     Parameters
     ----------
     light : (H, W) float32
-        Linear light; 1 is full scale.
+        Linear light, as a fraction of full scale.
     camera : Camera
-        Camera, with bit depth ``bits`` of its converter and transfer curve ``transfer``.
+        Camera with the bit depth of its converter, ``bits``, and its transfer curve, ``transfer``.
     disturbances : Disturbances
-        Further effects: noise, exposure, white balance, vignetting, bit depth of the stored picture, another transfer
-        curve.
+        Noise, variation of exposure and white balance, vignetting, bit depth of stored pictures, and transfer curve
+        that replaces the curve of the camera.
     rng : Generator
-        Random generator of the picture.
+        Random generator for the picture.
 
     Returns
     -------
-    (H, W), or (H, W, 3) RGB if the white balance varies; uint8, or uint16 with left-aligned values for more than 8
-    bits.
+    (H, W) array, or (H, W, 3) RGB array if the white balance varies
+        Pixel values, uint8, or uint16 with left-aligned values for more than 8 bits.
     """
     wrong = disturbances
     signal = np.maximum(light.astype(np.float64), 0.0)
@@ -67,21 +67,21 @@ def stored_camera(camera: Camera, disturbances: Disturbances) -> Camera:
 
 
 def _falloff(shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
-    """Return the lens's transmission (H, W): 1 in the centre, 1 - ``share`` in the corners."""
+    """Return the relative transmission of the lens (H, W), 1 in the centre and 1 - ``share`` in the corners."""
     y, x = (np.linspace(-1.0, 1.0, size) for size in shape[:2])
     return np.asarray(1.0 - 0.5 * share * (x[None, :] ** 2 + y[:, None] ** 2))
 
 
 def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Poisson numbers (H, W) with given means, as the quantiles of normal random values (H, W) of each pixel.
+    """Draw Poisson numbers (H, W) with given means, as quantiles at normal random values (H, W).
 
-    Generators draw Poisson numbers by rejection: a pixel that differs in its last bit may then consume another random
-    value, which changes the noise of all subsequent pixels. Here a small change of a pixel changes it by at most one
-    electron, and no other pixel.
+    Random generators draw Poisson numbers by rejection. A rounding difference in one pixel may then consume an
+    additional random value and change the noise of all subsequent pixels. Here a small change of a pixel's mean changes
+    its value by at most one electron, and no other pixel.
 
-    For small means the quantile is found by summation. From `MANY_E` on it is the Cornish-Fisher expansion (Abramowitz
-    and Stegun 26.2.49), with skewness m^-1/2 and excess m^-1: fewer than one pixel in a hundred are wrong by one
-    electron.
+    For means below `MANY_E` the quantile is found by summation. For larger means m it is computed with the
+    Cornish-Fisher expansion (Abramowitz and Stegun 26.2.49) with skewness m^-1/2 and excess m^-1. Fewer than 1 % of the
+    pixels are wrong by one electron.
     """
     root, z = np.sqrt(np.maximum(mean, MANY_E)), chance
     found: NDArray[np.float64] = mean + root * z + (z**2 - 1.0) / 6.0 + ((z**3 - 3.0 * z) / 24.0 - (2.0 * z**3 - 5.0 * z) / 36.0) / root
@@ -100,5 +100,5 @@ def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[n
 
 
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:
-    """Return coverage (H, W) in [0, 1] as 16-bit values."""
+    """Convert coverage (H, W), 0 to 1, to 16-bit pixel values."""
     return np.asarray(np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0), dtype=np.uint16)

@@ -1,10 +1,10 @@
-"""Growth of a root system in the canister's water, by an architectural root model.
+"""Grow a root system in the canister's water with an architectural root model.
 
 The model follows the literature (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant and Soil
-332:177): roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and bear laterals
-acropetally at random distances. All roots of one order grow together as arrays; the random values of a root come from a
-generator seeded by the root's path (child numbers from the taproot on), so that no root depends on the number of
-others.
+332:177). Roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and random curvature, and form laterals in
+acropetal order at random distances. All roots of an order grow together as arrays. The random values of a root come
+from a generator seeded with the root's path (child numbers from the taproot on), so that a root does not depend on the
+number of other roots.
 """
 
 from dataclasses import dataclass
@@ -23,63 +23,73 @@ from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
 Array = NDArray[np.float64]
 
 STEP_MM = 1.0
-"""Length of a growth step, and of a segment of the finished root."""
+"""Length of a growth step, and of a segment of the finished root, mm."""
 BEND_LENGTH_MM = 4.0
-"""Correlation length of the random curvature, which makes headings smooth."""
+"""Correlation length of the random curvature, mm, which makes growth directions smooth."""
 MOST_ROOTS = 20_000
-"""Maximum number of roots; the solid of more roots would take many minutes and gigabytes."""
+"""Maximum number of roots. The mesh of more roots would need many minutes and several gigabytes."""
 HEADING_FAN_DEG = 137.5
-"""Mean azimuth between successive laterals; the golden angle distributes them evenly around the root."""
+"""Mean azimuth between successive laterals, deg. The golden angle distributes laterals evenly around the root."""
 HEADING_FAN_SD_DEG = 40.0
-"""Standard deviation of that azimuth."""
+"""Standard deviation of the azimuth between successive laterals, deg."""
 BASAL_KIND = 1_000_000
-"""Offset of the child numbers of each kind of basal roots, multiplied by its number from 1, which exceeds the numbers
-of all laterals."""
+"""Offset of the child numbers of basal roots, multiplied by the number of their kind (from 1). The offset exceeds the
+child numbers of all laterals."""
 
 
 class _GrownBud(NamedTuple):
-    """Result of growing a bud."""
+    """Root grown from a bud."""
 
     root: Root | None
-    """Grown root; None if it is too short to exist."""
+    """Grown root. None if the root is too short to emerge."""
     length_mm: float
+    """Current length of the root, mm."""
     max_length_mm: float
+    """Final length of the root, mm."""
     elongation_mm_per_day: float
+    """Initial growth rate of the root, mm/day."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Bud:
-    """A root that has not yet grown."""
+    """Root that has not yet grown."""
 
     path: tuple[int, ...]
+    """Child numbers from the taproot to this root."""
     parent: int
+    """Index of the parent root, -1 for none."""
     order: int
+    """Order of the root, 0 for a root without a parent."""
     start_mm: Array
+    """Base of the root (3,), mm, canister frame."""
     heading: Array
+    """Unit vector of the initial growth direction (3,)."""
     age_days: float
+    """Time since the emergence of the root, days."""
     limit_diameter_mm: float
+    """Maximum diameter of the root, mm."""
 
 
 def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: NetPot | None = None) -> list[Root]:
-    """Grow a plant; the same specimen gives the same plant, and an older one continues the younger.
+    """Grow a plant. The same specimen always yields the same plant, and a higher age continues the growth.
 
     Parameters
     ----------
     specimen : GrownSpecimen
-        Seed, age and parameters of each order; ``volume_ml`` is not used here.
+        Seed, age, and parameters of each order. ``volume_ml`` is not used.
     canister, net_pot : Canister or None, NetPot or None
-        Limits of the roots; None for the default rig.
+        Canister and net pot that limit the growth. None: those of the default rig.
 
     Returns
     -------
     list of Root
-        Taproot first, parents before children, points in mm in the canister frame about `STEP_MM` apart, with diameters
-        before scaling to the plant's volume. Root surfaces keep the margins from wall, floor and grid.
+        Roots, sorted with parents before children. Points are about `STEP_MM` apart, mm, canister frame. Diameters are
+        not yet scaled to the plant's volume. Root surfaces keep the margins from wall, floor and grid.
 
     Raises
     ------
     UserError
-        If the taproot's base does not fit within the limits, or there would be more than `MOST_ROOTS` roots.
+        If the base of the taproot lies outside the limits, or the plant would have more than `MOST_ROOTS` roots.
     """
     limits = bounds(specimen, canister=canister or Canister(), net_pot=net_pot or NetPot())
     _check_origin(specimen, limits)
@@ -108,13 +118,13 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
                 if root is None:
                     continue
                 if bud.parent < 0:
-                    together += [(_basal(bud, root, kind, specimen), specimen.basal[kind]) for kind in range(len(specimen.basal))]
+                    together += [(_place_basal(bud, root, kind, specimen), specimen.basal[kind]) for kind in range(len(specimen.basal))]
                 if following is not None:
-                    children += _laterals(bud, grown, len(roots), own, following, specimen)
+                    children += _place_laterals(bud, grown, len(roots), own, following, specimen)
                 roots.append(root)
             if len(roots) + len(children) > MOST_ROOTS:
                 raise UserError(
-                    f"specimen.orders would grow more than {MOST_ROOTS} roots by day {specimen.age_days:g}, the maximum: "
+                    f"specimen.orders results in more than {MOST_ROOTS} roots on day {specimen.age_days:g}; "
                     "increase interlateral_mm or reduce max_length_mm."
                 )
         buds = children
@@ -127,16 +137,16 @@ def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: A
     Parameters
     ----------
     age_days : (N,) array
-        Time since the emergence of the root.
+        Time since the emergence of the root, days.
     max_length_mm : (N,) array
-        Final length, k.
+        Final length k, mm.
     elongation_mm_per_day : (N,) array
-        Initial growth rate, r.
+        Initial growth rate r, mm/day.
 
     Returns
     -------
     (N,) array
-        Lengths in mm.
+        Length, mm.
     """
     return max_length_mm * -np.expm1(-elongation_mm_per_day * np.maximum(age_days, 0.0) / max_length_mm)
 
@@ -147,16 +157,16 @@ def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Arr
     Parameters
     ----------
     length_mm : (N,) array
-        Length, less than the final length.
+        Length, mm, smaller than the final length.
     max_length_mm : (N,) array
-        Final length, k.
+        Final length k, mm.
     elongation_mm_per_day : (N,) array
-        Initial growth rate, r.
+        Initial growth rate r, mm/day.
 
     Returns
     -------
     (N,) array
-        Ages in days.
+        Age, days.
     """
     return -max_length_mm / elongation_mm_per_day * np.log1p(-length_mm / max_length_mm)
 
@@ -165,23 +175,23 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
     radius_mm = max(specimen.orders[0].diameter_mm, specimen.hypocotyl_diameter_mm) / 2.0 if specimen.orders else 0.0
     x, y, z = specimen.origin_mm
     if not specimen.orders:
-        raise UserError("specimen.orders is empty: at least the taproot's parameters are required.")
+        raise UserError("specimen.orders is empty; must contain at least the parameters of the taproot.")
     if z + radius_mm > limits.high_z_mm or z - radius_mm < limits.low_z_mm or np.hypot(x, y) + radius_mm > limits.radius_mm:
         raise UserError(
-            f"specimen.origin_mm {specimen.origin_mm} is too close to the edge of the water for a root of diameter "
-            f"{2.0 * radius_mm:.2f} mm: it must be at least {radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to "
+            f"specimen.origin_mm {specimen.origin_mm} is too close to the edge of the water; a root of diameter "
+            f"{2.0 * radius_mm:.2f} mm must begin at least {radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to "
             f"{limits.high_z_mm:.1f} mm and radius {limits.radius_mm:.1f} mm."
         )
 
 
 def _generators(seed: int, path: tuple[int, ...]) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
-    """Return the random generators of a root's own traits, of its curvature and of its laterals."""
+    """Return the random generators for a root's own traits, for its curvature and for its laterals."""
     shape, wobble, laterals = np.random.SeedSequence(entropy=seed, spawn_key=path).generate_state(3, np.uint64)
     return np.random.default_rng(int(shape)), np.random.default_rng(int(wobble)), np.random.default_rng(int(laterals))
 
 
-def _factor(rng: np.random.Generator, sd: float) -> float:
-    """Draw a positive factor of mean 1 and relative standard deviation ``sd`` (gamma distributed)."""
+def _draw_factor(rng: np.random.Generator, sd: float) -> float:
+    """Draw a positive factor with mean 1 and relative standard deviation ``sd`` from a gamma distribution."""
     return float(rng.gamma(1.0 / sd**2, sd**2)) if sd > 0.0 else 1.0
 
 
@@ -192,8 +202,12 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
     traits = np.empty((len(buds), 3))
     for i, bud in enumerate(buds):
         rng = _generators(specimen.seed, bud.path)[0]
-        factor = max(_factor(rng, order.length_sd), 0.05)
-        traits[i] = factor * order.max_length_mm, factor * order.elongation_mm_per_day, order.diameter_mm * _factor(rng, order.diameter_sd)
+        factor = max(_draw_factor(rng, order.length_sd), 0.05)
+        traits[i] = (
+            factor * order.max_length_mm,
+            factor * order.elongation_mm_per_day,
+            order.diameter_mm * _draw_factor(rng, order.diameter_sd),
+        )
     ages = np.array([bud.age_days for bud in buds])
     lengths_mm = length_at(ages, max_length_mm=traits[:, 0], elongation_mm_per_day=traits[:, 1])
     thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
@@ -202,7 +216,7 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
     grown: list[_GrownBud] = []
     for i, bud in enumerate(buds):
         root = None
-        if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones are still inside their parent
+        if lengths_mm[i] > max(0.3, thickest[i]):  # shorter roots are still inside their parents
             line_mm, along_mm = _cut(points_mm[i], lengths_mm[i])
             diameters_mm = thickest[i] * (1.0 + (order.taper - 1.0) * along_mm / lengths_mm[i])
             if bud.parent < 0 and specimen.hypocotyl_diameter_mm > 0.0:
@@ -214,7 +228,7 @@ def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, lim
 
 
 def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
-    """Return the diameters (N,) of the taproot with its thickened top."""
+    """Return the diameters of the taproot (N,), mm, including its thickened top."""
     fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
     if specimen.hypocotyl_shape == "globe":  # ellipsoid of revolution
         return specimen.hypocotyl_diameter_mm * 2.0 * np.sqrt(fade * (1.0 - fade))
@@ -222,7 +236,12 @@ def _thicken_top(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) 
 
 
 def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
-    """Cut a centre line with points every `STEP_MM` at a length; return its points and their arc lengths."""
+    """Cut a centre line at a given length, and return its points (N, 3) and arc lengths (N,), mm.
+
+    The centre line has a point every `STEP_MM`.
+
+    Return its points (N, 3) and their arc lengths (N,), mm.
+    """
     whole = max(int(np.ceil(length_mm / STEP_MM - 1e-9)), 1)
     along_mm = np.minimum(np.arange(whole + 1) * STEP_MM, length_mm)
     line_mm = points_mm[: whole + 1].copy()
@@ -233,15 +252,15 @@ def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
 
 
 def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array) -> Array:
-    """Return the centre lines (N, S + 1, 3) of all buds, each long enough for the longest."""
+    """Return the centre lines (N, S + 1, 3), mm, of all buds, each long enough for the longest root."""
     steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
     bend = np.zeros((len(buds), steps, 3))
     for i, bud in enumerate(buds):
         own = min(int(np.ceil(lengths_mm[i] / STEP_MM)) + 1, steps)
         bend[i, :own] = _generators(seed, bud.path)[1].standard_normal((own, 3))
     persistence = np.exp(-STEP_MM / BEND_LENGTH_MM)
-    # curvature is an Ornstein-Uhlenbeck process: beyond its correlation length, the heading's variance grows by
-    # wobble^2 per mm
+    # Curvature is an Ornstein-Uhlenbeck process. Beyond its correlation length, the variance of the growth direction
+    # increases by wobble^2 per mm.
     curvature_sd = np.deg2rad(order.wobble_deg) / np.sqrt(2.0 * BEND_LENGTH_MM)
     points_mm = np.empty((len(buds), steps + 1, 3))
     points_mm[:, 0] = [bud.start_mm for bud in buds]
@@ -258,10 +277,10 @@ def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm
     return points_mm
 
 
-def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list[_Bud]:
-    """Place the basal roots of a kind.
+def _place_basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list[_Bud]:
+    """Place the buds of a kind of basal roots on the taproot.
 
-    They are evenly distributed along their zone, and around the taproot by the mean azimuth between laterals.
+    The buds are spaced evenly along their zone, and by the mean azimuth between laterals around the taproot.
     """
     basal: BasalRoots = specimen.basal[kind]
     children: list[_Bud] = []
@@ -273,15 +292,15 @@ def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list
         at_mm = basal.at_mm + basal.zone_mm * (number + 0.5) / basal.count
         age_days = bud.age_days - basal.delay_days
         children.append(
-            _bud_on(
+            _place_bud(
                 bud, taproot, 0, path, at_mm=at_mm, turn_rad=(azimuth_rad, insertion_rad), age_days=age_days, buried_mm=specimen.buried_mm
             )
         )
     return children
 
 
-def _laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
-    """Place the laterals of a root beyond its apical zone."""
+def _place_laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
+    """Place the buds of a root's laterals, outside the apical zone."""
     root, length_mm, max_length_mm, elongation_mm_per_day = grown
     if root is None:
         return []
@@ -290,7 +309,7 @@ def _laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, followi
     at_mm = order.base_mm
     buds: list[_Bud] = []
     while True:
-        at_mm += order.interlateral_mm * max(_factor(rng, order.interlateral_sd), 0.05)
+        at_mm += order.interlateral_mm * max(_draw_factor(rng, order.interlateral_sd), 0.05)
         azimuth_rad += np.deg2rad(rng.normal(HEADING_FAN_DEG, HEADING_FAN_SD_DEG))
         insertion_rad = np.deg2rad(np.clip(rng.normal(following.insertion_deg, following.insertion_sd_deg), 5.0, 175.0))
         if at_mm + order.apex_mm >= length_mm:
@@ -299,13 +318,13 @@ def _laterals(bud: _Bud, grown: _GrownBud, index: int, order: RootOrder, followi
         began_days = age_at(passed_mm, max_length_mm=np.array(max_length_mm), elongation_mm_per_day=np.array(elongation_mm_per_day))
         age_days, path = bud.age_days - float(began_days), (*bud.path, len(buds))
         buds.append(
-            _bud_on(
+            _place_bud(
                 bud, root, index, path, at_mm=at_mm, turn_rad=(azimuth_rad, insertion_rad), age_days=age_days, buried_mm=specimen.buried_mm
             )
         )
 
 
-def _bud_on(
+def _place_bud(
     bud: _Bud,
     root: Root,
     index: int,
@@ -316,7 +335,7 @@ def _bud_on(
     age_days: float,
     buried_mm: float,
 ) -> _Bud:
-    """Return a bud at a distance along a root, with azimuth and insertion angle relative to the root."""
+    """Return a bud at a distance along a root, with its azimuth and insertion angle relative to the root."""
     azimuth_rad, insertion_rad = turn_rad
     ladder_mm = polyline.arc_length_mm(root.points_mm)
     segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))

@@ -1,4 +1,4 @@
-"""Sway of hanging objects: a specimen and its root hairs, displaced from view to view."""
+"""Sway of hanging objects: the displacement of a specimen and its root hairs from view to view."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ from rhizotwin.sim.specimen import SpecimenSolid
 
 @dataclass(frozen=True)
 class HangingObject:
-    """A specimen, or its root hairs, attached at the top, which sways."""
+    """Swaying specimen, or its root hairs, fixed at the top."""
 
     name: str
-    """Name of the shape in the scene."""
+    """Name of the object's shape in the Mitsuba scene."""
     vertices: NDArray[np.float64]
-    """(V, 3) vertices at rest, mm."""
+    """Vertices at rest (V, 3), mm."""
     share: NDArray[np.float64]
-    """(V,) displacement of each vertex relative to that of the lowest tip."""
+    """Displacement of each vertex (V,), relative to the displacement of the lowest tip."""
 
     @staticmethod
     def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> HangingObject:
-        """Create a hanging object with vertices (V, 3), fixed at a solid's highest point.
+        """Create a hanging object that is fixed at the highest point of a solid.
 
-        The displacement is proportional to the depth below that point.
+        The displacement of a vertex is proportional to its depth below the highest point.
 
         Parameters
         ----------
         name : str
-            Name of the shape in the scene.
+            Name of the object's shape in the Mitsuba scene.
         vertices : (V, 3) array
             Vertices at rest, mm.
         solid : SpecimenSolid
-            Solid, whose highest point and lowest tip define the displacement.
+            Solid whose highest point and lowest tip define the displacement.
 
         Returns
         -------
-        Hanging
+        HangingObject
             Hanging object with the relative displacement of each vertex.
         """
         low, high = solid.extents_min_mm[2], solid.extents_max_mm[2]
         return HangingObject(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
     def at(self, tip_mm: tuple[float, float], twist_deg: float) -> NDArray[np.float64]:
-        """Return the vertices (V, 3) for a displacement of the lowest tip by x, y and its rotation about the z axis."""
+        """Return the vertices (V, 3), mm, for a displacement and a rotation of the lowest tip."""
         return frames.twist(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
 
 
@@ -58,13 +58,13 @@ def sway(scene: mi.Scene, hanging: Sequence[HangingObject], tip_mm: tuple[float,
     Parameters
     ----------
     scene : mi.Scene
-        Scene created by `optics.build`.
+        Mitsuba scene created by `optics.build`.
     hanging : sequence of HangingObject
         Hanging objects at rest.
     tip_mm : tuple of float
-        Displacement of the lowest tip in x and y.
+        Displacement of the lowest tip in x and y, mm.
     twist_deg : float
-        Rotation of the lowest tip about the z axis.
+        Rotation of the lowest tip about the z axis, deg.
     """
     parameters = mi.traverse(scene)
     for one in hanging:

@@ -1,4 +1,4 @@
-"""Backlight panel and front light: area emitters that are static in the rig while the canister rotates."""
+"""Backlight panel and front light: area emitters that are fixed in the rig while the canister rotates."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def lights(scene: Scene, world: World) -> dict[str, Any]:
-    """Return the two lights of a scene, for aligned frames of canister and rig.
+    """Return the two lights as Mitsuba objects for coinciding frames of canister and rig.
 
-    The radiance of the directly visible panel is ``backlight_level``.
+    The radiance of the panel is ``backlight_level``, as a fraction of full scale.
     """
     level = scene.lights.backlight_level
     radiance: Any = level
@@ -47,11 +47,11 @@ def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
     Parameters
     ----------
     scene : mi.Scene
-        Scene created by `sim.optics.build`, with lamps.
+        Mitsuba scene created by `sim.optics.build` with lamps.
     lights : Lights
-        Positions of the lights in the rig.
+        Lights with their positions in the rig.
     camera : TrueCamera
-        True camera with the canister's pose in this view.
+        True camera with the pose of the canister in this view.
     """
     canister_from_rig = frames.invert(camera.rig_from_canister)
     parameters = mi.traverse(scene)
@@ -61,16 +61,16 @@ def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
 
 
 class Lamps:
-    """The two lights as formulas, for `sim.backlit`, which can be moved without rebuilding the scene.
+    """Analytic model of the two lights for `sim.backlit`, which can be moved without rebuilding the scene.
 
     Parameters
     ----------
-    scene, world
-        The nominal rig and its drawn disturbances.
+    scene, world : Scene, World
+        Nominal rig, and its drawn disturbances.
     """
 
     SAMPLES = 2
-    """Number of points per direction at which each light is sampled for the irradiance."""
+    """Number of points per direction at which each light is sampled to compute irradiance."""
 
     def __init__(self, scene: Scene, world: World) -> None:
         level = scene.lights.backlight_level
@@ -91,13 +91,13 @@ class Lamps:
         dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister)
 
     def meet(self, ray: Any, t: Any) -> tuple[Any, Any]:
-        """Return the light that rays meet before ``t`` (1 the panel, 2 the front light, 0 none) and its radiance.
+        """Return the light that rays meet before ``t`` (1: panel, 2: front light, 0: none) and its radiance.
 
-        The backs of the lights are black.
+        The rear sides of the lights are black.
         """
         lamp, glow = mi.UInt32(0), mi.Spectrum(0.0)
         for number, to_lamp in enumerate(self.lamp_from_canister):
-            o, d = _times(to_lamp, ray.o, 1.0), _times(to_lamp, ray.d, 0.0)
+            o, d = _multiply(to_lamp, ray.o, 1.0), _multiply(to_lamp, ray.d, 0.0)
             t_lamp = -o.z / d.z
             at = mi.Point2f(o.x + t_lamp * d.x, o.y + t_lamp * d.y)
             met = (t_lamp > 0.0) & (t_lamp < t) & (dr.abs(at.x) <= 1.0) & (dr.abs(at.y) <= 1.0)
@@ -107,14 +107,14 @@ class Lamps:
         return lamp, glow
 
     def irradiance(self, p: Any, n: Any) -> Any:
-        """Return the irradiance on points with normals, without occlusion."""
+        """Return the irradiance at points with given normals, without occlusion."""
         total = mi.Spectrum(0.0)
         for number, to_canister in enumerate(self.canister_from_lamp):
             across, up = (mi.Vector3f(*(to_canister[row, column] for row in range(3))) for column in (0, 1))
             area = dr.cross(across, up)  # a quarter of the rectangle's area, along its normal
             for k in range(self.SAMPLES):
                 at = mi.Point2f(2.0 * (k + 0.5) / self.SAMPLES - 1.0, 2.0 * ((0.5 + (k + (1 - number) * self.SAMPLES) * 0.618) % 1.0) - 1.0)
-                towards = _times(to_canister, mi.Point3f(at.x, at.y, 0.0), 1.0) - p
+                towards = _multiply(to_canister, mi.Point3f(at.x, at.y, 0.0), 1.0) - p
                 distance2 = dr.squared_norm(towards)
                 facing = dr.maximum(-dr.dot(towards, area), 0.0) * dr.maximum(dr.dot(towards, n), 0.0)
                 total += self._radiance(number, at, mi.Bool(True)) * 4.0 * facing / (distance2 * distance2 * self.SAMPLES)
@@ -128,13 +128,13 @@ class Lamps:
         return self.picture.eval(si, active)
 
 
-def _times(matrix: Any, v: Any, w: float) -> Any:
-    """Return the first three rows of a 4x4 matrix times (v, w)."""
+def _multiply(matrix: Any, v: Any, w: float) -> Any:
+    """Return the first three components of a 4x4 matrix times (v, w)."""
     return mi.Vector3f(*(matrix[row, 0] * v.x + matrix[row, 1] * v.y + matrix[row, 2] * v.z + matrix[row, 3] * w for row in range(3)))
 
 
 def rig_from_panel(lights: Lights) -> NDArray[np.float64]:
-    """Return the 4x4 map of the square [-1, 1]^2 (normal +z) to the backlight panel, which faces +x."""
+    """Return the 4x4 transform from the square [-1, 1]^2 (normal +z) to the backlight panel, which faces +x, mm."""
     width_mm, height_mm = lights.backlight_wh_mm
     matrix = np.eye(4)
     matrix[:3, 0] = [0.0, width_mm / 2.0, 0.0]
@@ -145,7 +145,10 @@ def rig_from_panel(lights: Lights) -> NDArray[np.float64]:
 
 
 def rig_from_front(lights: Lights) -> NDArray[np.float64]:
-    """Return the 4x4 map of the square [-1, 1]^2 (normal +z) to the front light, which faces the rim's centre."""
+    """Return the 4x4 transform, mm, from the square [-1, 1]^2 (normal +z) to the front light.
+
+    The front light faces the centre of the canister's rim.
+    """
     width_mm, height_mm = lights.front_wh_mm
     at = np.array([lights.front_xz_mm[0], 0.0, lights.front_xz_mm[1]])
     normal = -at / np.linalg.norm(at)
@@ -159,7 +162,7 @@ def rig_from_front(lights: Lights) -> NDArray[np.float64]:
 
 
 def front_radiance(scene: Scene) -> float:
-    """Return the radiance of the front light for which the strip's white paper, facing the camera, has ``front_level``.
+    """Return the radiance of the front light at which the strip's white paper, facing the camera, has ``front_level``.
 
     The radiance of paper with reflectance rho is ``rho / pi * E``, where E is the integral of ``L cos cos' / d^2`` over
     the light (midpoint rule).

@@ -1,4 +1,4 @@
-"""Conversion of PLY, STL and OBJ files to one solid, with repair of common defects."""
+"""Read PLY, STL and OBJ files as a solid, and repair common defects of the mesh."""
 
 from collections import Counter
 from pathlib import Path
@@ -13,65 +13,72 @@ from rhizotwin.scenes.reading import MOST_MESH_MIB, check_size
 from rhizotwin.sim.solids import Array, Faces, to_manifold
 
 SUFFIXES = (".ply", ".stl", ".obj")
+"""Supported file name extensions."""
 MOST_FACES = 1_500_000
-"""Maximum number of faces: 1.3 million took 1.1 GiB and 32 s without progress. On a sphere of 20 mm, their edges are
-0.04 mm long."""
+"""Maximum number of faces. A mesh of 1.3 million faces took 1.1 GiB and 32 s without any progress report. The faces on
+a sphere of 20 mm then have edges of 0.04 mm."""
 LEAST_MM = 0.5
-"""Minimum size of a specimen; smaller ones are probably not in millimetres."""
+"""Minimum size of a specimen, mm. The unit of smaller meshes is probably not the millimetre."""
 
 
 def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
-    """Read a closed surface and return it as a solid, with notes on repairs.
+    """Read a closed surface and return the solid that it bounds, with notes on repairs.
 
-    Overlapping shells are united; inner shells with inward normals are cavities; a surface that is entirely inside out
-    is inverted, with a note.
+    Overlapping shells are united. Inner shells with inward normals are cavities. A surface whose normals all point
+    inwards is inverted, with a note.
 
     Parameters
     ----------
     path : path
-        PLY, STL or OBJ file, in millimetres in the canister frame.
+        PLY, STL or OBJ file, mm, canister frame.
 
     Raises
     ------
     UserError
-        If the file is missing, unreadable, empty, not closed (with the number of open edges), inconsistently oriented,
-        or flat.
+        If the file is missing, unreadable or empty, or the surface is not closed (with the number of open edges),
+        inconsistently oriented or flat.
     """
     vertices, faces = _read(path)
     if len(vertices) == 0 or len(faces) == 0:
-        raise UserError(f"{path}: the mesh is empty; export the specimen's closed surface again.")
+        raise UserError(f"{path}: the mesh is empty; export the closed surface of the specimen again.")
     if not np.all(np.isfinite(vertices)):
         raise UserError(f"{path}: some coordinates are not finite numbers; export the mesh again.")
     size_mm = float(np.max(np.ptp(vertices[faces.ravel()], axis=0)))
     if size_mm < LEAST_MM:
-        raise UserError(f"{path}: the specimen is only {size_mm:.3g} mm across; files must be in millimetres, so scale it up.")
+        raise UserError(
+            f"{path}: the specimen has a size of only {size_mm:.3g} mm; its coordinates must be in millimetres; scale the mesh."
+        )
     notes: list[str] = []
-    vertices, faces = _join(path, vertices, faces, notes)
+    vertices, faces = _merge_vertices(path, vertices, faces, notes)
     solid = to_manifold(vertices, faces)
     if solid.status() != manifold3d.Error.NoError:
         raise UserError(f"{path}: the surface does not bound a solid ({solid.status().name}); repair it in a mesh editor.")
     solid = _unite_shells(solid, path, notes)
     if solid.is_empty() or solid.volume() <= 0.0:
-        raise UserError(f"{path}: the surface encloses no volume; export the specimen's closed surface again.")
+        raise UserError(f"{path}: the surface encloses no volume; export the closed surface of the specimen again.")
     return solid, notes
 
 
 def _read(path: Path) -> tuple[Array, Faces]:
-    """Return vertices (V, 3) and faces (F, 3) of the file."""
+    """Read the vertices (V, 3), mm, and faces (F, 3) of a file."""
     if path.suffix.lower() not in SUFFIXES:
-        raise UserError(f"{path}: a specimen must be a PLY, STL or OBJ mesh, or traced roots in a .rsml file, not '{path.suffix}'.")
+        raise UserError(
+            f"{path}: the extension '{path.suffix}' is not supported; must be a mesh (.ply, .stl, .obj) or traced roots (.rsml)."
+        )
     if not path.is_file():
-        raise UserError(f"{path}: there is no such file; check the path of the specimen's mesh.")
+        raise UserError(f"{path}: the file does not exist; check the path of the specimen's mesh.")
     check_size(path, path.stat(), most_mib=MOST_MESH_MIB)
     try:
         mesh = trimesh.load_mesh(str(path), process=False)
         vertices, faces = np.asarray(mesh.vertices, np.float64).reshape(-1, 3), np.asarray(mesh.faces, np.int64).reshape(-1, 3)
     except Exception as error:  # readers raise various exceptions for invalid bytes
-        raise UserError(f"{path}: cannot be read as a {path.suffix[1:].upper()} mesh ({type(error).__name__}); export it again.") from error
+        raise UserError(
+            f"{path}: the file could not be read as a {path.suffix[1:].upper()} mesh ({type(error).__name__}); export the mesh again."
+        ) from error
     if len(faces) > MOST_FACES:
-        raise UserError(f"{path}: has {len(faces)} triangles, more than the maximum of {MOST_FACES}; simplify it first.")
+        raise UserError(f"{path}: the mesh has {len(faces)} triangles; must have at most {MOST_FACES}; simplify the mesh.")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise UserError(f"{path}: faces refer to vertices that the file does not have; it is damaged, export it again.")
+        raise UserError(f"{path}: the file is damaged, because faces refer to missing vertices; export the mesh again.")
     return vertices, faces.astype(np.int32)
 
 
@@ -84,26 +91,29 @@ def open_edges(faces: NDArray[np.int32]) -> int:
 
 
 def _single_edges(faces: NDArray[np.int32]) -> int:
-    """Count the edges that belong to an odd number of faces, ignoring orientation."""
+    """Count the edges of triangles (F, 3) that are shared by an odd number of faces, ignoring orientation."""
     edges = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1), axis=1)
     counts = np.unique(edges, axis=0, return_counts=True)[1]
     return int(np.count_nonzero(counts % 2))
 
 
-def _join(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
-    """Return the surface with shared vertices, as indexed in the file, or merged by coordinates (STL, seams of OBJ)."""
-    indexed = faces[_proper(faces)]
+def _merge_vertices(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
+    """Merge vertices so that faces share them.
+
+    Vertices with equal coordinates are merged (STL, seams of OBJ) if necessary.
+    """
+    indexed = faces[_is_proper(faces)]
     if len(indexed) and open_edges(indexed) == 0 and to_manifold(vertices, indexed).status() == manifold3d.Error.NoError:
         return vertices, indexed
-    for digits in (None, 5):  # exactly equal, then to 1e-5 mm, as text files round
+    for digits in (None, 5):  # exactly equal, then equal to 1e-5 mm because of rounding in text files
         rounded = vertices if digits is None else np.round(vertices, digits)
         unique, inverse = np.unique(rounded, axis=0, return_inverse=True)
         joined = inverse.ravel()[faces].astype(np.int32)
-        joined = joined[_proper(joined)]
+        joined = joined[_is_proper(joined)]
         if len(joined) and _single_edges(joined) == 0:
             break
     if len(joined) == 0:
-        raise UserError(f"{path}: every face of the mesh is degenerate; export it again.")
+        raise UserError(f"{path}: all faces of the mesh are degenerate; export the mesh again.")
     missing = _single_edges(joined)
     if missing:
         raise UserError(f"{path}: the surface is not closed: {missing} edges have only one face; close the holes in a mesh editor.")
@@ -113,19 +123,19 @@ def _join(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[
         joined = np.asarray(mesh.faces, dtype=np.int32)
         if open_edges(joined):
             raise UserError(
-                f"{path}: the faces are inconsistently oriented at {open_edges(joined)} edges; recompute its normals in a mesh editor."
+                f"{path}: the faces at {open_edges(joined)} edges are inconsistently oriented; recompute the normals in a mesh editor."
             )
         notes.append(f"{path}: faces with an inconsistent orientation were inverted.")
     return unique, joined
 
 
-def _proper(faces: Faces) -> NDArray[np.bool_]:
-    """Return which faces have three different corners."""
+def _is_proper(faces: Faces) -> NDArray[np.bool_]:
+    """Return whether each face has three different vertices (F,)."""
     return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
 
 
 def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> manifold3d.Manifold:
-    """Unite overlapping shells, keep cavities, and invert shells that are inside out."""
+    """Unite overlapping shells, keep cavities, and invert shells whose normals point inwards."""
     kinds: Counter[str] = Counter()
     bodies: list[manifold3d.Manifold] = []
     inverted: list[manifold3d.Manifold] = []
@@ -141,9 +151,9 @@ def _unite_shells(solid: manifold3d.Manifold, path: Path, notes: list[str]) -> m
         united = united - shell if inside else united + shell
         kinds["cavity" if inside else "turned"] += 1
     if kinds["turned"]:
-        notes.append(f"{path}: {kinds['turned']} shell(s) were inside out and have been inverted.")
+        notes.append(f"{path}: the normals of {kinds['turned']} shell(s) pointed inwards; these shells were inverted.")
     if kinds["cavity"]:
-        notes.append(f"{path}: {kinds['cavity']} closed cavity or cavities inside the specimen are kept as water.")
+        notes.append(f"{path}: {kinds['cavity']} closed cavities inside the specimen were kept and filled with water.")
     if len(bodies) > 1:
-        notes.append(f"{path}: {len(bodies)} separate shells were united; the volume counts overlaps once.")
+        notes.append(f"{path}: {len(bodies)} separate shells were united; overlaps are counted once in the volume.")
     return united

@@ -1,6 +1,6 @@
-"""Rig as a Mitsuba scene, in the canister frame and in millimetres, with one surface for every optical interface.
+"""Build the rig as a Mitsuba scene, in the canister frame in mm, with one surface for each optical interface.
 
-The canister is static while camera and lights move around it, so that a turn of the table only rebuilds two rectangles.
+The canister is static while camera and lights move around it, so that only two rectangles are rebuilt per view.
 """
 
 from __future__ import annotations
@@ -22,24 +22,26 @@ from rhizotwin.sim.world import World, narrowest_mm
 
 SPECIMEN, HAIRS, SHOOT, OUTER_DIRT = "specimen", "hairs", "shoot", "outer_dirt"
 STRIP = "strip"
+"""Names of shapes in the Mitsuba scene."""
 ROOT_REFLECTANCE = 0.35
-"""Reflectance of wet white roots; a tenth more would brighten them by 0.0065 of full scale (`sim.backlit.AMBIENT`)."""
+"""Reflectance of wet white roots. An increase by 0.1 brightens roots by 0.0065 of full scale
+(`sim.backlit.AMBIENT`)."""
 FELT_REFLECTANCE = 0.02
-"""Reflectance of black felt; with 0.05 it would still be darker than all roots."""
+"""Reflectance of black felt. A reflectance of 0.05 would still be darker than all roots."""
 FLOOR_REFLECTANCE = 0.10
 """Reflectance of the dark surface below the canister, which few rays meet."""
 ALGAE_GAP_MM = 0.05
-"""Distance of films from the wall: far more than rounding errors of rays, far less than a pixel."""
+"""Distance of algae films from the wall, mm, much larger than rounding errors of rays and much smaller than a pixel."""
 OUTER_GAP_MM = 0.05
-"""The same for objects on the outside."""
+"""Distance of dirt on the outside from the wall, mm, larger than rounding errors of rays and smaller than a pixel."""
 DIRT_TEXEL_MM = 0.1
-"""Resolution of dirt: half of a pixel on the wall at 800x600."""
+"""Edge of a texel of the dirt, mm, half a pixel on the wall at 800x600."""
 OVAL_SIDES = 1440
-"""Number of sides of an oval wall: its facets are within 0.2 um, and its normals are those of the oval."""
+"""Number of facets of an oval wall. The facets deviate by at most 0.2 um from the oval. Their normals are exact."""
 TURBID_ALBEDO = 0.7
-"""Albedo of turbid water (assumed): fraction of the extinction by scattering; the rest is absorption."""
+"""Albedo of turbid water (assumed): fraction of the extinction that is due to scattering."""
 TURBID_FORWARD = 0.9
-"""Mean cosine of scattering: particles larger than the wavelength scatter forward."""
+"""Mean cosine of the scattering angle in turbid water. Particles larger than the wavelength scatter forward."""
 
 
 def build(
@@ -51,22 +53,22 @@ def build(
     lamps: bool = True,
     dirt_reach_mm: float | None = None,
 ) -> mi.Scene:
-    """Return the Mitsuba scene of a world, without a sensor.
+    """Build the Mitsuba scene of a rig with its drawn disturbances, without a sensor.
 
     Parameters
     ----------
     scene, world : Scene, World
-        The nominal rig and its drawn disturbances.
+        Nominal rig, and its drawn disturbances.
     solid : SpecimenSolid or None
-        Closed surface in the canister frame, mm; None for an empty canister.
+        Closed surface of the specimen, mm, canister frame. None: empty canister.
     hairs : Sleeve or None
-        Space of the specimen's root hairs.
+        Region of the specimen's root hairs.
     lamps : bool
-        Whether to include the two lights, which `sim.lights.place` moves for each view; without them the scene is the
+        Whether to include the two lights, which `sim.lights.place` moves for each view. The scene without lights is the
         same for all views.
     dirt_reach_mm : float or None
-        Distance by which all dirt on the outside is enlarged to an opaque area, so that rays with this spacing cannot
-        miss any; None for the true dirt.
+        Distance, mm, by which dirt on the outside is dilated to an opaque area, so that rays with this spacing meet all
+        dirt. None: true dirt.
 
     Returns
     -------
@@ -97,25 +99,25 @@ def build(
     if solid is not None and solid.shoot is not None and scene.shoot is not None:
         green = {"type": "twosided", "bsdf": _diffuse(scene.shoot.reflectance)}
         items[SHOOT] = _mesh(SHOOT, solid.shoot.vertices, solid.shoot.faces, green)
-    return _load_quietly(items)
+    return _load_scene(items)
 
 
 def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, slack_mm: float) -> mi.Scene | None:
-    """Return a scene of the fine structures that may lie between the corners of a pixel; None if there are none.
+    """Build a scene of fine structures that may lie between the corners of a pixel. None without such structures.
 
-    They are specimen, fibres and bubbles.
+    Fine structures are the specimen, fibres and bubbles.
 
     Parameters
     ----------
     world, solid, hairs : World, SpecimenSolid or None, Sleeve or None
-        See `build`.
+        World, specimen and root hairs, see `build`.
     slack_mm : float
-        Enlargement of fibres and bubbles, so that rays with this spacing cannot miss any.
+        Increase of the radii of fibres and bubbles, mm, so that rays with this spacing meet all of them.
 
     Returns
     -------
     mi.Scene or None
-        Scene for tests of intersection only.
+        Mitsuba scene for intersection tests only.
     """
     items: dict[str, Any] = {"type": "scene"}
     for number, bubble in enumerate(world.bubbles):
@@ -127,27 +129,27 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
         items[SPECIMEN] = _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
     if hairs is not None:
         items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, _diffuse(ROOT_REFLECTANCE))
-    return _load_quietly(items) if len(items) > 1 else None
+    return _load_scene(items) if len(items) > 1 else None
 
 
 def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
     """Return a cylinder in the canister that contains the fine structures with a margin.
 
-    It does not extend beyond the canister.
+    The radius of the cylinder is at most that of the canister.
 
     Parameters
     ----------
     world : World
         World with fibres and bubbles.
     solid : SpecimenSolid or None
-        Specimen, or None.
+        Specimen. None: empty canister.
     margin_mm : float
-        Margin on all sides.
+        Margin on all sides, mm.
 
     Returns
     -------
     Room
-        Upright cylinder.
+        Vertical cylinder.
     """
     points = [fibre.points_mm for fibre in world.fibres] + ([solid.vertices] if solid is not None else [])
     points += [
@@ -161,8 +163,8 @@ def fine_things_room(world: World, solid: SpecimenSolid | None, *, margin_mm: fl
     return Room(min(reach_mm, inner_mm), float(at[:, 2].min()) - margin_mm, float(at[:, 2].max()) + margin_mm)
 
 
-def _load_quietly(items: dict[str, Any]) -> mi.Scene:
-    """Load a scene without Mitsuba's warning that a tilted cylinder is not round, which is a rounding error."""
+def _load_scene(items: dict[str, Any]) -> mi.Scene:
+    """Load a scene without Mitsuba's warning that a tilted cylinder is not round, which is due to rounding errors."""
     logger = mi.logger()
     level = logger.log_level()
     logger.set_log_level(mi.LogLevel.Error)
@@ -231,7 +233,7 @@ def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
 
 
 def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str, Any]:
-    """Return dust, scratches and seam as a film just outside the canister, or their surroundings as an opaque film."""
+    """Return dust, scratches and seam as a film just outside the canister, or the dilated dirt as an opaque film."""
     radius_mm = world.canister.outer_radius_mm + scene.disturbances.canister_out_of_round_mm + OUTER_GAP_MM
     z_range_mm = (scene.canister.floor_z_mm, scene.net_pot.skirt_bottom_mm)
     opacity = dirt.outer_opacity(
@@ -243,7 +245,7 @@ def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str,
         mm_per_texel=DIRT_TEXEL_MM,
     )
     if reach_mm is not None:
-        opacity = dirt.near(opacity, reach_texels=round(reach_mm / DIRT_TEXEL_MM))
+        opacity = dirt.dilate_opacity(opacity, reach_texels=round(reach_mm / DIRT_TEXEL_MM))
     film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": _diffuse(FELT_REFLECTANCE)}}
     return _cylinder(radius_mm, *z_range_mm, film)
 
@@ -259,7 +261,7 @@ def _specimen(solid: SpecimenSolid, wrong: Disturbances, n_water: float, water: 
 
 
 def _oval(radius_mm: float, oval_mm: float, oval_rad: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
-    """Return an upright wall of radius ``radius + oval cos(2 (azimuth - oval_rad))`` with its exact normals."""
+    """Return a vertical wall of radius ``radius + oval cos(2 (azimuth - oval_rad))`` with its exact normals."""
     azimuth = np.arange(OVAL_SIDES) * 2.0 * np.pi / OVAL_SIDES
     radius = radius_mm + oval_mm * np.cos(2.0 * (azimuth - oval_rad))
     slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
@@ -302,7 +304,7 @@ def _mesh(
 
 
 def _tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices and faces of open tubes around the fibres' centre lines."""
+    """Return the vertices (V, 3), mm, and faces (F, 3) of open tubes around the centre lines of fibres."""
     vertices, faces, start = [], [], 0
     turn = np.arange(sides) * 2.0 * np.pi / sides
     for fibre in fibres:
@@ -343,7 +345,10 @@ def _disk(radius_mm: float, z_mm: float, bsdf: dict[str, Any], seat: frames.Arra
 
 
 def _dielectric(n_inside: float, n_outside: float) -> dict[str, Any]:
-    """Return a smooth interface; ``n_outside`` is on the side of the surface's normal."""
+    """Return a smooth dielectric interface.
+
+    ``n_outside`` is the refractive index on the side of the surface's normal.
+    """
     return {"type": "dielectric", "int_ior": n_inside, "ext_ior": n_outside}
 
 

@@ -1,8 +1,8 @@
-"""Rendering of a world, one view at a time, independent of other views.
+"""Render the views of a scene with drawn disturbances, each independently of all other views.
 
-Most pixels of a backlit picture are smooth, which is determined by rays through the corners of all pixels. All rays of
-a pixel are only traced if the corner rays met different surfaces, if the light varies nonlinearly between them, on the
-marker strip, and around everything that may lie between them.
+Most pixels of a backlit picture are smooth, which is tested with rays through the corners of all pixels. All rays of a
+pixel are only traced if its corner rays meet different surfaces, if the light varies nonlinearly between them, on the
+marker strip, and around fine structures that may lie between the corners.
 """
 
 from __future__ import annotations
@@ -24,62 +24,64 @@ from rhizotwin.sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
 DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
-"""Rays per pixel: a lattice of 4 x 4, or twice as many random paths, which are for viewing and not for measurements."""
+"""Default number of rays per pixel: a lattice of 4 x 4 rays, or twice as many random paths, which are for viewing and
+not for measurements."""
 PATH_DEPTH = 16
-"""Maximum number of surfaces on a path: twice the eight of the straight path through canister or tank."""
+"""Maximum number of surfaces on a path, twice the number on the straight path through canister or tank."""
 MAX_RAYS = 8_000_000
-"""Maximum number of rays per kernel launch, which limits memory for large sensors."""
+"""Maximum number of rays per kernel launch, which limits the memory for large sensors."""
 MAX_PATHS = 32_000_000
-"""The same for path tracing, whose kernels store only the picture."""
+"""Maximum number of paths per kernel launch of the path tracer, whose kernels store only the picture."""
 DIRT_REACH_PX = 3.0
-"""Search distance for dirt about a ray, in pixels on the farthest wall, in addition to blur: at the flanks, where the
-wall is seen at 70 degrees, a pixel spans three of these."""
+"""Search distance for dirt around a ray, in pixels on the farthest wall, in addition to blur. At the flanks of the
+canister, where the wall is seen at 70 degrees, a pixel covers three times its width."""
 MOST_BEND = 1e-3
-"""Maximum second difference of light between pixel corners, in full scale, for a smooth pixel: the error of the mean of
-four corners is a twelfth of it in each direction."""
+"""Maximum second difference of the light between the corners of smooth pixels, as a fraction of full scale. The mean of
+four corners has an error of a twelfth of this difference in each direction."""
 BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
-"""Cells of a 4 x 4 lattice, one per row and column, at which a pixel is searched for fine structures."""
+"""Cells of a 4 x 4 lattice, one per row and column, in which a pixel is searched for fine structures."""
 ROOM_MARGIN_MM = 3.0
-"""Margin about fine structures, wider than a pixel, so that a pixel with corner rays inside and outside their space
-contains none."""
+"""Margin of the region that encloses fine structures, mm. The margin is wider than a pixel, so that a pixel on the
+region's boundary contains no fine structure."""
 SWAYS = 5.0
-"""Maximum sway of a specimen in standard deviations."""
+"""Maximum sway of a specimen, in standard deviations."""
 _TRACING = 21  # key of the path tracer's random stream
 
 Image = NDArray[np.float32]
 
 
 def check_samples(fidelity: str, samples: int | None) -> int:
-    """Return the number of rays per pixel: ``samples``, or the default of the fidelity for None.
+    """Validate the number of rays per pixel and return it. None: return the default number for ``fidelity``.
 
-    `UserError` is raised for invalid values.
+    Raises `UserError` if a value is invalid.
     """
     if fidelity not in DEFAULT_SAMPLES:
-        raise UserError(f"fidelity {fidelity!r} is unknown, use one of {', '.join(DEFAULT_SAMPLES)}")
+        raise UserError(f"fidelity {fidelity!r} is not known; must be one of: {', '.join(DEFAULT_SAMPLES)}")
     count = DEFAULT_SAMPLES[fidelity] if samples is None else samples
     if count < 1 or (fidelity == "backlit" and round(count**0.5) ** 2 != count):
         raise UserError(
-            f"samples {count}: must be a positive number of rays per pixel, for the backlit fidelity a square such as 4, 9 or 16"
+            f"samples is {count}; must be a positive number of rays per pixel, "
+            "and a square number such as 4, 9 or 16 for the fidelity 'backlit'"
         )
     return count
 
 
 class Renderer:
-    """Renderer for the views of a world.
+    """Renderer for the views of a scene with drawn disturbances.
 
     Parameters
     ----------
     scene : Scene
-        The nominal rig.
+        Scene with the nominal rig.
     world : World
         World with its drawn disturbances.
     solid : SpecimenSolid or None
-        Specimen; None renders the empty canister.
+        Specimen. None: empty canister.
     fidelity : {"backlit", "path"}
-        ``backlit`` traces the primary refracted path on a regular sub-pixel lattice, without noise; ``path`` is
-        Mitsuba's path tracer.
+        Method of rendering. ``backlit`` traces the primary refracted path on a regular sub-pixel lattice, without
+        noise. ``path`` is Mitsuba's path tracer.
     samples : int or None
-        Rays per pixel, a square number for ``backlit``; None for the default of the fidelity.
+        Number of rays per pixel, a square number for ``backlit``. None: default of the fidelity.
     """
 
     def __init__(
@@ -114,7 +116,7 @@ class Renderer:
         self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
         self.blur_px = _blur_px(scene)
         self.near_dirt: Backlit | None = None
-        if wrong.dust_specks or wrong.scratches:  # finer than pixels
+        if wrong.dust_specks or wrong.scratches:  # smaller than pixels
             reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(scene.camera.focal_px)
             empty = optics.build(scene, world, None, lamps=False, dirt_reach_mm=reach_mm)
             self.near_dirt = Backlit(empty, self.lamps, media=False)
@@ -134,14 +136,14 @@ class Renderer:
         self.ring_of_view = [index for index, ring in enumerate(scene.plan.rings) for _ in range(ring.views)]
 
     def view(self, k: int) -> tuple[Image, Image]:
-        """Render view k of the plan.
+        """Render view k of the scan plan.
 
         Returns
         -------
         image : (H, W) float32
-            Linear light; 1 is full scale.
+            Linear light, as a fraction of full scale.
         coverage : (H, W) float32
-            Fraction of each pixel whose refracted primary rays meet the specimen, or the shoot in a ring of the shoot.
+            Fraction of each pixel's refracted primary rays that meet the specimen, or the shoot in a ring of the shoot.
         """
         return self.look(self.world.cameras[k], ring=self.ring_of_view[k], stream=k)
 
@@ -151,18 +153,19 @@ class Renderer:
         Parameters
         ----------
         camera : TrueCamera
-            Poses of camera and canister.
+            True poses of camera and canister.
         ring : int
-            Ring of the plan that determines the focus of the lens.
+            Index of the ring that determines the focus of the lens.
         stream : int
-            Number of the path tracer's random stream, and of the view that determines the specimen's sway.
+            Key of the path tracer's random stream, and index of the view whose sway is applied.
         twist_deg : float or None
-            Twist of the lowest tips relative to the pot, instead of that sway, in a scene with a swaying specimen.
+            Twist of the lowest tips relative to the pot, deg, which replaces the sway of the view. None: sway of the
+            view.
 
         Returns
         -------
         (H, W), (H, W) float32 arrays
-            Picture and coverage, as from `view`.
+            Linear light and coverage, see `view`.
         """
         if self.hanging:
             tip_mm = self.world.sway_mm[stream] if twist_deg is None else (0.0, 0.0)
@@ -174,8 +177,8 @@ class Renderer:
         for built in (self.backlit.scene, *([self.lit_scene] if self.fidelity == "path" else [])):
             tank.place(built, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)
         self.backlit.aim(self.targets[ring])
-        image, coverage, mixed = self._smooth(eye)
-        # leaves seen on edge are finer than pixels
+        image, coverage, mixed = self._render_from_corners(eye)
+        # all pixels of shoots are refined, because leaves seen on edge are thinner than a pixel
         self._refine(eye, image, coverage, mixed | (self.targets[ring] == optics.SHOOT))
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
@@ -185,7 +188,7 @@ class Renderer:
         return image, coverage
 
     def _path_trace(self, eye: Any, stream: int) -> Image:
-        """Path-trace a view in as many passes as memory requires, each with its own seed."""
+        """Render a view (H, W) with the path tracer, in as many passes as the memory requires."""
         width, height = self.image_wh
         most = max(1, MAX_PATHS // (width * height))
         seeds = np.random.default_rng([self.world.seed, _TRACING, stream])
@@ -197,8 +200,8 @@ class Renderer:
             total += np.array(light, dtype=np.float32).reshape(height, width) * np.float32(count / self.samples)
         return total
 
-    def _smooth(self, eye: Any) -> tuple[Image, Image, NDArray[np.bool_]]:
-        """Return light and coverage of pixels from their four corners, and the mask of pixels that need more rays."""
+    def _render_from_corners(self, eye: Any) -> tuple[Image, Image, NDArray[np.bool_]]:
+        """Return light and coverage (H, W) from pixel corners, and a mask (H, W) of pixels that need more rays."""
         width, height = self.image_wh
         index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
         u, v = mi.Float(index % (width + 1)) / width, mi.Float(index // (width + 1)) / height
@@ -208,24 +211,24 @@ class Renderer:
         dr.eval(*way, on_strip)
         shape = (height + 1, width + 1)
         light, coverage = (np.array(value).reshape(shape) for value in (way.light, way.coverage))
-        edges = _differ(np.array(way.course).reshape(shape))
+        edges = _corners_differ(np.array(way.course).reshape(shape))
         if self.fine is not None:
-            found = self._fine_things(self.fine, way)
+            found = self._count_fine_hits(self.fine, way)
             edges |= _combine_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
             edges |= (found > 0) & (found < len(BETWEEN))
-            edges |= _around(found, 1, cv2.dilate) != _around(found, 1, cv2.erode)
-        mixed = _around(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
+            edges |= _filter_square(found, 1, cv2.dilate) != _filter_square(found, 1, cv2.erode)
+        mixed = _filter_square(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
         if self.near_dirt is not None:
             dirty = self.near_dirt.follow(ray).coverage
             mixed |= _combine_corners(np.array(dirty).reshape(shape), np.maximum) > 0
         if self.fidelity == "backlit":
-            mixed |= _combine_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
+            mixed |= _combine_corners(np.maximum(_second_difference(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
 
-    def _fine_things(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
+    def _count_fine_hits(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
         """Count for each pixel (H, W) the rays between its corners that meet a fine structure.
 
-        Their paths are interpolated from those of the corners.
+        The paths of these rays are interpolated from the paths of the corner rays.
         """
         width, height = self.image_wh
         pixel = dr.arange(mi.UInt32, width * height)
@@ -245,7 +248,10 @@ class Renderer:
         return np.array(count).astype(np.uint8).reshape(height, width)
 
     def _refine(self, eye: Any, image: Image, coverage: Image, mixed: NDArray[np.bool_]) -> None:
-        """Average the primary paths over a regular lattice in the mixed pixels, in place."""
+        """Average the primary paths over a regular lattice in the masked pixels.
+
+        The images (H, W) are modified in place.
+        """
         width, height = self.image_wh
         side = self.side if self.fidelity == "backlit" else 4
         chosen = np.flatnonzero(mixed).astype(np.uint32)
@@ -255,32 +261,32 @@ class Renderer:
             pixel, ray = dr.gather(mi.UInt32, mi.UInt32(pixels), index // (side * side)), index % (side * side)
             u = (mi.Float(pixel % width) + (mi.Float(ray % side) + 0.5) / side) / width
             v = (mi.Float(pixel // width) + (mi.Float(ray // side) + 0.5) / side) / height
-            primary, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), self._on_lens(ray, side))
+            primary, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), self._lens_positions(ray, side))
             way = self.backlit.follow(primary)
             dr.eval(way.light, way.coverage)  # one evaluation for both
             image.ravel()[pixels] = np.array(dr.block_sum(way.light, side * side)) / side**2
             coverage.ravel()[pixels] = np.array(dr.block_sum(way.coverage, side * side)) / side**2
 
-    def _on_lens(self, ray: mi.UInt32, side: int) -> mi.Point2f:
-        """Return the point on the lens for each lattice ray of a pixel."""
+    def _lens_positions(self, ray: mi.UInt32, side: int) -> mi.Point2f:
+        """Return the position on the lens, 0 to 1, of each lattice ray of a pixel."""
         u, v = ((cell + 0.5) / side for cell in lens_cells(side))
         return mi.Point2f(*(dr.gather(mi.Float, mi.Float(place.astype(np.float32)), ray) for place in (u, v)))
 
 
 def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cell of the lens for each ray of a pixel's lattice, row by row.
+    """Return the lens cell of each ray of a pixel's lattice, row by row.
 
-    The result has side^2 columns and rows.
+    The lens is divided into side^2 columns and side^2 rows.
 
-    Every cell is used once, so that the lens as a whole is centred, and the positions in the pixel and on the lens form
-    an orthogonal array of strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so
-    that defocus neither displaces nor sharpens an edge. For sides 2, 6, 8 ... there is no such simple array, and a
-    small correlation remains.
+    Every column and every row is used once, so that the rays are centred on the lens. The positions in the pixel and on
+    the lens form an orthogonal array of strength 2 (Bush 1952). In any two of the four coordinates the rays are a full
+    lattice, so that defocus neither displaces nor sharpens an edge. For sides 2, 6, 8, ... no such simple array exists,
+    and a small correlation remains.
 
     Returns
     -------
     (side^2,), (side^2,) int arrays
-        Column and row.
+        Column and row of the cell.
     """
     i, j = np.arange(side * side) % side, np.arange(side * side) // side
     if side == 4:  # i + a j and i + (a + 1) j in the field of four elements, where a j is:
@@ -290,9 +296,9 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _blur_px(scene: Scene) -> float:
-    """Return the maximum one-sided blur of a point by the lens, half the larger circle of confusion.
+    """Return the maximum one-sided blur by defocus, pixels, half the diameter of the largest circle of confusion.
 
-    Circles of confusion of the panel and of the near wall are compared.
+    The circles of confusion of the panel and of the near wall are compared.
     """
     wrong, half = scene.disturbances, 0.0
     for ring in scene.plan.rings:
@@ -304,7 +310,7 @@ def _blur_px(scene: Scene) -> float:
 
 
 def _combine_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
-    """Combine the four corners (H + 1, W + 1) of every pixel (H, W) by a function of two arrays."""
+    """Combine the four corners (H + 1, W + 1) of every pixel (H, W) with a function of two arrays."""
     return np.asarray(combine(combine(corners[:-1, :-1], corners[:-1, 1:]), combine(corners[1:, :-1], corners[1:, 1:])))
 
 
@@ -312,18 +318,18 @@ def _mean_of_corners(corners: NDArray[np.float32]) -> Image:
     return np.asarray(_combine_corners(corners, np.add) * np.float32(0.25), np.float32)
 
 
-def _differ(corners: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Return which pixels have different corners."""
+def _corners_differ(corners: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Return which pixels (H, W) have different values at their corners (H + 1, W + 1)."""
     return np.asarray(_combine_corners(corners, np.maximum) != _combine_corners(corners, np.minimum))
 
 
-def _bend(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the larger of a picture's second differences along rows and columns."""
+def _second_difference(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the maximum of a picture's absolute second differences along rows and columns (H, W)."""
     kernel = np.array([[1.0, -2.0, 1.0]], np.float32)
     across, down = (np.abs(cv2.filter2D(light, cv2.CV_32F, k, borderType=cv2.BORDER_REPLICATE)) for k in (kernel, kernel.T))
     return np.maximum(across, down)
 
 
-def _around(values: NDArray[np.uint8], reach: int, combine: Any) -> NDArray[np.uint8]:
-    """Dilate or erode over squares that extend ``reach`` pixels to each side."""
+def _filter_square(values: NDArray[np.uint8], reach: int, combine: Any) -> NDArray[np.uint8]:
+    """Dilate or erode a picture (H, W) with a square that extends ``reach`` pixels to each side."""
     return np.asarray(combine(values, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8), borderType=cv2.BORDER_REPLICATE))

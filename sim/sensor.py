@@ -1,6 +1,6 @@
-"""OpenCV camera model as a Mitsuba sensor: distortion, OpenCV's pixel convention and axes, and an optional thin lens.
+"""OpenCV camera model as a Mitsuba sensor, with distortion and an optional thin lens.
 
-In Mitsuba, pixel i covers [i, i+1]; in OpenCV, [i-0.5, i+0.5]. The conversion is only done in this module.
+Pixel i covers [i, i+1] in Mitsuba and [i-0.5, i+0.5] in OpenCV. Only this module converts between both conventions.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
 PLUGIN = "opencv"
+"""Name of the sensor in Mitsuba."""
 NEWTON_STEPS = 6
-"""Number of Newton steps: with quadratic convergence, five reduce a distortion of 0.1 below float32's rounding."""
+"""Number of Newton steps. With quadratic convergence, five steps reduce a distortion of 0.1 below the rounding error of
+float32."""
 
 
 def sensor_dict(
@@ -33,13 +35,13 @@ def sensor_dict(
     Parameters
     ----------
     camera : Camera
-        Image size, focal lengths and principal point; its own ``distortion`` is not used.
+        Camera with image size, focal lengths and principal point. Its ``distortion`` is not used.
     distortion : tuple
-        k1, k2, p1, p2, k3 of the OpenCV model.
+        Coefficients k1, k2, p1, p2, k3 of the OpenCV model.
     aperture_mm, focus_mm : float
-        Diameter of the lens aperture (0 for a pinhole) and depth of the plane in focus.
+        Diameter of the lens aperture, mm (0 for a pinhole), and depth of the plane in focus, mm.
     samples : int
-        Samples per pixel of the independent sampler, for Mitsuba's own integrators.
+        Number of samples per pixel for Mitsuba's own integrators.
 
     Returns
     -------
@@ -74,30 +76,30 @@ def sensor_dict(
 def set_pose(sensor: Any, cam_from_canister: frames.Array) -> None:
     """Set the pose of a sensor to ``cam_from_canister`` (4x4, mm, OpenCV axes).
 
-    The kernel is compiled once for all poses.
+    A change of the pose does not recompile the kernel.
     """
     sensor.set_pose(frames.invert(cam_from_canister))
 
 
 def register() -> None:
-    """Register the sensor with Mitsuba's current variant; can be called repeatedly."""
+    """Register the sensor with Mitsuba's current variant. Repeated calls have no effect."""
     _register_for(mi.variant())
 
 
 def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any]:
-    """Invert OpenCV's lens distortion by Newton's method on the two normalised coordinates.
+    """Invert OpenCV's lens distortion with Newton's method on both normalised coordinates.
 
     Parameters
     ----------
     xd, yd : mi.Float
-        Distorted coordinates.
+        Distorted normalised coordinates.
     k : tuple of mi.Float
-        k1, k2, p1, p2, k3.
+        Distortion coefficients k1, k2, p1, p2, k3.
 
     Returns
     -------
     mi.Float, mi.Float
-        Undistorted coordinates.
+        Undistorted normalised coordinates.
     """
     k1, k2, p1, p2, k3 = k
     x, y = mi.Float(xd), mi.Float(yd)
@@ -116,8 +118,8 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
     return x, y
 
 
-def _parallel(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
-    """Return origin and direction of a telecentric camera's ray, from a position relative to the principal point."""
+def _telecentric_ray(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Return origin and direction of a telecentric camera's ray at a pixel position relative to the principal point."""
     right, down, forward = sensor.rotation
     origin = sensor.centre + right * (x_px * sensor.mm_per_px) + down * (y_px * sensor.mm_per_px)
     if sensor.aperture_radius == 0.0:
@@ -128,8 +130,8 @@ def _parallel(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tupl
     return origin + beside, dr.normalize(forward * sensor.focus - beside)
 
 
-def _from_centre(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
-    """Return origin and direction of a ray through a lens, from a position relative to the principal point."""
+def _perspective_ray(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Return origin and direction of a perspective camera's ray at a pixel position relative to the principal point."""
     lens = sensor.lens
     right, down, forward = sensor.rotation
     x, y = x_px / lens["fx"], y_px / lens["fy"]
@@ -146,9 +148,9 @@ def _from_centre(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> t
 @cache
 def _register_for(variant: str) -> None:
     class OpenCVSensor(mi.Sensor):
-        """Pinhole or thin lens with OpenCV distortion, or a telecentric camera.
+        """Telecentric camera, or pinhole or thin lens with OpenCV distortion.
 
-        The axes are +z forward, +x right and +y down in the image.
+        The camera axes are +z forward, +x right and +y down in the image.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -178,7 +180,7 @@ def _register_for(variant: str) -> None:
             ray = dr.zeros(mi.Ray3f)
             ray.maxt = dr.largest(mi.Float)
             ray.time = time
-            ray.o, ray.d = (_parallel if self.telecentric else _from_centre)(self, *beside, sample3)
+            ray.o, ray.d = (_telecentric_ray if self.telecentric else _perspective_ray)(self, *beside, sample3)
             return ray, mi.Spectrum(1.0)
 
         def sample_ray_differential(

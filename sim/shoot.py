@@ -1,4 +1,4 @@
-"""Conversion of a shoot's description to a watertight solid above the net pot, with its exact volume and leaf area."""
+"""Build a watertight solid of a shoot above the net pot, with exact volume and leaf area."""
 
 from __future__ import annotations
 
@@ -14,29 +14,30 @@ from rhizotwin.sim import solids
 from rhizotwin.sim.solids import Array, Faces
 
 ALONG, ACROSS = 32, 12
-"""Number of cells of a blade along its midrib and from edge to edge; its area is within 0.2 % of that with 64 x 24
-cells (tests/sim/test_shoot.py)."""
+"""Number of cells of a blade along the midrib and from edge to edge. The blade's area deviates by less than 0.2 % from
+that with 64 x 24 cells (tests/sim/test_shoot.py)."""
 TIP_SHARE = 0.02
-"""Width of a blade at its two ends relative to the maximum; a width of 0 would have no thickness."""
+"""Width of a blade at both ends relative to its maximum width. A blade of zero width would have no thickness."""
 GAP_MM = 0.2
-"""Distance between the stem's foot and the net pot's top."""
+"""Distance between the foot of the stem and the top of the net pot, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShootSolid:
-    """A watertight solid in the canister frame."""
+    """Watertight solid of a shoot, canister frame."""
 
     vertices: Array
-    """(V, 3) float64, mm."""
+    """Vertices (V, 3), float64, mm."""
     faces: Faces
-    """(F, 3) int32, counter-clockwise seen from outside."""
+    """Faces (F, 3), int32, counter-clockwise as seen from outside."""
     volume_mm3: float
-    """Exact volume of the polyhedron."""
+    """Exact volume of the polyhedron, mm3."""
     leaf_area_mm2: float
-    """One-sided area of all blades."""
+    """One-sided area of all blades, mm2."""
     leaves: int
+    """Number of leaves."""
     height_mm: float
-    """Height of the highest point above the net pot's top."""
+    """Height of the highest point above the top of the net pot, mm."""
 
     def truth(self) -> dict[str, float]:
         """Return the true values for comparison with a reconstruction, as a JSON object."""
@@ -52,12 +53,12 @@ class ShootSolid:
 
 
 def build_shoot(scene: Scene) -> ShootSolid | None:
-    """Build the solid of a scene's shoot; return None if it has none.
+    """Build the solid of a scene's shoot. None if the scene has no shoot.
 
     Raises
     ------
     UserError
-        If a leaf extends below the net pot's top, into the pot.
+        If a leaf extends below the top of the net pot.
     """
     if scene.shoot is None:
         return None
@@ -76,8 +77,8 @@ def build_shoot(scene: Scene) -> ShootSolid | None:
     lowest_mm = float(vertices[:, 2].min()) - scene.net_pot.top_mm
     if lowest_mm < 0.0:
         raise UserError(
-            f"The shoot extends {-lowest_mm:.1f} mm below the net pot's top (z {scene.net_pot.top_mm:g} mm): "
-            "increase shoot.elevation_deg or shoot.stem_mm, or reduce shoot.droop_deg or the sizes."
+            f"The shoot extends {-lowest_mm:.1f} mm below the top of the net pot (z {scene.net_pot.top_mm:g} mm). "
+            "Increase shoot.elevation_deg or shoot.stem_mm, or reduce shoot.droop_deg or the sizes."
         )
     return ShootSolid(
         vertices=vertices,
@@ -90,13 +91,13 @@ def build_shoot(scene: Scene) -> ShootSolid | None:
 
 
 def _share(plant: Shoot, leaf: int) -> float:
-    """Return the size of a leaf relative to the oldest, without random variation."""
+    """Return the size of a leaf relative to the oldest leaf, without random variation."""
     age = 0.0 if plant.leaves == 1 else leaf / (plant.leaves - 1)
     return 1.0 + age * (plant.youngest - 1.0)
 
 
 def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the petiole's centre line (N, 3), and midrib and edges (ALONG + 1, 3) of the blade."""
+    """Return the centre line of the petiole (N, 3), and midrib and edges of the blade (ALONG + 1, 3), mm."""
     rng = np.random.default_rng([plant.seed, leaf])
     size = _share(plant, leaf) * float(np.exp(plant.size_sd * rng.normal()))
     age = 0.0 if plant.leaves == 1 else leaf / (plant.leaves - 1)
@@ -113,7 +114,7 @@ def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Arr
     bend = rise - np.deg2rad(plant.droop_deg) * 0.5 * (along[:-1] + along[1:])
     steps = size * plant.blade_mm / ALONG * heading(bend)
     middle = end + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    # an ellipse with its maximum width a little before the middle
+    # an ellipse whose maximum width is slightly before the middle
     width = np.maximum(np.sqrt(np.clip(1.0 - (2.0 * along**0.85 - 1.0) ** 2, 0.0, None)), TIP_SHARE) * size * plant.blade_width_mm
     upward = np.cross(heading(rise - np.deg2rad(plant.droop_deg) * along), side)
     fold = np.deg2rad(plant.fold_deg)
@@ -123,12 +124,12 @@ def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Arr
 
 
 def _blade(middle: Array, left: Array, right: Array, thickness_mm: float) -> tuple[Array, Faces, float]:
-    """Return the closed surface of a blade of uniform thickness, and its one-sided area.
+    """Return vertices (V, 3) and faces (F, 3) of a blade of uniform thickness, mm, and its one-sided area, mm2.
 
     Parameters
     ----------
     middle, left, right : (N, 3) float64
-        Midrib and edges, between which the blade is straight.
+        Midrib and edges, mm, between which the cross-section of the blade is straight.
     """
     across = np.abs(np.linspace(-1.0, 1.0, ACROSS + 1))[None, :, None]
     edge = np.where(np.linspace(-1.0, 1.0, ACROSS + 1)[None, :, None] < 0.0, left[:, None], right[:, None])
@@ -153,7 +154,7 @@ def _tube(points_mm: Array, diameter_mm: float) -> manifold3d.Manifold:
 
 
 def _to_solid(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
-    """Return a blade as a solid; raise UserError for an invalid description."""
+    """Return a blade as a solid. Raise `UserError` if the blade does not bound a solid."""
     solid = solids.to_manifold(vertices, faces)
     if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
         raise UserError(

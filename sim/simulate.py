@@ -1,4 +1,4 @@
-"""Simulation of a scene to a dataset folder with its truth; an interrupted simulation can be resumed."""
+"""Simulate a scene and write a dataset with ground truth. An interrupted simulation can be resumed."""
 
 import hashlib
 import json
@@ -27,13 +27,13 @@ from rhizotwin.sim.truth import build_truth, write_specimen
 from rhizotwin.sim.world import TrueCamera, World, draw_world, scene_for_reconstruction
 
 PROGRESS_FILE = "truth/simulate.json"
-"""File with settings and finished frames, from which an interrupted simulation is resumed."""
+"""File with the settings and the finished frames of an interrupted simulation, relative to the dataset folder."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "opencv-python-headless", "manifold3d")
 _NOISE = 31
 
 
 class CannotContinueError(UserError):
-    """A folder contains a simulation with other settings, or a damaged record, so that it cannot be resumed."""
+    """Error raised if a simulation cannot be resumed, because its settings differ or its record is damaged."""
 
 
 def simulate(
@@ -46,36 +46,36 @@ def simulate(
     samples: int | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Dataset:
-    """Render every view of a scene's plan into a dataset folder.
+    """Render every view of a scene's plan to a dataset folder.
 
     Parameters
     ----------
     scene : Scene
-        Scene with the disturbances to draw; the dataset contains the nominal scene without them, but with the
+        Scene with the disturbances to draw. The dataset contains the nominal scene without disturbances, but with the
         calibrated distortion of the lens.
     folder : Path
-        New or empty folder, or that of an interrupted run with the same settings, whose intact frames are kept.
+        New or empty folder, or the folder of an interrupted run with the same settings, whose intact frames are kept.
     profile_name : str
-        Name of the disturbances' profile, recorded in the dataset.
+        Name of the profile of disturbances, recorded in the dataset.
     seed : int
-        Random seed of all noise and errors.
+        Random seed for all noise and errors.
     fidelity, samples : Fidelity, int or None
-        See `sim.render.Renderer`.
+        Rendering method and number of rays per pixel, see `sim.render.Renderer`.
     monitor : Monitor, type of tqdm, callable or None
-        Receives the progress, and can stop the work; finished frames are kept and used by the next run.
+        Progress monitor, which may cancel the simulation. Finished frames are kept for the next run.
 
     Raises
     ------
     CannotContinueError
-        If the folder contains a simulation of another scene, settings or version of the program, or a damaged one.
+        If the folder contains a damaged simulation, or a simulation with other settings or another program version.
     UserError
-        For an invalid specimen, a folder with other contents, or a full disk.
+        If the specimen is invalid, the folder has other contents, or the disk is full.
     Cancelled
-        After `Monitor.cancel`.
+        If the monitor cancels the simulation.
     """
     folder = Path(folder)
     if seed < 0:
-        raise UserError(f"seed {seed} is negative; it must be 0 or a positive integer")
+        raise UserError(f"seed is {seed}; must be an integer of at least 0")
     samples = check_samples(fidelity, samples)
     with (monitor := Monitor.of(monitor)).stage("specimen"):
         solid = build_specimen(scene, monitor=monitor)
@@ -127,7 +127,7 @@ def _render_frames(
         done[name] = _hashes(image_path, mask_path)
         write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
 
-    # A picture is exposed and written while the next one is rendered.
+    # Each picture is exposed and written while the next picture is rendered.
     with monitor.stage("render"), monitor.steps("render", len(pictures), "picture") as step, ThreadPoolExecutor(1) as writer:
         kept: Future[None] | None = None
         for name, (view, band) in pictures.items():
@@ -159,14 +159,14 @@ def _render_frames(
 
 
 def _cameras(scene: Scene, world: World) -> list[TrueCamera]:
-    """Return the camera of each picture, which is the same for one view in several bands."""
+    """Return the true camera of each picture. Pictures of a view in several bands have the same camera."""
     return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.ring_bands(scene, view.ring)]
 
 
 def _load_progress(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
     """Return the finished frames of an earlier run with the same settings, by name.
 
-    Raise an error for a folder with other contents.
+    Raises an error if the folder has other contents.
     """
     progress_path = folder / PROGRESS_FILE
     if progress_path.is_file():
@@ -174,22 +174,23 @@ def _load_progress(folder: Path, settings: dict[str, Any]) -> dict[str, list[str
             before = json.loads(progress_path.read_text(encoding="utf-8"))
             earlier, done = before["settings"], dict(before["frames"])
         except (ValueError, KeyError, TypeError, RecursionError):
-            raise CannotContinueError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
+            raise CannotContinueError(f"{progress_path} is damaged; delete the folder {folder} and repeat the simulation") from None
         different = _name_differences(earlier, settings)
         if different:
             raise CannotContinueError(
-                f"{folder} contains a simulation made with another {', '.join(different)}: choose a new folder, or delete it to restart"
+                f"{folder} contains a simulation with different settings ({', '.join(different)}); "
+                "choose a new folder, or delete this folder to start again"
             )
         return done
     if any(not path.is_dir() for name in contents(folder) for path in [folder / name, *(folder / name).rglob("*")]):
-        # not only folders, as a run leaves if it was stopped before its first file
-        raise UserError(f"{folder} is not empty and contains no interrupted simulation: choose a new folder for the dataset")
+        # empty subfolders remain if a run was stopped before its first file
+        raise UserError(f"{folder} contains files that are not an interrupted simulation; choose a new folder for the dataset")
     write_json(progress_path, {"settings": settings, "frames": {}})
     return {}
 
 
 def _name_differences(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
-    """Return the names of settings that differ, with both versions of a program or library."""
+    """Return the names of settings that differ, including both versions of a program or library."""
     named = []
     for key in sorted(settings):
         if key == "versions":

@@ -1,4 +1,4 @@
-"""Roots as one watertight solid: the union of tubes around the centre lines, by manifold3d, with its exact volume."""
+"""Build a watertight solid from roots: the union of tubes around the centre lines (manifold3d), with exact volume."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,18 +16,19 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 SIDES = 24
-"""Number of sides of a tube: a prism with 24 sides and a circle's area is 0.3 % wider than the circle; with 16 sides it
-is 0.6 %, with 8 sides 2.7 %."""
+"""Number of sides of a tube. A prism with 24 sides and the cross-sectional area of a circle is 0.3 % wider than the
+circle. A prism with 16 sides is 0.6 % wider, with 8 sides 2.7 %."""
 SPLIT_TURN_RAD = 2.0
-"""Turning angle after which a tube is divided, as it may then intersect itself."""
+"""Turning angle after which a tube is divided, rad, because longer tubes may intersect themselves."""
 KINK_RAD = 0.6
-"""Angle beyond which a bend, or one inside the tube's own radius, becomes a joint of two tubes with round ends."""
+"""Bend angle, rad, from which a bend is replaced by a joint of two tubes with round ends. Bends with a radius smaller
+than the tube's radius are also replaced."""
 
 MOST_AT_ONCE = 250
-"""Maximum number of tubes united in one call, which neither reports progress nor can be stopped: plants of the library
-have at most 207, and as many mutually crossing tubes take 20 s. More are united pairwise."""
+"""Maximum number of tubes that are united in one call, which neither reports progress nor can be cancelled. Plants of
+the library have at most 207 tubes. Uniting 250 mutually crossing tubes takes 20 s. More tubes are united in pairs."""
 LEAST_MM = 1e-3
-"""Minimum diameter of tubes (files may taper to zero), far below any effect on pictures or volume."""
+"""Minimum diameter of tubes, mm, which has no effect on pictures or volume. Diameters in files may taper to zero."""
 
 
 def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces]:
@@ -36,22 +37,24 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
     Parameters
     ----------
     points_mm : (N, 3) float64
-        Centre line, N >= 2, without coincident neighbours.
+        Centre line, mm, N >= 2, without coincident neighbours.
     radii_mm : (N,) float64
+        Radius at each point, mm.
     sides : int
-        Number of corners of a cross-section. The polygon has the area of the circle, so that its corners are outside
+        Number of corners of a cross-section. The polygon has the area of the circle. Its corners are therefore outside
         the circle, at a radius of r sqrt(2 pi / (n sin(2 pi / n))).
 
     Returns
     -------
-    vertices (V, 3) float64, faces (F, 3) int32, counter-clockwise seen from outside.
-        Cross-sections follow rotation-minimising frames (double reflection, Wang et al. 2008, ACM TOG 27:2).
+    vertices (V, 3) float64, faces (F, 3) int32
+        Surface mesh, mm. Faces are counter-clockwise as seen from outside. Cross-sections follow rotation-minimising
+        frames (double reflection, Wang et al. 2008, ACM TOG 27:2).
     """
     tangents = np.diff(points_mm, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     normals_to = np.concatenate([tangents[:1], tangents[:-1] + tangents[1:], tangents[-1:]])
     normals_to /= np.linalg.norm(normals_to, axis=1, keepdims=True)
-    across = _minimal_frames(points_mm, normals_to)
+    across = _transport_normals(points_mm, normals_to)
     aside = np.cross(normals_to, across)
     corner = np.sqrt(2.0 * np.pi / (sides * np.sin(2.0 * np.pi / sides)))
     cap = np.linspace(0.0, np.pi / 2.0, max(sides // 4, 2) + 1)[1:-1][::-1]  # from the pole's side to the equator
@@ -69,8 +72,11 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
     return np.concatenate([rings, poles]), _tube_faces(len(centres), sides)
 
 
-def _minimal_frames(points_mm: Array, tangents: Array) -> Array:
-    """Transport a normal along a curve without twist, by two reflections per step (Wang et al. 2008, table I)."""
+def _transport_normals(points_mm: Array, tangents: Array) -> Array:
+    """Transport a normal along a curve without twist, by two reflections per step (Wang et al. 2008, table I).
+
+    Returns normals (N, 3).
+    """
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     normals = np.empty_like(points_mm)
     normals[0] = normal / np.linalg.norm(normal)
@@ -89,7 +95,7 @@ def _minimal_frames(points_mm: Array, tangents: Array) -> Array:
 
 
 def _tube_faces(rings: int, sides: int) -> Faces:
-    """Return triangles between consecutive rings, and fans to the two poles (the last two vertices)."""
+    """Return triangles (F, 3) between consecutive rings, and between end rings and poles (last two vertices)."""
     corner = np.arange(sides)
     after = (corner + 1) % sides
     low = (np.arange(rings - 1) * sides)[:, None]
@@ -106,7 +112,7 @@ def _tube_faces(rings: int, sides: int) -> Faces:
 
 
 def pieces(root: Root) -> list[tuple[Array, Array]]:
-    """Divide a root into tubes of points (N, 3) and radii (N,) without self-intersection, at kinks and large turns."""
+    """Divide a root into tubes without self-intersection, each with points (N, 3) and radii (N,), mm."""
     apart = np.concatenate([[True], np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) > 1e-6])
     points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.maximum(root.diameters_mm, LEAST_MM)[apart] / 2.0
     if len(points_mm) < 2:
@@ -129,23 +135,23 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
 
 
 def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
-    """Unite the tubes of roots, with all radii multiplied by ``scale``, into one solid.
+    """Unite the tubes of roots, with all radii multiplied by ``scale``, to a solid.
 
     Parameters
     ----------
     roots : sequence of Root
         Roots with diameters.
     scale : float
-        Factor of all radii.
+        Scale factor of all radii.
     monitor : Monitor, optional
-        Receives the progress for many roots, and can stop the work.
+        Progress monitor for many roots, which may cancel the work.
     """
     tubes: list[manifold3d.Manifold] = []
     for root in roots:
         for points_mm, radii_mm in pieces(root):
             tubes.append(to_manifold(*tube(points_mm, scale * radii_mm, sides=SIDES)))
     if not tubes:
-        raise UserError("The specimen is empty: it has no root with a length.")
+        raise UserError("The specimen is empty, because no root has a length.")
     if len(tubes) > MOST_AT_ONCE:
         with (monitor or Monitor()).steps("specimen", len(tubes) - 1, "tube") as step:
             while len(tubes) > 1:
@@ -158,13 +164,16 @@ def unite_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor |
 
 
 def to_manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
-    """Convert a closed surface (V, 3) of triangles (F, 3) to manifold3d; the caller must check its ``status()``."""
+    """Convert a closed surface with vertices (V, 3) and triangles (F, 3) to manifold3d.
+
+    The caller must check ``status()``.
+    """
     mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices, np.float64), tri_verts=np.ascontiguousarray(faces, np.uint64))
     return manifold3d.Manifold(mesh)
 
 
 def to_surface(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
-    """Return the vertices (V, 3) float64 in mm and faces (F, 3) int32 of a solid."""
+    """Return the vertices (V, 3), float64, mm, and faces (F, 3), int32, of a solid."""
     mesh = solid.to_mesh64()
     return np.array(mesh.vert_properties[:, :3], dtype=np.float64), np.array(mesh.tri_verts, dtype=np.int32)
 
@@ -177,28 +186,29 @@ def scale_to_volume(
     Parameters
     ----------
     roots : sequence of Root
-        Parents before children.
+        Roots, sorted with parents before children.
     volume_mm3 : float
-        Volume of the union to reach.
+        Volume of the scaled union, mm3.
     tolerance : float
-        Relative tolerance, which is the only error, as the union is exact.
+        Relative tolerance of the volume. The union itself is exact.
     rounds : int
-        Maximum number of unions.
+        Maximum number of iterations, each of which computes a union.
     monitor : Monitor, optional
-        See `unite_roots`.
+        Progress monitor, see `unite_roots`.
 
     Returns
     -------
-    solid, roots with scaled diameters, the factor.
+    solid, roots, factor : Manifold, list of Root, float
+        Solid, roots with scaled diameters, and scale factor.
 
     Notes
     -----
-    Secant steps on log volume against log factor, whose slope is just under 2 for thin tubes.
+    The secant method is applied to log volume against log factor, whose slope is slightly below 2 for thin tubes.
 
     Raises
     ------
     UserError
-        If the volume cannot be reached with these roots.
+        If the volume cannot be reached by scaling these roots.
     """
     previous: tuple[float, float] | None = None
     log_scale, slope = 0.0, 2.0
@@ -213,6 +223,6 @@ def scale_to_volume(
         previous = log_scale, miss
         log_scale -= float(np.clip(miss / slope, -1.5, 1.5))
     raise UserError(
-        f"specimen.volume_ml {volume_mm3 / 1000.0:g} was not reached in {rounds} rounds with these roots ({len(roots)} of them): "
+        f"specimen.volume_ml {volume_mm3 / 1000.0:g} was not reached with these {len(roots)} roots in {rounds} iterations; "
         "change their number, lengths or diameters."
     )

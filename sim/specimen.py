@@ -1,4 +1,4 @@
-"""Conversion of a specimen's description to one watertight solid in the canister's water, with its exact volume."""
+"""Build a watertight solid of a specimen in the canister's water, with exact volume."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,63 +24,63 @@ from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
-"""Subdivisions of the sphere: 81920 faces deviate by 0.0024 % from the ball, before scaling to its volume."""
+"""Number of subdivisions of the sphere. The 81920 faces deviate by 0.0024 % from the ball before scaling to its
+volume."""
 SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
-"""Common resolutions of scanners and screens."""
+"""Common resolutions of scanners and screens, dots per inch."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpecimenSolid:
-    """A watertight solid in the canister frame."""
+    """Watertight solid of a specimen, canister frame."""
 
     vertices: Array
-    """(V, 3) float64, mm."""
+    """Vertices (V, 3), float64, mm."""
     faces: Faces
-    """(F, 3) int32, counter-clockwise seen from outside."""
+    """Faces (F, 3), int32, counter-clockwise as seen from outside."""
     volume_mm3: float
-    """Exact volume of the polyhedron."""
+    """Exact volume of the polyhedron, mm3."""
     roots: tuple[Root, ...] = ()
-    """Centre lines with final diameters; empty for spheres and meshes."""
+    """Centre lines with final diameters. Empty for spheres and meshes."""
     traits: dict[str, Any] = field(default_factory=dict)
-    """Fields of `scenes.traits.Traits`."""
+    """True traits by the fields of `scenes.traits.Traits`."""
     plants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Volume ``volume_mm3`` of each plant by itself and its ``traits``, by the plant's name; empty for a single plant.
-    """
+    """Volume (``volume_mm3``) and ``traits`` of each of several plants, by name. Empty for a single plant."""
     notes: tuple[str, ...] = ()
-    """Notes for the user on repairs and peculiarities of the specimen, one sentence each."""
+    """Sentences for the user about repairs and peculiarities of the specimen."""
     shoot: ShootSolid | None = None
-    """Shoot above the net pot."""
+    """Shoot above the net pot. None without a shoot."""
 
     @property
     def normals(self) -> Array:
-        """Outward unit normals (V, 3) of the vertices."""
+        """Outward unit normals of the vertices (V, 3)."""
         return np.asarray(trimesh.Trimesh(self.vertices, self.faces, process=False).vertex_normals)
 
     @property
     def extents_min_mm(self) -> Array:
-        """Lower corner (3,) of the bounding box."""
+        """Lowest corner of the bounding box (3,), mm."""
         lower: Array = self.vertices.min(axis=0)
         return lower
 
     @property
     def extents_max_mm(self) -> Array:
-        """Upper corner (3,) of the bounding box."""
+        """Highest corner of the bounding box (3,), mm."""
         upper: Array = self.vertices.max(axis=0)
         return upper
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sleeve:
-    """Space of root hairs: a closed surface about the roots, in the canister frame."""
+    """Region of root hairs: a closed surface around the roots, canister frame."""
 
     vertices: Array
-    """(V, 3) float64, mm."""
+    """Vertices (V, 3), float64, mm."""
     faces: Faces
-    """(F, 3) int32."""
+    """Faces (F, 3), int32."""
 
 
 def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
-    """Return the space of root hairs of a given length about a specimen's roots; None without roots."""
+    """Return the region of root hairs with a given length, mm, around a specimen's roots. None without roots."""
     if not solid.roots:
         return None
     grown = [replace(root, diameters_mm=root.diameters_mm + 2.0 * hair_mm) for root in solid.roots]
@@ -89,26 +89,26 @@ def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
 
 
 def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor | None = None) -> SpecimenSolid:
-    """Build the solid of a scene's specimen.
+    """Build the solid of a scene's specimen or plants.
 
     Parameters
     ----------
     scene : Scene
         Scene with specimen, canister, water and net pot.
     folder : path or None
-        Base folder of relative paths of specimen files; None for the working directory.
+        Base folder for relative paths of specimen files. None: working directory.
     monitor : Monitor, optional
-        Receives the progress, and can stop the work.
+        Progress monitor, which may cancel the work.
 
     Returns
     -------
     SpecimenSolid
-        Solid in the canister frame, completely inside the water.
+        Solid, canister frame, that lies completely inside the water.
 
     Raises
     ------
     UserError
-        If a file is invalid, a volume cannot be reached, or the specimen is not inside the water.
+        If a file is invalid, the volume cannot be reached, or a part of the specimen is outside the water.
     """
     if scene.plants:
         parts = [_build_plant(plant, scene, folder, monitor) for plant in scene.plants]
@@ -116,7 +116,7 @@ def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor
         solid = manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
     else:
         if scene.specimen is None:
-            raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or use --specimen FILE")
+            raise UserError(f"scene {scene.name!r} has no specimen; add a section [specimen] to the scene file, or use --specimen FILE")
         parts = [_build_one(scene.specimen, scene, folder, monitor)]
         what, solid = parts[0].what, parts[0].solid
     roots, notes = _join_roots([part.roots for part in parts]), [note for part in parts for note in part.notes]
@@ -124,7 +124,9 @@ def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor
     check_in_water(vertices, scene, what=what)
     hidden_mm = float(vertices[:, 2].max()) - scene.net_pot.grid_z_mm
     if hidden_mm > TOUCH_MM:
-        notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and not visible.")
+        notes.append(
+            f"{what}: the upper {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and not visible."
+        )
     return SpecimenSolid(
         vertices=vertices,
         faces=faces,
@@ -142,26 +144,31 @@ def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor
 
 @dataclass(frozen=True)
 class _Part:
-    """A specimen as a solid."""
+    """Specimen, or one of several plants, as a solid."""
 
     what: str
-    """Name used in messages."""
+    """Name of the specimen for messages."""
     solid: manifold3d.Manifold
+    """Solid, mm, canister frame."""
     roots: tuple[Root, ...] = ()
+    """Centre lines with diameters."""
     notes: tuple[str, ...] = ()
+    """Sentences for the user about the specimen."""
 
 
 def _build_plant(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
-    """Build one of several plants at its position."""
+    """Build one of several plants at its position in the net pot."""
     specimen = plant.placed()
     if specimen is None:
-        raise UserError(f"plant {plant.plant} of scene {scene.name!r} has no specimen: add a [plants.specimen] below its [[plants]]")
+        raise UserError(
+            f"plant {plant.plant} of scene {scene.name!r} has no specimen; add a section [plants.specimen] below its [[plants]]"
+        )
     part = _build_one(specimen, scene, folder, monitor)
     return replace(part, what=f"plant {plant.plant}", roots=tuple(replace(root, plant=plant.plant) for root in part.roots))
 
 
 def _join_roots(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
-    """Return the roots of several specimens as one list, with parents as indices into it."""
+    """Concatenate the roots of several specimens, and adapt the indices of parents."""
     roots: list[Root] = []
     for part in parts:
         first = len(roots)
@@ -170,7 +177,7 @@ def _join_roots(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
 
 
 def _traits(solid: manifold3d.Manifold, roots: Sequence[Root]) -> dict[str, Any]:
-    """Measure the traits of a solid and its roots, as a JSON object."""
+    """Measure the traits of a solid and its roots, and return them as a JSON object."""
     vertices, _ = solids.to_surface(solid)
     measured: dict[str, Any] = to_plain(
         measure_traits(roots, vertices, volume_mm3=float(solid.volume()), surface_mm2=float(solid.surface_area()))
@@ -179,7 +186,7 @@ def _traits(solid: manifold3d.Manifold, roots: Sequence[Root]) -> dict[str, Any]
 
 
 def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
-    """Build one specimen."""
+    """Build a single specimen according to its type."""
     if isinstance(specimen, SphereSpecimen):
         return _Part("the sphere", _sphere(specimen))
     if isinstance(specimen, GrownSpecimen):
@@ -198,9 +205,9 @@ def _build_one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: M
     solid = solids.unite_roots(roots, monitor=monitor)
     roots, shared_mm = merge_shared_stretches(roots)
     if shared_mm > 0.0:
-        notes.append(f"{what}: {shared_mm:.0f} mm shared by several roots are counted once.")
+        notes.append(f"{what}: {shared_mm:.0f} mm of centre lines are shared by several roots and counted once.")
     if (bodies := len(solid.decompose())) > 1:
-        notes.append(f"{what}: the roots form {bodies} separate bodies; gaps in the file are kept.")
+        notes.append(f"{what}: the roots form {bodies} separate bodies, because gaps in the file are not closed.")
     return _Part(what, solid, tuple(replace(root, plant="") for root in roots), tuple(notes))
 
 
@@ -209,7 +216,7 @@ def _is_moved(specimen: PlacedFile) -> bool:
 
 
 def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
-    """Place a mesh as specified."""
+    """Place a mesh as specified in the scene."""
     if not _is_moved(specimen):
         return solid
     vertices, faces = solids.to_surface(solid)
@@ -217,38 +224,40 @@ def _place_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene
 
 
 def _load_traced_roots(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
-    """Read and place traced roots, with notes on their interpretation."""
+    """Read and place traced roots, and return them with notes on their interpretation."""
     file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
     roots, closed = close_gaps(file)
     base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])
-    roots = placement.find_placement(specimen, _reach(roots), scene, base_mm=base_mm).roots(roots)
-    reach_mm = _reach(roots)
+    roots = placement.find_placement(specimen, _extreme_points(roots), scene, base_mm=base_mm).roots(roots)
+    reach_mm = _extreme_points(roots)
     check_in_water(reach_mm, scene, what=str(path))
     diameters_mm = np.concatenate([root.diameters_mm for root in roots])
-    said = "unit given" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
+    said = "specified unit" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
     resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") and not specimen.unit else ""
     notes = [
         f"{path}: {len(roots)} roots, {placement.format_size(reach_mm)} mm (x, y, z), "
         f"{diameters_mm.min():.2g} to {diameters_mm.max():.2g} mm thick; "
-        f"one step of the file is {file.step_mm:.4g} mm ({said}{resolution})."
+        f"one unit of the coordinates in the file is {file.step_mm:.4g} mm ({said}{resolution})."
     ]
     if resolution and not specimen.unit and _is_dpi(file):
         notes.append(
-            f"{path}: its resolution of {file.resolution} is interpreted as steps per {file.unit}; if it is dots per inch, set the unit "
-            f"'{25.4 / float(file.resolution):.4g} mm'."
+            f"{path}: the resolution of {file.resolution} is interpreted as coordinate units per {file.unit}. "
+            f"If it is in dots per inch, set the unit '{25.4 / float(file.resolution):.4g} mm'."
         )
     if closed:
-        notes.append(f"{path}: {closed} roots that begin at a distance from their parent are connected to the node stated in the file.")
+        notes.append(
+            f"{path}: {closed} roots that begin at a distance from their parents were connected to the parent nodes specified in the file."
+        )
     return roots, notes
 
 
 def _is_dpi(file: RsmlFile) -> bool:
-    """Return whether a resolution per centimetre or millimetre is probably the dots per inch of a scanner."""
+    """Return whether a resolution per centimetre or millimetre is probably a scanner resolution in dots per inch."""
     return file.unit.lower() in ("cm", "mm") and float(file.resolution) in SCANNERS_DPI
 
 
-def _reach(roots: Sequence[Root]) -> Array:
-    """Return the extents of roots along each axis at their nodes (6 N, 3), including thickness."""
+def _extreme_points(roots: Sequence[Root]) -> Array:
+    """Return the extreme points (6 N, 3) of roots, mm, at the distance of the radius from each node along each axis."""
     points_mm = np.concatenate([root.points_mm for root in roots])
     radii_mm = np.concatenate([root.diameters_mm for root in roots]) / 2.0
     ways = np.concatenate([np.eye(3), -np.eye(3)])

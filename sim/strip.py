@@ -1,4 +1,4 @@
-"""Picture of the marker strip: black markers on white paper, unrolled around the net pot."""
+"""Paint the marker strip: black markers on white paper, unrolled around the net pot."""
 
 from typing import Any
 
@@ -11,26 +11,27 @@ from rhizotwin.scenes.model import MarkerStrip, NetPot
 PAPER, INK = 0.85, 0.04
 """Diffuse reflectance of white office paper, and of toner on it."""
 MM_PER_TEXEL = 1.0 / 16.0
-"""Resolution: a quarter of a bench's pixel (0.23 mm); texels at edges are painted by their covered fraction."""
+"""Edge of a texel, mm, a quarter of a pixel of the profile ``bench`` (0.23 mm). Texels at edges are painted with their
+covered fraction."""
 
 
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
-    """Paint the strip's reflectance on the unrolled net pot, averaged over texels.
+    """Paint the reflectance of the strip on the unrolled net pot, averaged over texels.
 
     Parameters
     ----------
     strip : MarkerStrip
-        Strip with its markers.
+        Marker strip.
     net_pot : NetPot
-        Net pot that carries the strip.
+        Net pot with the strip on its outside.
     mm_per_texel : float
-        Edge of a texel.
+        Edge of a texel, mm.
 
     Returns
     -------
     (rows, columns) float32 array
-        Reflectance, with row 0 at the net pot's top and column 0 at the seam; the azimuth (counter-clockwise from
-        above) increases with the column, so that the picture is not mirrored when seen from outside. Markers are
+        Reflectance, 0 to 1, with row 0 at the net pot's top and column 0 at the seam. The azimuth (counter-clockwise
+        from above) increases with the column, so that the picture is not mirrored when seen from outside. Markers are
         exactly at the positions of `scenes.plan.marker_corners`.
     """
     around_mm = 2.0 * np.pi * net_pot.outer_radius_mm
@@ -54,7 +55,10 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
 
 
 def _share(texel_edges: NDArray[Any], cell_edges: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the fraction of each texel (rows) that each cell (columns) covers; both edges ascend."""
+    """Return the fraction of each texel (T,) covered by each cell (C,) as an array (T, C).
+
+    Both edges are in ascending order.
+    """
     low = np.maximum(texel_edges[:-1, None], cell_edges[None, :-1])
     high = np.minimum(texel_edges[1:, None], cell_edges[None, 1:])
     share: NDArray[np.float64] = np.clip(high - low, 0.0, None) / np.diff(texel_edges)[:, None]

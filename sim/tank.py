@@ -1,4 +1,4 @@
-"""Tank of liquid about the canister: four meshes that are static in the rig while the canister rotates."""
+"""Tank of liquid around the canister: four meshes that are fixed in the rig while the canister rotates."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 OUTSIDE, INSIDE, SURFACE, OPAQUE = "tank_outside", "tank_inside", "tank_surface", "tank_opaque"
+"""Names of the tank's meshes in the Mitsuba scene."""
 HOLE_SIDES = 720
-"""Number of corners of the canister's hole in the liquid's surface: 1 um inside a circle of 76 mm."""
+"""Number of corners of the canister's hole in the liquid's surface, which lie 1 um inside a circle of 76 mm."""
 
 
-def _walls(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
-    """Return the four vertical faces of a box, with outward normals."""
+def _wall_mesh(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
+    """Return vertices (8, 3), mm, and faces (F, 3) of the four vertical walls of a box, with outward normals."""
     x, y = tank.front_mm - inset_mm, tank.half_width_mm - inset_mm
     ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
     vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in (low_mm, tank.level_mm)])
@@ -28,21 +29,21 @@ def _walls(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
     return vertices, np.array(faces)
 
 
-def _opaque(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
-    """Return the walls' upper edges and the tank's bottom."""
-    outer, inner = _walls(tank, 0.0, low_mm)[0], _walls(tank, tank.wall_mm, low_mm)[0]
+def _opaque_mesh(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
+    """Return vertices (V, 3), mm, and faces (F, 3) of the walls' upper edges and the tank's bottom."""
+    outer, inner = _wall_mesh(tank, 0.0, low_mm)[0], _wall_mesh(tank, tank.wall_mm, low_mm)[0]
     vertices = np.concatenate([outer[4:], inner[4:], outer[:4]])
     rim = [[k, (k + 1) % 4, (k + 1) % 4 + 4] for k in range(4)] + [[k, (k + 1) % 4 + 4, k + 4] for k in range(4)]
     return vertices, np.array([*rim, [8, 9, 10], [8, 10, 11]])
 
 
-def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
-    """Return the liquid's surface around the canister.
+def _surface_mesh(tank: Tank, hole: Array) -> tuple[Array, Faces]:
+    """Return vertices (V, 3), mm, and faces (F, 3) of the liquid's surface around the canister.
 
-    The outline of the canister on it is ``hole`` (N, 2), counter-clockwise from above.
+    The outline of the canister on this surface is ``hole`` (N, 2), mm, counter-clockwise from above.
     """
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
-    out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # radially from the axis to the walls
+    out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # extended radially from the axis to the walls
     corners = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
     count = len(hole)
     vertices = np.column_stack([np.concatenate([hole, out, corners]), np.full(2 * count + 4, tank.level_mm)])
@@ -50,7 +51,7 @@ def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
     after = (k + 1) % count
     faces = [np.stack([k, k + count, after + count], axis=1), np.stack([k, after + count, after], axis=1)]
     on_x = np.abs(np.abs(out[:, 0]) - x) < 1e-9
-    turns = np.flatnonzero(on_x != on_x[after])  # between these two a corner is missing
+    turns = np.flatnonzero(on_x != on_x[after])  # a corner of the tank is missing after each of these points
     for number in turns:
         corner = int(np.argmin(np.linalg.norm(corners - out[number], axis=1)))
         faces.append(np.array([[number + count, 2 * count + corner, after[number] + count]]))
@@ -58,7 +59,7 @@ def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
 
 
 def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, Any]]]:
-    """Return the tank's meshes by name: vertices (V, 3) in its own frame, mm, faces (F, 3), material."""
+    """Return vertices (V, 3), mm, tank frame, faces (F, 3) and material of the tank's meshes by name."""
     low = -scene.canister.height_mm
     turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
     hole = scene.canister.outer_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -66,15 +67,17 @@ def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, 
     wet = {"type": "dielectric", "int_ior": tank.n_liquid, "ext_ior": tank.n_wall}
     level = {"type": "dielectric", "int_ior": tank.n_liquid, "ext_ior": 1.0}
     return {
-        OUTSIDE: (*_walls(tank, 0.0, low), glass),
-        INSIDE: (*_walls(tank, tank.wall_mm, low), wet),
-        SURFACE: (*_surface(tank, hole), level),
-        OPAQUE: (*_opaque(tank, low), {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.02}}),
+        OUTSIDE: (*_wall_mesh(tank, 0.0, low), glass),
+        INSIDE: (*_wall_mesh(tank, tank.wall_mm, low), wet),
+        SURFACE: (*_surface_mesh(tank, hole), level),
+        OPAQUE: (*_opaque_mesh(tank, low), {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.02}}),
     }
 
 
 def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm: float) -> None:
-    """Move the tank to its position in the canister frame of a view; the hole in its surface follows the canister.
+    """Move the tank to its position in the canister frame of a view.
+
+    The hole in the liquid's surface follows the canister.
 
     Parameters
     ----------
@@ -85,7 +88,7 @@ def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm:
     rig_from_canister : (4, 4) float64
         Pose of the canister in the view.
     radius_mm : float
-        Outer radius of the true canister.
+        Outer radius of the true canister, mm.
     """
     if scene.tank is None:
         return
@@ -100,6 +103,6 @@ def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm:
     rig_from_tank = frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
     canister_from_tank = canister_from_rig @ rig_from_tank
     for name, (vertices, _, _) in meshes(scene, scene.tank).items():
-        moved = _surface(scene.tank, frames.apply(frames.invert(rig_from_tank), hole)[:, :2])[0] if name == SURFACE else vertices
+        moved = _surface_mesh(scene.tank, frames.apply(frames.invert(rig_from_tank), hole)[:, :2])[0] if name == SURFACE else vertices
         parameters[f"{name}.vertex_positions"] = np.ascontiguousarray(frames.apply(canister_from_tank, moved), dtype=np.float32).ravel()
     parameters.update()

@@ -1,4 +1,4 @@
-"""Ground truth of rendered pictures, for `sim.simulate` and the rig's twin."""
+"""Write the ground truth of rendered pictures, for `sim.simulate` and the rig's twin."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,7 +17,7 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
-    """Write the solid and its centre lines into the ``truth`` folder of the dataset in ``folder``."""
+    """Write the solid and its centre lines to the ``truth`` folder of a dataset."""
     for name, part in (("specimen", solid), ("shoot", solid.shoot)):
         if part is not None:
             mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
@@ -27,7 +27,7 @@ def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
 
 
 def build_truth(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
-    """Return the truth of pictures, given by their files in the dataset and their true cameras.
+    """Collect the ground truth of pictures with known true cameras.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ def build_truth(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, T
     solid : SpecimenSolid
         Solid of the specimen.
     taken : Iterable[tuple[str, TrueCamera]]
-        Files with their true cameras.
+        File names of the pictures in the dataset, and their true cameras.
 
     Returns
     -------
     Truth
-        Truth for `scenes.truth.save_truth`.
+        Ground truth, which `scenes.truth.save_truth` can write.
     """
     low, high = solid.extents_min_mm, solid.extents_max_mm
     return Truth(

@@ -1,6 +1,7 @@
-"""World of a scene with all disturbances drawn, from which pictures are rendered.
+"""Draw all disturbances of a scene, from which its pictures are rendered.
 
-Each effect has its own random stream, keyed by effect, ring and view, so that no picture depends on the others.
+Each effect has its own random stream, keyed by effect, ring and view, so that each picture is independent of all
+others.
 """
 
 from dataclasses import dataclass, replace
@@ -14,12 +15,12 @@ from rhizotwin.scenes.model import Canister, Disturbances, Scene
 from rhizotwin.sim.dirt import Bubble, Fibre, OuterDirt, Patch, draw_algae, draw_bubbles, draw_fibres, draw_outer_dirt
 from rhizotwin.sim.exposure import stored_camera
 
-# One number per effect: the second key of its random stream.
+# Second key of the random stream of each effect.
 _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8
 _OVAL, _SEAM, _SWAY, _OUTER, _HIGHLIGHT = 12, 13, 14, 15, 16
 
 BACKLIGHT_MAP_WH = (64, 48)
-"""Number of columns and rows of the panel's unevenness map, which is smooth."""
+"""Number of columns and rows of the map of the panel's uneven radiance, which is smooth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,44 +28,56 @@ class TrueCamera:
     """True poses of camera and canister for one picture."""
 
     cam_from_rig: frames.Array
+    """Pose of the rig in the camera frame (4, 4), mm, OpenCV axes."""
     rig_from_canister: frames.Array
+    """Pose of the canister in the rig frame (4, 4), mm."""
     table_deg: float
-    """True table angle, without the canister's offset and tilt."""
+    """True table angle, deg, without offset and tilt of the canister."""
 
     @property
     def cam_from_canister(self) -> frames.Array:
-        """Camera pose, 4x4, mm, OpenCV axes."""
+        """Pose of the canister in the camera frame (4, 4), mm, OpenCV axes."""
         return self.cam_from_rig @ self.rig_from_canister
 
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A scene with its disturbances drawn."""
+    """Scene with its drawn disturbances."""
 
     scene: Scene
+    """Nominal scene."""
     seed: int
+    """Random seed."""
     cameras: tuple[TrueCamera, ...]
-    """True camera of each view, in the plan's order."""
+    """True camera of each view, in the order of the scan plan."""
     n_water: float
+    """True refractive index of the water."""
     canister: Canister
-    """True canister, in contrast to the scene's nominal one."""
+    """True canister with its manufacturing errors, in contrast to the nominal canister of the scene."""
     oval_rad: float
-    """Azimuth of the canister's largest radius."""
+    """Azimuth of the canister's largest radius, rad."""
     seam_rad: float
+    """Azimuth of the canister's seam, rad."""
     sway_mm: tuple[tuple[float, float], ...]
-    """Displacement of the specimen's lowest tip in each view, x and y of the canister frame."""
+    """Displacement of the specimen's lowest tip in each view along x and y, mm, canister frame."""
     dirt: OuterDirt
+    """Dust and scratches on the outside of the canister."""
     highlight: NDArray[np.float64] | None
-    """Light (rows, columns of the picture) added by a reflection; None without one."""
+    """Light added by a reflection (H, W), as a fraction of full scale. None without a reflection."""
     table_from_canister: frames.Array
+    """Pose of the canister on the table (4, 4), mm."""
     canister_from_strip: frames.Array
+    """Pose of the marker strip on the canister (4, 4), mm."""
     distortion: tuple[float, float, float, float, float]
-    """k1, k2, p1, p2, k3 of the true lens."""
+    """Distortion coefficients k1, k2, p1, p2, k3 of the true lens."""
     backlight: NDArray[np.float64] | None
-    """Relative radiance of the panel, at most 1, (rows from its top, columns from its -y side); None if uniform."""
+    """Relative radiance of the panel (rows from its top, columns from its -y side), at most 1. None if uniform."""
     algae: tuple[Patch, ...]
+    """Algae films on the inner wall."""
     fibres: tuple[Fibre, ...]
+    """Felt fibres in the water."""
     bubbles: tuple[Bubble, ...]
+    """Air bubbles at the wall."""
 
     def drawn(self) -> dict[str, Any]:
         """Return the random values for which `scenes.truth.Truth` has no field, as a JSON object."""
@@ -88,18 +101,19 @@ def draw_world(scene: Scene, *, seed: int) -> World:
     Parameters
     ----------
     scene : Scene
-        Scene with the standard deviations and amounts of its ``disturbances``.
+        Scene with standard deviations and amounts in its ``disturbances``.
     seed : int
-        Non-negative random seed.
+        Random seed, at least 0.
 
     Returns
     -------
     World
-        ``cam_from_canister`` of view k is ``arm error(ring) @ commanded(k) @ table(angle + error(k)) @
-        table_from_canister``; the canister's offset is that of its rim's centre, about which it is tilted.
+        World with its drawn disturbances. ``cam_from_canister`` of view k is ``arm error(ring) @ commanded(k) @
+        table(angle + error(k)) @ table_from_canister``. The offset of the canister is that of its rim's centre, about
+        which the canister is tilted.
     """
     wrong = scene.disturbances
-    table_from_canister = _seat(wrong.canister_offset_mm, wrong.canister_tilt_deg, _rng(seed, _CANISTER))
+    table_from_canister = _draw_seat(wrong.canister_offset_mm, wrong.canister_tilt_deg, _rng(seed, _CANISTER))
     cameras = tuple(_true_camera(scene, view, table_from_canister, seed) for view in plan.views(scene, seed=seed))
     return World(
         scene=scene,
@@ -109,11 +123,11 @@ def draw_world(scene: Scene, *, seed: int) -> World:
         canister=true_canister(scene),
         oval_rad=float(_rng(seed, _OVAL).uniform(0.0, 2.0 * np.pi)),
         seam_rad=float(_rng(seed, _SEAM).uniform(0.0, 2.0 * np.pi)),
-        sway_mm=tuple(_sway(wrong.sway_mm, _rng(seed, _SWAY, k)) for k in range(len(cameras))),
+        sway_mm=tuple(_draw_sway(wrong.sway_mm, _rng(seed, _SWAY, k)) for k in range(len(cameras))),
         dirt=draw_outer_dirt(scene, _rng(seed, _OUTER)),
-        highlight=_highlight(scene, _rng(seed, _HIGHLIGHT)) if wrong.highlight else None,
+        highlight=_draw_highlight(scene, _rng(seed, _HIGHLIGHT)) if wrong.highlight else None,
         table_from_canister=table_from_canister,
-        canister_from_strip=_seat(wrong.strip_offset_mm, wrong.strip_tilt_deg, _rng(seed, _STRIP)),
+        canister_from_strip=_draw_seat(wrong.strip_offset_mm, wrong.strip_tilt_deg, _rng(seed, _STRIP)),
         distortion=lens_distortion(scene),
         backlight=_uneven_backlight(wrong.backlight_unevenness, _rng(seed, _BACKLIGHT)) if wrong.backlight_unevenness else None,
         algae=draw_algae(scene, _rng(seed, _ALGAE)),
@@ -123,7 +137,7 @@ def draw_world(scene: Scene, *, seed: int) -> World:
 
 
 def true_canister(scene: Scene) -> Canister:
-    """Return the true canister, with its manufacturing errors."""
+    """Return the true canister with its manufacturing errors."""
     drawn, wrong = scene.canister, scene.disturbances
     return replace(
         drawn,
@@ -134,19 +148,19 @@ def true_canister(scene: Scene) -> Canister:
 
 
 def narrowest_mm(scene: Scene) -> float:
-    """Return the minimum inner radius of the true canister."""
+    """Return the minimum inner radius of the true canister, mm."""
     return true_canister(scene).inner_radius_mm - scene.disturbances.canister_out_of_round_mm
 
 
-def _sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float]:
+def _draw_sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float]:
     x, y = rng.normal(0.0, 1.0, 2) * spread_mm
     return float(x), float(y)
 
 
-def _highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a soft vertical streak at a random position in front of the canister.
+def _draw_highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a soft vertical streak of light (H, W) at a random position in front of the canister.
 
-    A convex mirror reflects a window as a line along its axis.
+    The streak is the reflection of a window, because a convex mirror images a window as a line along its axis.
     """
     width, height = scene.camera.image_wh
     x, y = np.arange(width) / width, np.arange(height)[:, None] / height
@@ -156,7 +170,7 @@ def _highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
-    """Return k1, k2, p1, p2, k3 of the scene's lens, including the profile's distortion."""
+    """Return the distortion coefficients k1, k2, p1, p2, k3 of the scene's lens, including the profile's distortion."""
     k1, k2, p1, p2, k3 = (a + b for a, b in zip(scene.camera.distortion, scene.disturbances.distortion, strict=True))
     return k1, k2, p1, p2, k3
 
@@ -164,7 +178,7 @@ def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
 def scene_for_reconstruction(scene: Scene) -> Scene:
     """Return the scene as known to the reconstruction.
 
-    It contains the nominal rig, the calibrated lens and the positions of plants, but not the specimen.
+    The returned scene contains the nominal rig, the calibrated lens and the positions of plants, but no specimen.
     """
     camera = replace(stored_camera(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
     plants = tuple(replace(plant, specimen=None) for plant in scene.plants)
@@ -188,15 +202,15 @@ def _true_camera(scene: Scene, view: plan.View, table_from_canister: frames.Arra
     )
 
 
-def _seat(offset_mm: float, tilt_deg: float, rng: np.random.Generator) -> frames.Array:
-    """Return the transform of a part that is placed off-centre and tilted, both in random directions."""
+def _draw_seat(offset_mm: float, tilt_deg: float, rng: np.random.Generator) -> frames.Array:
+    """Return the transform (4, 4), mm, of a part that is placed off-centre and tilted in random directions."""
     offset_rad, lean_rad = rng.uniform(0.0, 2.0 * np.pi, 2)
     shift_mm = offset_mm * np.array([np.cos(offset_rad), np.sin(offset_rad), 0.0])
     return frames.from_rotvec(np.deg2rad(tilt_deg) * np.array([np.cos(lean_rad), np.sin(lean_rad), 0.0]), shift_mm)
 
 
 def _uneven_backlight(peak_to_peak: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a smooth map between ``1 - peak_to_peak`` and 1."""
+    """Return a smooth random map (rows, columns) with values from ``1 - peak_to_peak`` to 1."""
     columns, rows = BACKLIGHT_MAP_WH
     y, x = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
     field = np.zeros((rows, columns))

@@ -1,1 +1,1 @@
-"""Manual corrections of a result: their log, and the corrected shape, volume and traits."""
+"""Manual corrections of a result: log, corrected shape, volume and traits."""

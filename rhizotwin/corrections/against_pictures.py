@@ -1,4 +1,4 @@
-"""Comparison of a corrected shape with the pictures: missing and surplus parts."""
+"""Compare a corrected shape with the pictures and estimate its missing and surplus fractions."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files
 
-if TYPE_CHECKING:  # needs the engine, which is started first
+if TYPE_CHECKING:  # imported at run time only after the engine has been started
     from rhizotwin.recon.hull.agreement import Agreement
 
 Array = NDArray[np.float64]
 
 _VIEWS = 8
-"""Number of compared views, spread over the rotation, as in the reconstruction."""
+"""Number of views that are compared, spread over one revolution of the turntable as in the reconstruction."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Change of the agreement with the pictures by corrections, as fractions."""
+    """Disagreement between shape and pictures that manual corrections added."""
 
     missed: float
-    """Fraction of a silhouette that the corrections leave unexplained, in the view where it is largest: in other views
-    deleted parts are in front of or behind others."""
+    """Increase of the unexplained fraction of a silhouette, maximum over the compared views. The maximum is used
+    because a deleted part may be hidden by other roots in some views."""
     surplus: float
-    """Fraction of the shape that the corrections put where the pictures show no roots."""
+    """Increase of the fraction of the shape's volume that lies where the pictures show no roots."""
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
-        """Check the agreement, with the limits that apply between views."""
-        lacking = f"the corrections leave {100.0 * self.missed:.1f} % of what a picture shows unexplained"
-        beyond = f"the corrections put {100.0 * self.surplus:.1f} % of the shape where the pictures show no roots"
+        """Compare the missing and surplus fractions that corrections added with the limit ``trust.missed``."""
+        lacking = f"the corrected shape does not explain {100.0 * self.missed:.1f} % of the roots in a picture"
+        beyond = f"{100.0 * self.surplus:.1f} % of the corrected shape lies where the pictures show no roots"
         advice = "compare the corrected shape with the pictures in 'rhizotwin view', and undo wrong corrections"
         return first_problem(
             judge("corrections", self.missed, "share", trust.missed, lacking, advice),
@@ -49,31 +49,31 @@ class Comparison:
         )
 
     def term(self, before_mm3: float, after_mm3: float) -> Term:
-        """Return the cause of uncertainty; the fraction of area is used as the fraction of volume.
+        """Return the contribution to the error budget of the volume, mm3, with area fractions used as volume fractions.
 
         Parameters
         ----------
         before_mm3, after_mm3 : float
-            Volume before and after corrections.
+            Volume before and after the corrections, mm3.
         """
-        why = "the pictures disagree with some corrections"
+        why = "some corrections contradict the pictures"
         return Term(name="corrections", less_mm3=self.surplus * after_mm3, more_mm3=self.missed * before_mm3, why=why)
 
 
 def compare(session: Session, dataset_folder: Path | None) -> Comparison:
-    """Compare the shape before and after the corrections with the silhouettes of the result.
+    """Compare the shape before and after the corrections with the silhouettes stored with the result.
 
     Parameters
     ----------
     session : Session
-        The result and its corrections.
+        Result and its corrections.
     dataset_folder : path or None
-        The dataset; None: the one that the result names.
+        Folder of the dataset. None: the dataset recorded in the result.
 
     Raises
     ------
     UserError
-        If the dataset is missing or another one, or the result has no silhouettes.
+        If the dataset is missing, is not that of the result, or the result contains no silhouettes.
     """
     summary = session.summary
     dataset = load_dataset(dataset_folder or Path(str(summary["dataset"])))
@@ -86,7 +86,7 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
     cameras, kept = Cameras.of(dataset, summary), load_result(session.folder).silhouettes
     known = [k for k, file in enumerate(cameras.files) if file in kept]
     if not known:
-        raise UserError(f"{session.folder} has no silhouettes")
+        raise UserError(f"{session.folder} contains no silhouettes; repeat the reconstruction")
     some = [known[k] for k in carve.spread(len(known))[:_VIEWS]]
     bank = ViewBank.pack([cameras.views[k] for k in some], cameras.optics)
     silhouettes = [kept[cameras.files[k]] for k in some]
@@ -108,6 +108,6 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
 
 
 def _surplus(found: Agreement, volume: Array) -> float:
-    """Return the fraction of a volume that the views which cover it exclude, averaged over views."""
+    """Return the fraction of the visible volume that lies outside the silhouettes, averaged over views."""
     seen = found.sees @ volume
     return float(np.mean((found.excluded & found.sees) @ volume / np.maximum(seen, 1e-12)))

@@ -1,4 +1,4 @@
-"""The cameras of a result."""
+"""Calibrated cameras of a result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rhizotwin.scenes.dataset import Dataset
 
 @dataclass(frozen=True)
 class Cameras:
-    """Pictures with cameras; all tuples have the same order."""
+    """Pictures of a result with their calibrated cameras. All tuples have one entry per picture, in the same order."""
 
     files: tuple[str, ...]
     views: tuple[View, ...]
@@ -23,7 +23,7 @@ class Cameras:
 
     @classmethod
     def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Cameras:
-        """Collect the cameras of a result, with lens and water as the reconstruction calibrated them."""
+        """Read the cameras of a result, with the calibrated focal length and refractive index of the water."""
         rig = summary.get("rig") or {}
         camera = dataset.scene.camera.as_pinhole().focused(rig.get("focal_scale") or 1.0)
         optics = Optics.from_scene(dataset.scene)

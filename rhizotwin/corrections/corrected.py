@@ -1,4 +1,4 @@
-"""Write a corrected result as a new folder, with the same measurements as a reconstruction."""
+"""Write a corrected result to a new folder, with the measurements that a reconstruction contains."""
 
 from __future__ import annotations
 
@@ -31,41 +31,43 @@ from rhizotwin.scenes.schema import to_plain
 from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
+"""Maximum volume of an empty voxel, mm3."""
 _OWN = ("plant", "species", "treatment")
-"""Fields of the subject that differ between plants."""
+"""Fields of `Subject` that differ between plants of the same scan."""
 
 
 def share(before_mm3: float, after_mm3: float) -> float:
-    """Return the relative change of the volume by corrections."""
+    """Return the relative change of the volume by the corrections (0.1: 10 % larger)."""
     return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
 
 
 def write(
     session: Session, output: Path, *, dataset: Path | None = None, last: Callable[[Path], object] = lambda _: None
 ) -> dict[str, Any]:
-    """Write a corrected result as a folder and return the content of its ``result.json``.
+    """Write a corrected result to a folder and return the content of its ``result.json``.
 
-    The causes of uncertainty keep their size relative to the volume: a correction does not reduce the uncertainty of a
-    measurement. Disagreement with the pictures is added as a cause, and decides whether the volume is trusted.
+    The contributions to the error budget keep their size relative to the volume, because a correction does not make a
+    measurement more precise. Disagreement with the pictures is an additional contribution and may make the volume
+    unreliable.
 
     Parameters
     ----------
     session : Session
-        The result and its corrections.
+        Result and its corrections.
     output : path
-        Folder to write: new, empty, or an earlier result, which is replaced.
+        Output folder. It is new or empty, or contains an earlier result, which is replaced.
     dataset : path, optional
-        The dataset; default: the one that the result names.
+        Folder of the dataset. Default: the dataset recorded in the result.
     last : callable
-        Called with the folder before it is moved into place, to add files.
+        Function that adds further files to the folder. It is called with the folder's temporary path.
 
     Raises
     ------
     UserError
-        If the folder holds anything but a result, or a file of the result is missing.
+        If the output folder contains files other than a result, or a file of the result is missing.
     """
     state, measured = session.state, session.measure()
-    mesh, roots = _mesh(session, state, measured), state.roots()
+    mesh, roots = _corrected_mesh(session, state, measured), state.roots()
     summary = summarise(session, Mesh.of(mesh)) | _trust(session, measured.volume_mm3, dataset)
     if summary.get("plants"):
         roots, summary["plants"] = _by_plant(session, summary, Mesh.of(mesh), _voxels(measured))
@@ -74,7 +76,7 @@ def write(
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)
-        hull = result_files.read_leaves(session.folder, hull=True)  # unchanged
+        hull = result_files.read_leaves(session.folder, hull=True)  # corrections do not change the hull
         atomic.write_bytes(building / "shape.npz", shape_npz(_voxels(measured), hull))
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
@@ -89,14 +91,14 @@ def write(
 
 
 def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
-    """Return the content of ``result.json`` without traits and verdicts.
+    """Return the content of ``result.json`` for a corrected result, without traits and verdicts.
 
     Parameters
     ----------
     session : Session
-        The result and its corrections.
+        Result and its corrections.
     mesh : Mesh
-        The corrected surface.
+        Corrected surface.
     """
     old, state, measured = session.summary, session.state, session.measure()
     before, after = float(old["volume_mm3"]), measured.volume_mm3
@@ -116,7 +118,7 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
         "volume_mm3": after,
         "volume_bounds_mm3": [min(low, after), max(high, after)],
         "length_mm": measured.length_mm,
-        "estimates": [],  # valid for the roots before corrections only
+        "estimates": [],  # the estimates are only valid for the uncorrected roots
         "tips": sum(bool(root.tip_seen) for root in roots),
         "extents_min_mm": corners.min(axis=0).tolist(),
         "extents_max_mm": corners.max(axis=0).tolist(),
@@ -127,7 +129,7 @@ def summarise(session: Session, mesh: Mesh) -> dict[str, Any]:
 
 
 def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str, Any]:
-    """Return interval, budget, verdict and checks of the corrected volume for ``result.json``."""
+    """Return the entries of ``result.json`` for the interval, budget, verdict and checks of the corrected volume."""
     old, before_mm3 = session.summary, float(session.summary["volume_mm3"])
     ratio = after_mm3 / before_mm3 if before_mm3 > 0.0 else 1.0
     terms = [
@@ -153,7 +155,7 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
     )
     if old["volume_trusted"]:
         lost += budget.objections
-    verdict_now = f"{budget.verdict}, if the corrections are right" if session.log.edits else budget.verdict
+    verdict_now = f"{budget.verdict}, provided that the corrections are right" if session.log.edits else budget.verdict
     return {
         "volume_interval_mm3": list(budget.interval_mm3),
         "volume_budget": [asdict(term) for term in terms],
@@ -164,9 +166,9 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
 
 
 def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tuple[tuple[Root, ...], list[Json]]:
-    """Return the roots in the order of their trees, and the entries of several plants.
+    """Return the roots, ordered by plant, and the entries of the plants for ``result.json``.
 
-    The height of the highest root replaces that of the net pot, which a result does not contain.
+    The height of the highest root is used instead of the net pot's height, which is not stored with a result.
     """
     where = str(session.folder / "result.json")
     known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.from_summary(session.summary, where)]
@@ -186,11 +188,11 @@ def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tu
 
 
 def _voxels(measured: Measured) -> Leaves:
-    """Return the remaining voxels."""
+    """Return the voxels that are not empty after the corrections."""
     solid, volumes_mm3 = measured.solid, measured.volumes_mm3
     kept = volumes_mm3 > _EMPTY_MM3
     if not kept.any():
-        kept[0] = True  # an empty shape keeps one empty voxel, so that it can be read
+        kept[0] = True  # the file format needs at least one voxel
     room = (solid.size[kept] * solid.voxel_mm) ** 3
     return Leaves(
         low=solid.low[kept].astype(np.int32),
@@ -202,9 +204,9 @@ def _voxels(measured: Measured) -> Leaves:
 
 
 def read_mesh(session: Session) -> Mesh:
-    """Return the corrected surface."""
-    return Mesh.of(_mesh(session, session.state, session.measure()))
+    """Return the surface mesh after the corrections."""
+    return Mesh.of(_corrected_mesh(session, session.state, session.measure()))
 
 
-def _mesh(session: Session, state: State, measured: Measured) -> trimesh.Trimesh:
+def _corrected_mesh(session: Session, state: State, measured: Measured) -> trimesh.Trimesh:
     return surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, state, measured.volumes_mm3)

@@ -1,6 +1,6 @@
-"""Centre lines under correction: cut, join, reparent and reroot.
+"""Centre lines of roots and their corrections: cut, join, change the parent, move the base.
 
-Lines are immutable: each change returns new ones.
+Lines are immutable. Each correction returns a new dictionary of lines.
 """
 
 from __future__ import annotations
@@ -21,54 +21,58 @@ Lines = Mapping[int, "Line"]
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a source (a root as it was measured); the direction is reversed if the end is before the beginning."""
+    """Interval of arc length on a source (a root as it was measured, or a tube added by a correction)."""
 
     source: int
+    """Index of the source in `Solid.sources`."""
     begin_mm: float
+    """Arc length at the beginning of the interval, mm."""
     end_mm: float
+    """Arc length at the end of the interval, mm, smaller than ``begin_mm`` if the direction is reversed."""
 
     @property
     def length_mm(self) -> float:
-        """Return the length."""
+        """Return the length of the interval, mm."""
         return abs(self.end_mm - self.begin_mm)
 
     def between(self, begin_mm: float, end_mm: float) -> Piece:
-        """Return the part between two distances from the beginning."""
+        """Return the part between two distances from the beginning of this interval, mm."""
         sign = 1.0 if self.end_mm >= self.begin_mm else -1.0
         return Piece(self.source, self.begin_mm + sign * begin_mm, self.begin_mm + sign * end_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A root."""
+    """Root under correction: centre line, diameters and place in the root tree."""
 
     points_mm: Array
-    """(N, 3) from base to tip."""
+    """Points of the centre line (N, 3) from base to tip, mm, canister frame."""
     diameters_mm: Array
-    """(N,)"""
+    """Diameter at each point (N,), mm."""
     parent: int
-    """Number of the parent, -1 for none."""
+    """Number of the parent root, -1 for none."""
     pieces: tuple[Piece, ...]
-    """Segments of the measured roots that make up this line, from base to tip."""
+    """Parts of measured roots or added tubes that make up this root, from base to tip."""
     tip_seen: bool = True
+    """Whether the tip of the root is visible in the pictures."""
     label: str = ""
     sigma_mm: Array | None = None
-    """Standard deviation of the diameters (N,); None: unknown."""
+    """Standard deviation of the diameter at each point (N,), mm. None: unknown."""
     plant: str = ""
-    """Name of the plant, if there are several."""
+    """Name of the plant. Empty if the scan has a single plant."""
 
     @property
     def way_mm(self) -> Array:
-        """Return the arc length (N,) of each point."""
+        """Return the arc length (N,) from the base to each point, mm."""
         return polyline.arc_length_mm(self.points_mm)
 
     @property
     def length_mm(self) -> float:
-        """Return the length."""
+        """Return the length of the centre line, mm."""
         return polyline.length_mm(self.points_mm)
 
     def nearest_mm(self, point_mm: Sequence[float]) -> float:
-        """Return the arc length of the point nearest to another point."""
+        """Return the arc length at the point of the centre line that is nearest to ``point_mm``, mm."""
         begin, step = self.points_mm[:-1], np.diff(self.points_mm, axis=0)
         square = np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
         share = np.clip(np.einsum("ij,ij->i", np.asarray(point_mm) - begin, step) / square, 0.0, 1.0)
@@ -77,7 +81,7 @@ class Line:
         return float(self.way_mm[best] + share[best] * np.sqrt(square[best]))
 
     def between(self, begin_mm: float, end_mm: float) -> Line:
-        """Return the part between two distances from the base."""
+        """Return the part of the root between two distances from the base, mm."""
         way = self.way_mm
         inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
@@ -92,20 +96,20 @@ class Line:
         return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces), sigma_mm=sigma)
 
     def stretches(self, chosen: Mask) -> list[tuple[int, int]]:
-        """Return the first and last point of each run of two or more chosen points (N,)."""
+        """Return first and last index of each run of at least two consecutive points selected by a mask (N,)."""
         rows = np.flatnonzero(chosen)
         runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         return [(int(run[0]), int(run[-1])) for run in runs if len(run) > 1]
 
     def backward(self) -> Line:
-        """Return the line in the opposite direction."""
+        """Return the root with the direction from tip to base reversed."""
         pieces = tuple(Piece(piece.source, piece.end_mm, piece.begin_mm) for piece in reversed(self.pieces))
         sigma = None if self.sigma_mm is None else self.sigma_mm[::-1]
         return replace(self, points_mm=self.points_mm[::-1], diameters_mm=self.diameters_mm[::-1], pieces=pieces, sigma_mm=sigma)
 
 
 def descendants(lines: Lines, number: int) -> list[int]:
-    """Return a root and all its descendants, the root itself first."""
+    """Return the numbers of a root and all its descendants, the root itself first."""
     found, waiting = list[int](), [number]
     while waiting:
         one = waiting.pop()
@@ -115,13 +119,13 @@ def descendants(lines: Lines, number: int) -> list[int]:
 
 
 def inherit_plant(lines: Lines, number: int) -> dict[int, Line]:
-    """Assign a root and its descendants to the plant of its parent."""
+    """Assign a root and its descendants to its parent's plant."""
     plant = lines[lines[number].parent].plant
     return {**lines, **{k: replace(lines[k], plant=plant) for k in descendants(lines, number)}}
 
 
 def remove(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
-    """Remove roots; their laterals become laterals of the nearest remaining ancestor."""
+    """Remove roots and attach their laterals to the nearest remaining ancestor."""
     gone = set(numbers)
     kept = {}
     for number, line in lines.items():
@@ -135,21 +139,21 @@ def remove(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
 
 
 def divide(lines: Lines, number: int, at_mm: float, new: int) -> dict[int, Line]:
-    """Cut a root; the part beyond becomes root ``new`` with its laterals.
+    """Cut a root in two. The part beyond the cut becomes root ``new`` and keeps its laterals.
 
     Parameters
     ----------
     lines : Lines
-        All roots, by number.
+        All roots by number.
     number, new : int
-        Number of the root, and of the part that is cut off.
+        Number of the root to cut, and number of the new root.
     at_mm : float
-        Arc length from the base.
+        Distance of the cut from the base along the centre line, mm.
 
     Returns
     -------
     dict of Line
-        All roots.
+        All roots by number, after the cut.
     """
     line = lines[number]
     changed = dict(lines)
@@ -162,27 +166,29 @@ def divide(lines: Lines, number: int, at_mm: float, new: int) -> dict[int, Line]
 
 
 def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[dict[int, Line], list[int]]:
-    """Remove the parts of roots inside a region.
+    """Remove the parts of roots that lie inside a region.
 
     Parameters
     ----------
     inside : callable
-        Returns which points (N, 3) are inside.
+        Function that returns a mask (N,) of the points (N, 3), mm, inside the region.
     new : int
-        First number for new roots, where parts on both sides of the region remain.
+        Number of the first new root. A root with remaining parts on both sides of the region is divided.
 
     Returns
     -------
     lines : dict of Line
-        Remaining roots.
+        Remaining roots by number.
     gone : list of int
-        Roots that were removed completely.
+        Numbers of roots that lay completely inside the region.
     """
     changed, gone = dict(lines), list[int]()
     if not lines:
         return changed, gone
     ends = np.cumsum([len(line.points_mm) for line in lines.values()])[:-1]
-    of_all = inside(np.concatenate([line.points_mm for line in lines.values()]))  # all at once: the test may sort all voxels
+    of_all = inside(
+        np.concatenate([line.points_mm for line in lines.values()])
+    )  # one call for all roots, because each call may sort all voxels
     for (number, line), within in zip(lines.items(), np.split(of_all, ends), strict=True):
         if not within.any():
             continue
@@ -202,9 +208,9 @@ def remove_inside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tu
 
 
 def reroot(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Line]:
-    """Move the base of the plant to the end of a root nearest to a point.
+    """Move the base of the plant to the end of a root that is nearest to ``point_mm``.
 
-    That root loses its parent, and its former ancestors become its laterals.
+    The root then has no parent, and its former ancestors become its laterals.
     """
     changed, line = dict(lines), lines[number]
     if line.nearest_mm(point_mm) > line.length_mm / 2.0:
@@ -213,18 +219,18 @@ def reroot(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Li
     changed[number] = replace(line, parent=-1)
     while above >= 0:
         parent, at = lines[above], changed[child].points_mm
-        turned = parent.backward() if _nearness(parent.points_mm[-1], at) < _nearness(parent.points_mm[0], at) else parent
+        turned = parent.backward() if _distance_mm(parent.points_mm[-1], at) < _distance_mm(parent.points_mm[0], at) else parent
         changed[above] = replace(turned, parent=child)
         child, above = above, parent.parent
     return changed
 
 
-def _nearness(point_mm: Array, line_mm: Array) -> float:
+def _distance_mm(point_mm: Array, line_mm: Array) -> float:
     return float(np.linalg.norm(line_mm - point_mm, axis=1).min())
 
 
 def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
-    """Convert roots to numbered lines; each is the source of the same number."""
+    """Convert roots to lines by number. Root k becomes the only piece of line k."""
     return {
         k: Line(
             root.points_mm,
@@ -241,7 +247,7 @@ def as_lines(roots: Sequence[Root]) -> dict[int, Line]:
 
 
 def as_roots(lines: Lines) -> tuple[Root, ...]:
-    """Convert lines to roots, parents before children."""
+    """Convert lines to roots, sorted with parents before children."""
     placed, roots = dict[int, int](), list[Root]()
     waiting = sorted((number for number, line in lines.items() if line.parent not in lines), reverse=True)
     while waiting:

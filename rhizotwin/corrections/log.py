@@ -1,4 +1,7 @@
-"""The log of corrections, ``edits.json`` in a result's folder: what, who and when. The result is not changed."""
+"""Log of manual corrections with author and time, stored as ``edits.json`` in the result's folder.
+
+Corrections are applied when the log is replayed. The result itself is not changed.
+"""
 
 import getpass
 import json
@@ -17,59 +20,62 @@ from rhizotwin.scenes.reading import read_file
 SCHEMA_VERSION = 1
 LOG_NAME = "edits.json"
 KINDS = {
-    "delete roots": "delete roots, with their laterals if `laterals` is true",
+    "delete roots": "delete roots, and their laterals if `laterals` is true",
     "restore roots": "restore deleted roots",
-    "delete voxels": "delete voxels, and the parts of roots inside them",
-    "delete box": "delete everything inside a box",
+    "delete voxels": "delete voxels and the parts of roots inside them",
+    "delete box": "delete all roots and voxels inside a box",
     "restore voxels": "restore deleted voxels",
-    "cut": "cut a root at a point: the part beyond becomes a new root",
-    "join": "make a root the continuation of another",
-    "parent": "make a root a lateral of another",
-    "tip": "end a root at a point, which becomes its tip",
+    "cut": "cut a root at a point, beyond which it becomes a new root",
+    "join": "join a root to the end of another root",
+    "parent": "make a root a lateral of another root",
+    "tip": "set the tip of a root and delete the part beyond",
     "base": "set the base of the plant",
     "fit": "refit centre lines and diameters to the pictures",
 }
-"""Kinds of corrections; each uses some of the fields of `Edit`."""
+"""Kinds of corrections with a description. The kind determines which fields of `Edit` are used."""
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Edit:
-    """One correction."""
+    """Manual correction of a result."""
 
     do: str
-    """One of `KINDS`."""
+    """Kind of the correction, a key of `KINDS`."""
     who: str
+    """User name of the author."""
     when: str
-    """UTC, ISO 8601."""
+    """Time of the correction, UTC, ISO 8601."""
     roots: tuple[int, ...] = ()
-    """Numbers of roots: their position in ``roots.rsml``, then new roots in the order of creation."""
+    """Numbers of the roots to correct. The roots of ``roots.rsml`` are numbered by their position in the file. New
+    roots have the following numbers, in order of creation."""
     laterals: bool = False
+    """Whether a deletion of roots includes their laterals."""
     runs: tuple[tuple[int, int], ...] = ()
-    """Voxels as runs (first, count) of rows of ``shape.npz``."""
+    """Voxels to correct, as runs (first row, number of rows) in ``shape.npz``."""
     box_mm: tuple[Triple, Triple] | None = None
-    """Lowest and highest corner, canister frame."""
+    """Lowest and highest corner of the box, mm, canister frame."""
     point_mm: Triple | None = None
-    """Canister frame."""
+    """Position of the correction, mm, canister frame."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """The corrections of one result."""
+    """Corrections of one result, in the order in which they are applied."""
 
     shape_sha256: str
-    """Of the result's ``shape.npz``, to which the numbers of voxels and roots refer."""
+    """SHA-256 of the result's ``shape.npz``, to which the numbers of voxels and roots refer."""
     edits: tuple[Edit, ...] = ()
 
 
 def edit(do: str, *, roots: Sequence[int] = (), who: str | None = None, **more: Any) -> Edit:
-    """Return a correction with the current time and user."""
+    """Create a correction with the current time and, by default, the current user."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return Edit(do=do, who=_user() if who is None else who, when=now, roots=tuple(int(root) for root in roots), **more)
 
 
 def runs(rows: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """Return ascending rows as runs (first, count)."""
+    """Convert row numbers in ascending order to runs (first row, number of rows)."""
     found: list[tuple[int, int]] = []
     for row in rows:
         if found and row == sum(found[-1]):
@@ -80,48 +86,49 @@ def runs(rows: Sequence[int]) -> tuple[tuple[int, int], ...]:
 
 
 def new(result_folder: Path) -> Log:
-    """Return an empty log for a result."""
+    """Create an empty log for a result."""
     return Log(shape_sha256=file_sha256(result_folder / "shape.npz"))
 
 
 def read(path: Path, result_folder: Path) -> Log:
-    """Read a log and check that it belongs to a result.
+    """Read a log and check that it was written for the given result.
 
     Raises
     ------
     UserError
-        If it is missing, damaged, of another version or of another result.
+        If the log is missing, damaged, of an unsupported version, or was written for another result.
     """
     if not path.is_file():
-        raise UserError(f"{path} does not exist; `rhizotwin view RESULT` writes it when corrections are saved")
+        raise UserError(f"{path} does not exist; make and save corrections with 'rhizotwin view RESULT' first")
     try:
         stored = json.loads(read_file(path).decode())
         if not isinstance(stored, dict) or stored.get("schema_version") != SCHEMA_VERSION:
-            raise ValueError(f"its schema_version is not {SCHEMA_VERSION}")
+            raise ValueError(f"schema_version is not {SCHEMA_VERSION}")
         log = Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
-        raise UserError(f"{path} is not a readable log of corrections ({error})") from None
+        raise UserError(f"{path} could not be read as a log of corrections: {error}") from None
     if log.shape_sha256 != file_sha256(result_folder / "shape.npz"):
         raise UserError(
-            f"{path} contains corrections of a different result than {result_folder}; they cannot be applied to a new reconstruction"
+            f"{path} contains corrections of another result and cannot be applied to {result_folder}; "
+            "after a new reconstruction, make the corrections again"
         )
     return log
 
 
 def write(path: Path, log: Log, *, follow: bool = True) -> None:
-    """Write a log atomically, see `scenes.atomic.write_bytes`."""
+    """Write a log to a file atomically, see `scenes.atomic.write_bytes`."""
     listed = [{key: value for key, value in asdict(entry).items() if value not in ((), None, False)} for entry in log.edits]
     text = atomic.json_bytes({"schema_version": SCHEMA_VERSION, "shape_sha256": log.shape_sha256, "edits": listed})
     atomic.write_bytes(path, text, follow=follow)
 
 
 def _edit(entry: Any) -> Edit:
-    """Check an entry of the file and return it."""
+    """Validate an entry of the file and convert it to an `Edit`."""
     unknown = set(entry) - {field.name for field in fields(Edit)}
     if unknown:
-        raise ValueError(f"an edit has the unknown key {sorted(unknown)[0]!r}")
+        raise ValueError(f"a correction has the unknown key {sorted(unknown)[0]!r}")
     if entry["do"] not in KINDS:
-        raise ValueError(f"unknown kind of edit {entry['do']!r}; known are {', '.join(KINDS)}")
+        raise ValueError(f"{entry['do']!r} is not a kind of correction; must be one of: {', '.join(KINDS)}")
     box = entry.get("box_mm")
     return Edit(
         do=entry["do"],
@@ -137,19 +144,19 @@ def _edit(entry: Any) -> Edit:
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r} is not the number of a root or voxel")
+        raise ValueError(f"{value!r} is not a valid number of a root or voxel; must be an integer of at least 0")
     return value
 
 
 def _triple(value: Any) -> Triple:
     x, y, z = (float(number) for number in value)
     if not all(math.isfinite(number) for number in (x, y, z)):
-        raise ValueError(f"{value!r} is not a point")
+        raise ValueError(f"{value!r} is not a valid point; must be three finite numbers")
     return x, y, z
 
 
 def _user() -> str:
     try:
         return getpass.getuser()
-    except (OSError, KeyError):  # no name for this user's number
+    except (OSError, KeyError):  # the user ID has no name
         return "unknown"

@@ -1,4 +1,4 @@
-"""Refit corrected roots to the pictures, with the corrected topology."""
+"""Refit corrected roots to the pictures without changing their topology."""
 
 from __future__ import annotations
 
@@ -17,32 +17,34 @@ from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.stored import result_files
 
-if TYPE_CHECKING:  # needs the engine, which is started first
+if TYPE_CHECKING:  # imported at run time only after the engine has been started
     from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEPS = 8
+"""Number of steps of the tube fit."""
 
 
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
-    """Return a function that refits roots to the pictures of a dataset, using the coverage stored with the result.
+    """Create a function that fits roots to the pictures of a dataset, using the coverage stored with the result.
 
-    Thick roots are not changed. The first points of laterals stay on their parents.
+    The function does not change thick roots. The first point of a lateral remains on its parent. The errors below are
+    raised when the function is called.
 
     Raises
     ------
     UserError
-        By the returned function: if roots are translucent (their attenuation is not stored) or coverage is missing.
+        If roots are translucent, or the result contains no coverage of a picture.
     """
 
     def fit(lines: Lines) -> dict[int, Refitted]:
         summary = result_files.read_summary(result_folder)
         if summary.get("root_mu_per_mm") is not None:
-            raise UserError("translucent roots cannot be refitted: the result does not store the transmitted light")
+            raise UserError("translucent roots cannot be refitted, because the result does not contain the transmitted light")
         if not lines:
-            raise UserError("there are no roots to fit")
+            raise UserError("the result has no roots to refit")
         engine.start("auto")
         from rhizotwin.recon.coverage.evidence import Evidence
         from rhizotwin.recon.optics.projection import ViewBank
@@ -54,7 +56,9 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
         missing = [file for file in cameras.files if file not in kept]
         if missing or not cameras.files:
-            raise UserError(f"{result_folder} has no silhouette of {missing[0] if missing else 'any picture'}; reconstruct again")
+            raise UserError(
+                f"{result_folder} contains no silhouette of {missing[0] if missing else 'any picture'}; repeat the reconstruction"
+            )
         seen = Evidence.from_silhouettes(ViewBank.pack(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
         thick_mm = result_traits.THICK_CELLS * result_files.finest_mm(summary)
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
@@ -74,21 +78,21 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
 
 
 def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
-    """Convert roots to one tree of tubes.
+    """Convert roots to one tree of tubes for the fit.
 
     Parameters
     ----------
     thick_mm : float
-        Nodes with a larger radius are not fitted.
+        Maximum radius of a node that is fitted, mm.
 
     Returns
     -------
     tubes : Tubes
-        Parents before children.
+        Tubes, sorted with parents before children.
     fixed : (N,) bool array
-        Nodes that are not fitted.
+        Whether a node is excluded from the fit.
     numbers : list of int
-        Numbers of the roots, in the order of the branches.
+        Number of the root of each branch.
     """
     from rhizotwin.recon.tubes.tubes import Tubes
 
@@ -112,7 +116,7 @@ def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
             nodes = np.concatenate([above[nearest : nearest + 1], nodes])
         elif place:
             stays = stays.copy()
-            stays[0] = True  # the beginning of a root without parent is in no branch
+            stays[0] = True  # the first node of a root without a parent is part of no branch
         centres.append(own)
         radii.append(width)
         fixed.append(stays)

@@ -1,4 +1,4 @@
-"""A result with corrections: apply, undo, redo, and measure."""
+"""Apply, undo, redo and measure corrections of a result."""
 
 from __future__ import annotations
 
@@ -24,22 +24,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """Measurements of a state."""
+    """Volume, length and number of roots after corrections."""
 
     volume_mm3: float
+    """Total volume, mm3."""
     length_mm: float
+    """Total length of all roots, mm."""
     roots: int
+    """Number of roots."""
     volumes_mm3: Array
-    """(N,) volume in each voxel."""
+    """Volume in each voxel (N,), mm3."""
     solid: Solid
-    """Its first N voxels are those of ``volumes_mm3``."""
+    """Voxels and sources. The first N voxels are those of ``volumes_mm3``."""
 
 
 class Session:
-    """One result and its corrections. Thread-safe.
+    """Result with its corrections. Thread-safe.
 
-    The volume is divided among the roots (seconds for large plants) on first use of `solid`, at the latest by the first
-    correction.
+    The volume is divided among the roots on first use of `solid`, at the latest by the first correction. The division
+    takes seconds for large plants.
     """
 
     def __init__(self, result_folder: Path, *, refit: Refit | None = None) -> None:
@@ -55,7 +58,7 @@ class Session:
         self.log: Log = logs.new(self.folder)
         self.lock = threading.RLock()
         self.refit = refit
-        """Refits roots to the pictures; None: not possible."""
+        """Function that fits roots to the pictures. None: refitting is not available."""
         self._states = [states.start(self._undivided, self.roots)]
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
@@ -63,7 +66,7 @@ class Session:
 
     @property
     def state(self) -> State:
-        """Return the current roots and voxels."""
+        """Return the roots and voxels after the corrections."""
         return self._states[-1]
 
     @property
@@ -81,16 +84,16 @@ class Session:
 
     @property
     def can_redo(self) -> bool:
-        """Return whether there is a correction to redo."""
+        """Return whether there is an undone correction to redo."""
         return bool(self._undone)
 
     def do(self, edit: Edit) -> State:
-        """Apply a correction; corrections that were undone can no longer be redone.
+        """Apply a correction and discard the corrections that were undone.
 
         Raises
         ------
         UserError
-            If it cannot be applied; nothing is changed then.
+            If the correction cannot be applied. The result is then unchanged.
         """
         with self.lock:
             self._apply(edit)
@@ -98,14 +101,14 @@ class Session:
             return self.state
 
     def replay(self, log: Log) -> State:
-        """Apply the corrections of a log."""
+        """Apply all corrections of a log and return the new state."""
         with self.lock:
             for edit in log.edits:
                 self.do(edit)
             return self.state
 
     def undo(self) -> State:
-        """Undo the last correction."""
+        """Undo the last correction and return the new state."""
         with self.lock:
             if self.can_undo:
                 self._undone.append((self.log.edits[-1], self._states.pop()))
@@ -113,7 +116,7 @@ class Session:
             return self.state
 
     def redo(self) -> State:
-        """Redo the correction that was undone last."""
+        """Redo the correction that was undone last and return the new state."""
         with self.lock:
             if self._undone:
                 edit, state = self._undone.pop()
@@ -122,7 +125,7 @@ class Session:
             return self.state
 
     def last_deleted(self) -> tuple[list[int], NDArray[np.int64]]:
-        """Return the roots and the rows of voxels that were deleted last and are still deleted."""
+        """Return the numbers of the roots and the rows of the voxels of the last deletion that are still deleted."""
         with self.lock:
             now, count = self.state, len(self.state.gone)
             for before, after in zip(self._states[-2::-1], self._states[:0:-1], strict=True):
@@ -136,7 +139,7 @@ class Session:
             return [], np.zeros(0, np.int64)
 
     def measure(self) -> Measured:
-        """Measure the current volume and length."""
+        """Return the volume and length after the corrections."""
         with self.lock:
             now = self.state
             if self._measured is None or self._measured[0] is not now:
@@ -152,11 +155,11 @@ class Session:
 
     @property
     def unsaved(self) -> int:
-        """Return the number of corrections since the log was saved."""
+        """Return the number of corrections that differ from the saved log."""
         return sum(a is not b for a, b in zip_longest(self.log.edits, self._saved))
 
     def save(self) -> Path:
-        """Write the log into the result's folder; the result itself is not changed."""
+        """Write the log of corrections to the result's folder and return its path. The result itself is not changed."""
         with self.lock:
             path = self.folder / logs.LOG_NAME
             logs.write(path, self.log, follow=False)

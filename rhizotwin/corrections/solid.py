@@ -1,8 +1,9 @@
-"""The volume of a result divided among its roots, so that the volume after a deletion is known at once.
+"""Divide the volume of a result among its roots, so that the volume after a deletion is computed immediately.
 
-The reconstruction fills tubes with points that represent parts of their volume (`recon.tubes.filling`). The same points
-divide each voxel among the roots. Where tubes overlap, the volume belongs to the first remaining one. Volume that no
-tube explains (the flank of a taproot) belongs to the nearest root within two voxels, or to none.
+The reconstruction fills tubes with sample points, each of which represents a part of the tube's volume
+(`recon.tubes.filling`). The same points divide each voxel's volume among the roots. Where tubes overlap, the volume is
+assigned to the first remaining tube. Volume that no tube explains (the flank of a taproot) is assigned to the nearest
+root within two voxels, or to no root.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from rhizotwin.corrections.lines import Piece
 from rhizotwin.recon.results.parts import Leaves
 from rhizotwin.scenes import polyline
 
-if TYPE_CHECKING:  # loaded by the first correction
+if TYPE_CHECKING:  # imported at run time by the first correction
     from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -29,56 +30,64 @@ Singles = NDArray[np.float32]
 Numbers = NDArray[np.int32]
 
 _SAMPLES_A_NODE = 1.8
-"""Density of points, as in the reconstruction, in finest voxels ..."""
+"""Number of sample points along the edge of a finest voxel, as in the reconstruction."""
 _FINEST_SPACING_MM = 0.05
+"""Minimum spacing of sample points, mm."""
 _MOST_SAMPLES = 1_000_000
-"""... and largest number of points. Compared with 3.4 million points, on a day-30 plant of 607 roots, the volumes of
-single roots differ by 0.3 % in the sum of 41 roots and by at most 0.04 % of the plant, in a third of the time and
-memory."""
+"""Maximum number of sample points in all sources. Compared with 3.4 million points, on a day-30 plant of 607 roots, the
+volumes of single roots differ by 0.3 % in the sum of 41 roots and by at most 0.04 % of the plant's volume, with a third
+of the time and memory."""
 _LEAST_A_DISC = 6
+"""Minimum number of sample points per cross-section of a tube."""
 _END_MM = 1e-6
+"""Tolerance, mm, within which an arc length counts as the end of a source."""
 _NEAR_VOXELS = 2.0
-"""Largest distance from a root to volume that no tube explains and that is assigned to it."""
+"""Maximum distance of unexplained volume from the root to which it is assigned, in voxels."""
 _NEAR_MM = 3.0
-"""Sources whose bounding boxes are nearer than this to a new one may overlap it."""
+"""Maximum gap between the bounding boxes of two sources that are tested for overlap, mm."""
 _DEAD, _WHOLE, _PART = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """Points that represent parts of tubes."""
+    """Sample points, each of which represents a part of a tube's volume."""
 
     volume_mm3: Singles
+    """Volume that each point represents (S,), mm3."""
     source: Numbers
+    """Index of each point's source (S,)."""
     along_mm: Singles
+    """Arc length of each point along its source (S,), mm."""
     leaf: Numbers
-    """Row of the voxel that contains it."""
+    """Row of the voxel that contains each point (S,)."""
     pair: Numbers
-    """(K,) point inside an earlier source,"""
+    """Index (K,) of each sample point that also lies inside an earlier source, in the following called an overlap."""
     cover: Numbers
-    """(K,) that source,"""
+    """Index (K,) of the earlier source at each overlap."""
     cover_mm: Singles
-    """(K,) and the arc length along it."""
+    """Arc length (K,) along the earlier source at each overlap, mm."""
 
 
 @dataclass
 class Solid:
-    """Voxels with their volume divided among sources. Sources of corrections are added, none is removed."""
+    """Voxels with their volume divided among sources. Corrections add sources but remove none."""
 
     low: Index
-    """(N, 3) lowest corner, in voxels."""
+    """Lowest corner of each voxel (N, 3), in units of ``voxel_mm`` from ``origin_mm``."""
     size: Index
-    """(N,) edge, in voxels."""
+    """Edge of each voxel (N,), in units of ``voxel_mm``."""
     origin_mm: Array
+    """Origin of the voxel grid (3,), mm, canister frame."""
     voxel_mm: float
+    """Edge of the smallest stored voxel, mm."""
     finest_mm: float
-    """Edge of the finest voxels, in which the reconstruction filled tubes."""
+    """Edge of the finest voxels into which the reconstruction filled tubes, mm."""
     measured_mm3: Array
-    """(N,) reconstructed volume; 0 for voxels that corrections added."""
+    """Reconstructed volume in each voxel (N,), mm3, zero for voxels that corrections added."""
     sources: list[tuple[Array, Array]] = field(default_factory=list)
-    """Points (M, 3) and diameters (M,) of each source."""
+    """Points (M, 3) and diameters (M,) of each source, mm."""
     given: int = 0
-    """Number of sources of the reconstruction; later ones are from corrections."""
+    """Number of sources from the reconstruction. Sources added by corrections follow in the list."""
     _parts: list[_Samples] = field(default_factory=list)
     _claim: Array = field(default_factory=lambda: np.zeros(0))
     _rest_mm3: Array = field(default_factory=lambda: np.zeros(0))
@@ -87,16 +96,16 @@ class Solid:
 
     @classmethod
     def of(cls, leaves: Leaves, lines: Sequence[tuple[Array, Array]], *, finest_mm: float | None = None) -> Solid:
-        """Divide the voxels of a result among its roots.
+        """Divide the volume of a result's voxels among its roots.
 
         Parameters
         ----------
         leaves : Leaves
             Voxels of the result.
         lines : sequence of tuple of float64 array
-            Points (M, 3) and diameters (M,) of each root.
+            Points (M, 3) and diameters (M,) of each root, mm.
         finest_mm : float or None
-            Edge of the finest voxels; None: that of the voxels.
+            Edge of the finest voxels, mm. None: ``leaves.voxel_mm``.
         """
         made = cls.undivided(leaves, [], finest_mm=finest_mm)
         size, volume = made.size, made.measured_mm3
@@ -105,15 +114,18 @@ class Solid:
         if lines:
             made.add(lines)
             made.given = len(lines)
-            painted = made._painted(made._all_whole())[: len(size)]
+            painted = made._tube_volumes_mm3(made._full_intervals())[: len(size)]
             made._claim[: len(size)] = np.minimum(1.0, volume / np.maximum(painted, 1e-300))
             made._rest_mm3[: len(size)] = np.maximum(volume - made._claim[: len(size)] * painted, 0.0)
-            made._share_rest()
+            made._assign_unexplained()
         return made
 
     @classmethod
     def undivided(cls, leaves: Leaves, lines: Sequence[tuple[Array, Array]], *, finest_mm: float | None = None) -> Solid:
-        """Return voxels and roots (points (N, 3), radii (N,)) of a result without dividing the volume."""
+        """Return voxels and roots of a result without dividing the volume.
+
+        Each root has points (M, 3) and diameters (M,), mm.
+        """
         low, size = leaves.low.astype(np.int64), leaves.size.astype(np.int64)
         volume = leaves.occupancy.astype(np.float64) * size**3 * leaves.voxel_mm**3
         made = cls(low, size, leaves.origin_mm, leaves.voxel_mm, finest_mm or leaves.voxel_mm, volume, list(lines))
@@ -122,15 +134,20 @@ class Solid:
 
     @property
     def centre_mm(self) -> Array:
-        """Return the centres of the voxels (N, 3)."""
+        """Return the centre of each voxel (N, 3), mm, canister frame."""
         return np.asarray(self.origin_mm + self.voxel_mm * (self.low + 0.5 * self.size[:, None]))
 
     def length_mm(self, source: int) -> float:
-        """Return the length of a source."""
+        """Return the length of a source, mm."""
         return polyline.length_mm(self.sources[source][0])
 
     def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
-        """Add roots (points (N, 3), radii (N,)) and voxels for new space, and return the numbers of the roots."""
+        """Add roots and return the indices of the new sources.
+
+        Voxels are added where the roots leave the shape. Each root has points (M, 3) and diameters (M,), mm.
+
+        Each root has points (M, 3) and diameters (M,), mm.
+        """
         from rhizotwin.recon.tubes import filling
 
         first = len(self.sources)
@@ -159,24 +176,24 @@ class Solid:
         return numbers
 
     def volumes_mm3(self, pieces: Iterable[Piece], gone: Mask) -> Array:
-        """Return the volume (N,) in each voxel if only some pieces of the sources remain and some voxels are deleted.
+        """Return the remaining volume in each voxel (N,), mm3, after parts of sources and voxels were deleted.
 
         Parameters
         ----------
         pieces : iterable of Piece
             Remaining parts of the sources.
         gone : bool array
-            Deleted voxels (up to N,).
+            Whether a voxel is deleted, (M,) with M <= N. Voxels beyond M are not deleted.
         """
-        alive = self._alive(pieces)
-        rest = (self._rest_source < 0) | self._is_alive(alive, np.maximum(self._rest_source, 0), self._rest_along)
-        volume = self._claim * self._painted(alive, given=True) + self._rest_mm3 * rest
+        alive = self._remaining_intervals(pieces)
+        rest = (self._rest_source < 0) | self._is_remaining(alive, np.maximum(self._rest_source, 0), self._rest_along)
+        volume = self._claim * self._tube_volumes_mm3(alive, given=True) + self._rest_mm3 * rest
         room = (self.size * self.voxel_mm) ** 3
         volume = np.minimum(volume, room)
         if len(self.sources) > self.given:
             from rhizotwin.recon.tubes import filling
 
-            made, owner = self._painted(alive, given=False) / room, np.full(len(room), -1)
+            made, owner = self._tube_volumes_mm3(alive, given=False) / room, np.full(len(room), -1)
             for part in self._parts:
                 added = part.source >= self.given
                 owner[part.leaf[added]] = part.source[added]
@@ -185,12 +202,12 @@ class Solid:
         return volume
 
     def leaves_in(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> Index:
-        """Return the rows of the voxels whose centres are in a box."""
+        """Return the rows of the voxels whose centres lie in a box, mm, canister frame."""
         centre = self.centre_mm
         return np.flatnonzero(((centre >= low_mm) & (centre <= high_mm)).all(axis=1))
 
     def find(self, point_mm: Array) -> Index:
-        """Return the row of the voxel that contains each point (M, 3), or -1."""
+        """Return the row of the voxel that contains each point (M, 3), -1 for points outside all voxels."""
         found = np.full(len(point_mm), -1)
         at = np.floor((point_mm - self.origin_mm) / self.voxel_mm).astype(np.int64)
         for edge in np.unique(self.size):
@@ -207,14 +224,14 @@ class Solid:
         return found
 
     def _spacing_mm(self) -> float:
-        """Return the distance between points."""
+        """Return the spacing of the sample points, mm, at which their number does not exceed the maximum."""
         spacing = max(self.finest_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
         while self._count(spacing) > _MOST_SAMPLES:
             spacing *= 1.2
         return spacing
 
     def _count(self, spacing_mm: float) -> float:
-        """Estimate the number of points of all sources."""
+        """Estimate the number of sample points in all sources."""
         total = 0.0
         for number, (_, diameters) in enumerate(self.sources):
             disc = max(np.pi / 4.0 * float(np.mean(diameters**2)) / spacing_mm**2, _LEAST_A_DISC)
@@ -222,7 +239,10 @@ class Solid:
         return total
 
     def _leaf_of(self, point_mm: Array) -> Index:
-        """Return the row of the voxel of each point; missing voxels are added without measured volume."""
+        """Return the row of the voxel that contains each point (M, 3).
+
+        Missing voxels are added with zero measured volume.
+        """
         found = self.find(point_mm)
         if (found < 0).any():
             at = np.floor((point_mm[found < 0] - self.origin_mm) / self.voxel_mm).astype(np.int64)
@@ -231,7 +251,7 @@ class Solid:
             count = len(fresh)
             self.low, self.size = np.concatenate([self.low, fresh]), np.concatenate([self.size, np.ones(count, np.int64)])
             self.measured_mm3 = np.concatenate([self.measured_mm3, np.zeros(count)])
-            # tubes where the reconstruction has no volume take none from it: their share of the measured volume is 0
+            # added voxels have no measured volume to divide, so that their fraction is 0
             self._claim = np.concatenate([self._claim, np.zeros(count)])
             self._rest_mm3 = np.concatenate([self._rest_mm3, np.zeros(count)])
             self._rest_source = np.concatenate([self._rest_source, np.full(count, -1)])
@@ -239,7 +259,7 @@ class Solid:
         return found
 
     def _is_near(self, source: int, others: Sequence[int]) -> bool:
-        """Return whether the bounding box of a source is near that of any other."""
+        """Return whether the bounding box of a source is near the bounding box of any of ``others``."""
         box = [self._box(source), *(self._box(k) for k in others)]
         return any((box[0][0] < high + _NEAR_MM).all() and (box[0][1] > low - _NEAR_MM).all() for low, high in box[1:])
 
@@ -248,12 +268,12 @@ class Solid:
         reach = float(diameters.max()) / 2.0
         return points.min(axis=0) - reach, points.max(axis=0) + reach
 
-    def _share_rest(self) -> None:
-        """Assign volume that no tube explains to the nearest roots."""
+    def _assign_unexplained(self) -> None:
+        """Assign the volume that no tube explains to the nearest roots."""
         from scipy.spatial import cKDTree
 
         left = np.flatnonzero(self._rest_mm3 > 0.0)
-        parts = [_dense(k, *line) for k, line in enumerate(self.sources)]
+        parts = [_resample(k, *line) for k, line in enumerate(self.sources)]
         dense, radius, owner, along = (np.concatenate(part) for part in zip(*parts, strict=True))
         centre = self.centre_mm[left]
         reach = _NEAR_VOXELS * self.voxel_mm
@@ -268,11 +288,11 @@ class Solid:
         self._rest_source[left[taken]] = owner[best[taken]]
         self._rest_along[left[taken]] = along[best[taken]]
 
-    def _all_whole(self) -> dict[int, list[tuple[float, float]]]:
+    def _full_intervals(self) -> dict[int, list[tuple[float, float]]]:
         return {k: [(0.0, np.inf)] for k in range(len(self.sources))}
 
-    def _alive(self, pieces: Iterable[Piece]) -> dict[int, list[tuple[float, float]]]:
-        """Return the remaining stretches of each source."""
+    def _remaining_intervals(self, pieces: Iterable[Piece]) -> dict[int, list[tuple[float, float]]]:
+        """Return the remaining intervals of arc length of each source, mm."""
         found: dict[int, list[tuple[float, float]]] = {}
         for piece in pieces:
             low, high = sorted((piece.begin_mm, piece.end_mm))
@@ -281,8 +301,8 @@ class Solid:
             found.setdefault(piece.source, []).append((begin, end))
         return found
 
-    def _is_alive(self, alive: dict[int, list[tuple[float, float]]], source: Index | Numbers, along_mm: Array | Singles) -> Mask:
-        """Return whether positions on sources remain."""
+    def _is_remaining(self, alive: dict[int, list[tuple[float, float]]], source: Index | Numbers, along_mm: Array | Singles) -> Mask:
+        """Return whether each position (source, arc length) lies in a remaining interval (M,)."""
         flag = np.zeros(max(len(self.sources), 1), np.int8)
         for k, stretches in alive.items():
             flag[k] = _WHOLE if (0.0, np.inf) in stretches else _PART
@@ -294,29 +314,29 @@ class Solid:
                 there[asked] |= (along_mm[asked] >= low) & (along_mm[asked] < high)
         return there
 
-    def _painted(self, alive: dict[int, list[tuple[float, float]]], *, given: bool | None = None) -> Array:
-        """Return the volume (N,) of the remaining tubes in each voxel.
+    def _tube_volumes_mm3(self, alive: dict[int, list[tuple[float, float]]], *, given: bool | None = None) -> Array:
+        """Return the volume of the remaining tubes in each voxel (N,), mm3.
 
         Parameters
         ----------
         alive : dict of list
-            Remaining stretches, see `_alive`.
+            Remaining intervals of each source, see `_remaining_intervals`.
         given : bool or None
-            Sources of the reconstruction only, of corrections only, or all.
+            True: only sources of the reconstruction. False: only sources of corrections. None: all sources.
         """
         total = np.zeros(len(self.size))
         for part in self._parts:
             made = int(part.source[0]) >= self.given if len(part.source) and given is not None else None
             if given is not None and made == given:
                 continue
-            counted = self._is_alive(alive, part.source, part.along_mm)
-            counted[part.pair[self._is_alive(alive, part.cover, part.cover_mm)]] = False
+            counted = self._is_remaining(alive, part.source, part.along_mm)
+            counted[part.pair[self._is_remaining(alive, part.cover, part.cover_mm)]] = False
             total += np.bincount(part.leaf[counted], weights=part.volume_mm3[counted], minlength=len(total))
         return total
 
 
 def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
-    """Convert lines to tubes that share no nodes."""
+    """Convert centre lines to tubes that have no nodes in common."""
     from rhizotwin.recon.tubes.tubes import Tubes
 
     count = np.cumsum([0, *(len(points) for points, _ in lines)])
@@ -324,8 +344,8 @@ def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
     return Tubes(np.concatenate([points for points, _ in lines]), np.concatenate([diameters / 2.0 for _, diameters in lines]), branches)
 
 
-def _dense(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index, Array]:
-    """Return closely spaced points on a line, with radius, number and arc length."""
+def _resample(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index, Array]:
+    """Resample a line at 0.15 mm, and return points (M, 3), radii, the line's number and arc lengths (M,), mm."""
     way = polyline.arc_length_mm(points_mm)
     at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.15)) + 1))
     centre = polyline.interpolate(points_mm, way, at)

@@ -1,6 +1,6 @@
-"""The state of a result after corrections.
+"""Roots and voxels of a result after corrections.
 
-States are immutable: undo returns to an earlier one.
+States are immutable. Undo returns to an earlier state.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BRIDGE_MM = 0.3
-"""Distance between the points of a tube that joins two roots."""
+"""Maximum spacing of the nodes of a tube that joins two roots, mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """A root after a fit to the pictures."""
+    """Root after refitting to the pictures."""
 
     points_mm: Array
-    """(N, 3), as many points as before."""
+    """Points of the centre line (N, 3), mm, as many as before the fit."""
     diameters_mm: Array
-    """(N,)"""
+    """Diameter at each point (N,), mm."""
     stays: Mask
-    """(N,) whether a point was not fitted."""
+    """Whether a point was excluded from the fit (N,)."""
 
 
 Refit = Callable[[Lines], dict[int, Refitted]]
-"""Function that fits roots to the pictures."""
+"""Type of a function that fits all roots to the pictures and returns them by number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,32 +47,33 @@ class State:
     """Roots and voxels after corrections."""
 
     lines: Lines
+    """Remaining roots by number."""
     gone: Mask
-    """(N,) whether a voxel was deleted."""
+    """Whether a voxel was deleted (N,)."""
     removed: Lines
-    """Roots that were deleted, as they were before."""
+    """Deleted roots by number, as they were before the deletion."""
     next_number: int
-    """Number of the next new root."""
+    """Number that the next new root will have."""
     base_mm: tuple[float, float, float] | None = None
-    """Base of the plant, if it was set."""
+    """Base of the plant, mm, canister frame. None: not corrected."""
 
     @property
     def pieces(self) -> list[Piece]:
-        """Return all remaining parts of the sources."""
+        """Return the parts of all sources that remain after the corrections."""
         return [piece for line in self.lines.values() for piece in line.pieces]
 
     @property
     def length_mm(self) -> float:
-        """Return the total length of the roots."""
+        """Return the total length of the roots, mm."""
         return sum(line.length_mm for line in self.lines.values())
 
     def roots(self) -> tuple[Root, ...]:
-        """Convert the lines to roots, parents before children."""
+        """Convert the remaining lines to roots, sorted with parents before children."""
         return roots_of.as_roots(self.lines)
 
 
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
-    """Return the state of a result without corrections; its roots are the sources of the solid, in the same order."""
+    """Return the state of a result before corrections, in which root k is source k of the solid."""
     lines = roots_of.as_lines(roots)
     return State(lines, np.zeros(len(solid.size), bool), {}, len(lines))
 
@@ -85,86 +86,86 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
     state : State
         State before the correction.
     edit : Edit
-        The correction.
+        Correction to apply.
     solid : Solid
-        Voxels and sources; sources of new tubes are added to it.
+        Voxels and sources. Tubes that the correction creates are added as sources.
     refit : Refit or None
-        Needed for "fit".
+        Function that refits the roots, required by the correction "fit".
 
     Raises
     ------
     UserError
-        If the correction cannot be applied: a missing root, a cycle of parents.
+        If a root is missing, or a root would become its own ancestor.
     """
     if edit.do == "delete roots":
-        chosen = _there(state, edit)
+        chosen = _check_roots(state, edit)
         numbers = [k for root in chosen for k in (roots_of.descendants(state.lines, root) if edit.laterals else [root])]
-        return _without(state, numbers)
+        return _delete_roots(state, numbers)
     if edit.do == "restore roots":
-        return _restored(state, edit)
+        return _restore_roots(state, edit)
     if edit.do in ("delete voxels", "delete box"):
-        return _cleared(state, _rows(edit, solid), edit, solid)
+        return _delete_voxels(state, _rows(edit, solid), edit, solid)
     if edit.do == "restore voxels":
-        gone = _padded(state.gone, solid)
+        gone = _pad_mask(state.gone, solid)
         gone[_rows(edit, solid)] = False
         return replace(state, gone=gone)
     if edit.do == "fit":
         if refit is None:
-            raise UserError("refitting needs the pictures; give the dataset of the result")
-        return _refitted(state, refit(state.lines), solid)
+            raise UserError("refitting needs the pictures; specify the dataset of the result")
+        return _replace_refitted(state, refit(state.lines), solid)
     if edit.do == "base" and not state.lines:
         return replace(state, base_mm=_point(edit))
-    one = _there(state, edit)[0]
+    one = _check_roots(state, edit)[0]
     line = state.lines[one]
     if edit.do == "cut":
-        at = _inner(line, edit)
+        at = _inner_arc_length(line, edit)
         return replace(state, lines=roots_of.divide(state.lines, one, at, state.next_number), next_number=state.next_number + 1)
     if edit.do == "tip":
-        return _tipped(state, one, edit)
+        return _set_tip(state, one, edit)
     if edit.do == "base":
         return replace(state, lines=roots_of.reroot(state.lines, one, _point(edit)), base_mm=_point(edit))
-    other = _there(state, edit)[1] if len(edit.roots) > 1 else -1
+    other = _check_roots(state, edit)[1] if len(edit.roots) > 1 else -1
     if other < 0:
-        raise UserError(f"'{edit.do}' needs two roots; {len(edit.roots)} given")
+        raise UserError(f"correction '{edit.do}' needs two roots, but {len(edit.roots)} was given")
     if edit.do == "join":
-        return _joined(state, one, other, solid)
+        return _join(state, one, other, solid)
     if other in roots_of.descendants(state.lines, one):
         raise UserError(f"root {one} cannot become a lateral of root {other}, which is its descendant")
     return replace(state, lines=roots_of.inherit_plant({**state.lines, one: replace(line, parent=other)}, one))
 
 
-def _there(state: State, edit: Edit) -> list[int]:
-    """Return the roots of an edit, which must exist."""
+def _check_roots(state: State, edit: Edit) -> list[int]:
+    """Return the numbers of the roots to correct. Raise an error if a root does not exist."""
     lost = [root for root in edit.roots if root not in state.lines]
     if lost or not edit.roots:
-        raise UserError(f"'{edit.do}': root {lost[0]} does not exist" if lost else f"'{edit.do}' names no root")
+        raise UserError(f"correction '{edit.do}': root {lost[0]} does not exist" if lost else f"correction '{edit.do}' needs a root")
     return list(edit.roots)
 
 
 def _point(edit: Edit) -> tuple[float, float, float]:
     if edit.point_mm is None:
-        raise UserError(f"'{edit.do}' needs a point")
+        raise UserError(f"correction '{edit.do}' needs a point")
     return edit.point_mm
 
 
-def _inner(line: Line, edit: Edit) -> float:
-    """Return the arc length of an edit's point, which must not be an end of the root."""
+def _inner_arc_length(line: Line, edit: Edit) -> float:
+    """Return the arc length at the correction's point, mm. Raise an error if the point is an end of the root."""
     at, length = line.nearest_mm(_point(edit)), line.length_mm
     if not 1e-6 < at < length - 1e-6:
-        raise UserError(f"'{edit.do}': the point is an end of root {edit.roots[0]}; choose one between its ends")
+        raise UserError(f"correction '{edit.do}': the point is an end of root {edit.roots[0]}; choose a point between the two ends")
     return at
 
 
-def _without(state: State, numbers: list[int]) -> State:
+def _delete_roots(state: State, numbers: list[int]) -> State:
     removed = {**state.removed, **{k: state.lines[k] for k in numbers if k in state.lines}}
     return replace(state, lines=roots_of.remove(state.lines, numbers), removed=removed)
 
 
-def _restored(state: State, edit: Edit) -> State:
-    """Restore roots, with their parents if these exist."""
+def _restore_roots(state: State, edit: Edit) -> State:
+    """Restore deleted roots. Roots whose parents do not exist become roots without a parent."""
     lost = [root for root in edit.roots if root not in state.removed]
     if lost:
-        raise UserError(f"'{edit.do}': root {lost[0]} was not deleted")
+        raise UserError(f"correction '{edit.do}': root {lost[0]} cannot be restored, because it was not deleted")
     lines = {**state.lines, **{k: state.removed[k] for k in edit.roots}}
     for k in edit.roots:
         if lines[k].parent not in lines:
@@ -173,24 +174,24 @@ def _restored(state: State, edit: Edit) -> State:
 
 
 def _rows(edit: Edit, solid: Solid) -> NDArray[np.int64]:
-    """Return the voxels of an edit."""
+    """Return the row numbers of the voxels to correct."""
     if edit.box_mm is not None:
         return solid.leaves_in(*edit.box_mm)
     rows = np.concatenate([np.zeros(0, np.int64), *(np.arange(first, first + count) for first, count in edit.runs)])
     if len(rows) and rows.max() >= len(solid.size):
-        raise UserError(f"'{edit.do}': there is no voxel {rows.max()}; the shape has {len(solid.size)}")
+        raise UserError(f"correction '{edit.do}': voxel {rows.max()} does not exist; the shape has {len(solid.size)} voxels")
     return rows
 
 
-def _padded(gone: Mask, solid: Solid) -> Mask:
+def _pad_mask(gone: Mask, solid: Solid) -> Mask:
     return np.concatenate([gone, np.zeros(len(solid.size) - len(gone), bool)])
 
 
-def _cleared(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) -> State:
-    """Delete voxels, and the parts of roots inside them or inside the edit's box."""
-    gone = _padded(state.gone, solid)
+def _delete_voxels(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) -> State:
+    """Delete voxels, and the parts of roots inside these voxels or inside the correction's box."""
+    gone = _pad_mask(state.gone, solid)
     gone[rows] = True
-    now = np.zeros(len(solid.size) + 1, bool)  # the last one represents points outside all voxels
+    now = np.zeros(len(solid.size) + 1, bool)  # the last entry represents points outside all voxels
     now[rows] = True
 
     def inside(points_mm: Array) -> Mask:
@@ -203,20 +204,20 @@ def _cleared(state: State, rows: NDArray[np.int64], edit: Edit, solid: Solid) ->
     return replace(state, gone=gone, lines=lines, removed=removed, next_number=max([state.next_number, *(k + 1 for k in lines)]))
 
 
-def _tipped(state: State, number: int, edit: Edit) -> State:
-    """End a root at a point; the part beyond is deleted with its laterals."""
+def _set_tip(state: State, number: int, edit: Edit) -> State:
+    """Set the tip of a root at a point, and delete the part beyond the point with its laterals."""
     line = state.lines[number]
     at = line.nearest_mm(_point(edit))
     if at >= line.length_mm - 1e-6:
         return replace(state, lines={**state.lines, number: replace(line, tip_seen=True)})
-    at = _inner(line, edit)
+    at = _inner_arc_length(line, edit)
     lines = roots_of.divide(state.lines, number, at, state.next_number)
-    cut = _without(replace(state, lines=lines, next_number=state.next_number + 1), roots_of.descendants(lines, state.next_number))
+    cut = _delete_roots(replace(state, lines=lines, next_number=state.next_number + 1), roots_of.descendants(lines, state.next_number))
     return replace(cut, lines={**cut.lines, number: replace(cut.lines[number], tip_seen=True)})
 
 
-def _joined(state: State, one: int, other: int, solid: Solid) -> State:
-    """Make a root the continuation of another, with a straight tube in between; it takes over the laterals."""
+def _join(state: State, one: int, other: int, solid: Solid) -> State:
+    """Append root ``other`` with its laterals to root ``one``, with a straight tube between both."""
     if one in roots_of.descendants(state.lines, other)[1:]:
         raise UserError(f"root {one} cannot be joined to root {other}, which is its ancestor")
     first, second = state.lines[one], state.lines[other]
@@ -248,8 +249,8 @@ def _joined(state: State, one: int, other: int, solid: Solid) -> State:
     return replace(state, lines=lines)
 
 
-def _refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
-    """Replace roots by fitted ones; parts that were not fitted keep their volume."""
+def _replace_refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
+    """Replace roots by their fitted geometry. Parts that were excluded from the fit keep their volume."""
     changed = {number: root for number, root in found.items() if not root.stays.all()}
     runs = {number: _runs(root.stays) for number, root in changed.items()}
     made = [(number, a, b) for number in changed for a, b, stays in runs[number] if not stays]
@@ -272,7 +273,7 @@ def _refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
 
 
 def _runs(stays: Mask) -> list[tuple[int, int, bool]]:
-    """Return stretches (first, last, whether they were not fitted); neighbours share a point."""
+    """Return runs of points (first, last, whether excluded from the fit). Adjacent runs share a point."""
     held = stays[:-1] & stays[1:]
     edges = [0, *(np.flatnonzero(held[1:] != held[:-1]) + 1).tolist(), len(held)]
     return [(a, b, bool(held[a])) for a, b in pairwise(edges)]

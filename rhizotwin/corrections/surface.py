@@ -1,4 +1,4 @@
-"""The surface of a corrected shape: the original one, closed where parts were deleted, with tubes for new roots."""
+"""Surface mesh of a corrected shape: holes after deletions are closed, and tubes are added for new roots."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 _LOST = 0.5
-"""A face is removed where the voxels around it lost more than this fraction of their volume."""
+"""Maximum fraction of volume that the voxels around a face may lose before the face is removed."""
 
 
 def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> trimesh.Trimesh:
-    """Return the surface of a corrected shape.
+    """Return the surface mesh of a corrected shape.
 
     Parameters
     ----------
     mesh : Mesh
-        Surface before corrections.
+        Surface mesh before corrections.
     solid, state : Solid, State
-        Voxels, and roots after corrections.
+        Voxels of the shape, and roots after corrections.
     volumes_mm3 : (N,) float64 array
-        Volume in each voxel after corrections.
+        Volume in each voxel after corrections, mm3.
     """
-    kept = _kept(mesh, solid, volumes_mm3)
-    vertices, faces = (mesh.vertices_mm, mesh.faces) if kept.all() else _closed(mesh.vertices_mm, mesh.faces, kept)
-    parts = [(vertices, faces), *_made(solid, state)]
+    kept = _faces_to_keep(mesh, solid, volumes_mm3)
+    vertices, faces = (mesh.vertices_mm, mesh.faces) if kept.all() else _close_holes(mesh.vertices_mm, mesh.faces, kept)
+    parts = [(vertices, faces), *_added_tubes(solid, state)]
     first = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     whole = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first, strict=True)])
     made = trimesh.Trimesh(np.concatenate([points for points, _ in parts]), whole, process=False)
@@ -40,18 +40,18 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
     return made
 
 
-def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
-    """Return which faces (F,) remain: those whose voxels kept their volume, or that are in none."""
+def _faces_to_keep(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
+    """Return which faces (F,) remain, because their voxels kept their volume or because they lie in no voxel."""
     middle = mesh.vertices_mm[mesh.faces].mean(axis=1)
     kept = np.ones(len(middle), bool)
     lost = np.flatnonzero(volumes_mm3 < solid.measured_mm3[: len(volumes_mm3)])
     if not len(lost):
         return kept
-    near = np.flatnonzero(_beside(middle, solid.centre_mm[lost], np.asarray((0.5 * solid.size[lost] + 1.0) * solid.voxel_mm)))
-    middle = middle[near]  # unchanged elsewhere
+    near = np.flatnonzero(_may_be_inside(middle, solid.centre_mm[lost], np.asarray((0.5 * solid.size[lost] + 1.0) * solid.voxel_mm)))
+    middle = middle[near]  # all other faces remain
     away = [np.array(step, np.float64) for step in np.ndindex(3, 3, 3)]
     before, after = np.zeros(len(middle)), np.zeros(len(middle))
-    for step in away:  # a face may be in the empty voxel beside the one that it bounds
+    for step in away:  # a face may lie in the empty voxel next to the voxel that it bounds
         row = solid.find(middle + (step - 1.0) * 0.5 * solid.voxel_mm)
         there = row >= 0
         before[there] += solid.measured_mm3[row[there]]
@@ -60,9 +60,12 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
     return kept
 
 
-def _beside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
-    """Return which points (N, 3) may be in cubes (M, 3) with half edges (M,): those in grid cells that cubes touch."""
-    cell_mm = 2.0 * float(reach_mm.max())  # then each cell that a cube touches contains a corner of it
+def _may_be_inside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
+    """Return which points (N, 3) may lie in cubes with centres (M, 3) and half edges (M,), mm.
+
+    The test is conservative, because it is made on a coarse grid.
+    """
+    cell_mm = 2.0 * float(reach_mm.max())  # then each cell that a cube overlaps contains a corner of the cube
     low = (centre - reach_mm[:, None]).min(axis=0)
     touched = np.zeros(np.ceil(np.ptp(centre, axis=0) / cell_mm).astype(int) + 3, bool)
     for corner in np.ndindex(2, 2, 2):
@@ -73,8 +76,8 @@ def _beside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
     return within
 
 
-def _closed(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Array, Faces]:
-    """Remove faces and close the holes with fans about their centres."""
+def _close_holes(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Array, Faces]:
+    """Remove the faces outside ``kept`` and close each hole with triangles between its rim and its centre."""
     rim = np.zeros(len(vertices), bool)
     rim[faces[~kept]] = True
     faces = faces[kept]
@@ -110,7 +113,7 @@ def _closed(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Arr
     return np.concatenate(points), np.concatenate([faces, *fans])
 
 
-def _made(solid: Solid, state: State) -> list[tuple[Array, Faces]]:
-    """Return the tubes of the sources that corrections added."""
+def _added_tubes(solid: Solid, state: State) -> list[tuple[Array, Faces]]:
+    """Return vertices and faces of the tubes that corrections added."""
     numbers = sorted({piece.source for piece in state.pieces if piece.source >= solid.given})
     return [tube(*solid.sources[number]) for number in numbers]

@@ -1,1 +1,1 @@
-"""Analysis of many results: mass models, growth over time, and comparison of treatments."""
+"""Analysis of many results: mass models, growth over time and comparison of treatments."""

@@ -1,9 +1,9 @@
 """Rigid registration of the roots of one plant at two ages.
 
 The canister frame is defined by the marker strip on the net pot. A plant that stays in its pot is therefore already
-aligned up to pose errors and movements of the pot in the strip. The remaining rigid motion is estimated by iterated
-closest points (Besl and McKay 1992, trimmed as in Chetverikov et al. 2002) from the younger plant's centre lines to
-those of the older plant, which include them.
+aligned up to pose errors and movements of the pot in the strip. The remaining rigid motion is estimated with the
+iterative closest point algorithm (Besl and McKay 1992, trimmed as in Chetverikov et al. 2002). It moves the younger
+plant's centre lines onto those of the older plant, which include them.
 """
 
 from collections.abc import Sequence
@@ -20,31 +20,33 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 STEP_MM = 0.5
-"""Distance between the sample points of a centre line, about one root diameter."""
+"""Spacing of the sample points on a centre line, mm, about one root diameter."""
 KEPT = 0.7
-"""Fraction of the younger plant's points used in the fit. The others were traced at one age only, or moved."""
+"""Fraction of the younger plant's points, nearest to the older plant, that are used in the fit. The remaining points
+lie on roots that moved or were traced at one age only."""
 MOST_ROUNDS = 60
+"""Maximum number of iterations of the registration."""
 STILL_MM = 1e-4
-"""The iteration ends when no point moves farther than this."""
+"""Maximum change of a coordinate in an iteration at which the algorithm has converged, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aligned:
-    """Registration of an older plant to the frame of the younger one."""
+    """Registration of an older plant to the frame of the same plant at a younger age."""
 
     younger_from_older: Array
-    """(4, 4)"""
+    """Homogeneous transform (4, 4) from the older to the younger plant's frame, mm."""
     residual_mm: float
-    """Median distance of the younger plant's points from the older plant's centre lines."""
+    """Median distance of the younger plant's points from the older plant's centre lines, mm."""
 
     def of(self, root_mm: Array) -> Array:
-        """Transform points (N, 3) of the older plant to the frame of the younger one."""
+        """Transform points (N, 3) of the older plant to the younger plant's frame, mm."""
         moved: Array = root_mm @ self.younger_from_older[:3, :3].T + self.younger_from_older[:3, 3]
         return moved
 
 
 def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
-    """Sample points (N, 3) about ``step_mm`` apart along a root, with the unit direction (N, 3) at each."""
+    """Sample points (N, 3) about ``step_mm`` apart along a root, and return them with their unit directions (N, 3)."""
     way = polyline.arc_length_mm(root.points_mm)
     count = max(2, int(np.ceil(way[-1] / step_mm)) + 1)
     at = np.linspace(0.0, way[-1], count)
@@ -54,27 +56,25 @@ def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
 
 
 def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
-    """Register the younger plant to the older one.
+    """Register the roots of a plant at two ages.
 
-    The iteration starts from the marker strip's alignment and from coinciding root bases; the better result is
-    returned.
-
-    Both lists begin with the taproot and contain at least one root.
+    Both lists begin with the taproot and contain at least one root. The algorithm runs twice, from the alignment by the
+    marker strip and from coinciding root bases. The registration with the smaller residual is returned.
     """
     young = np.concatenate([points_of(root)[0] for root in younger])
     old = np.concatenate([points_of(root)[0] for root in older])
     tree = cKDTree(old)
     base = np.eye(4)
     base[:3, 3] = older[0].points_mm[0] - younger[0].points_mm[0]
-    tried = [_closest(young, old, tree, begin) for begin in (np.eye(4), base)]
+    tried = [_iterate_closest_points(young, old, tree, begin) for begin in (np.eye(4), base)]
     older_from_younger, residual = min(tried, key=lambda one: one[1])
     return Aligned(younger_from_older=frames.invert(older_from_younger), residual_mm=residual)
 
 
-def _closest(young: Array, old: Array, tree: cKDTree, begin: Array) -> tuple[Array, float]:
-    """Estimate the motion (4, 4) from points to other points, and the median distance of the points used.
+def _iterate_closest_points(young: Array, old: Array, tree: cKDTree, begin: Array) -> tuple[Array, float]:
+    """Estimate the rigid motion (4, 4) from ``young`` to ``old`` points, and the median distance of the moved points.
 
-    The iteration starts from the given motion.
+    The iteration starts from the motion ``begin`` (4, 4).
     """
     motion = begin.copy()
     for _ in range(MOST_ROUNDS):

@@ -1,8 +1,8 @@
-"""Models of mass as a function of a trait.
+"""Fit models that predict the mass of a plant from a trait.
 
-The logarithm of a mass is a linear function of the logarithm of a trait (`experiment.york`, errors in both variables),
-because plants vary by factors over a fifty-fold range of mass. With the slope 1 on the volume, the model is a density.
-The model is selected by leave-one-out cross-validation.
+The logarithm of the mass is a linear function of the logarithm of the trait (`experiment.york`, errors in both
+variables), because plants vary by factors over a fifty-fold range of mass. A model with slope 1 on the volume is a
+density. The model is selected by leave-one-out cross-validation.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,15 @@ from rhizotwin.scenes.errors import UserError
 Array = NDArray[np.float64]
 
 TRAITS = ("volume", "total_length", "surface", "leaf_area", "shoot_projected_area", "shoot_volume")
-"""Candidate predictors of a mass."""
+"""Traits from which a mass may be predicted."""
 LEAST_PLANTS = 4
-"""Minimum number of plants: a line with two parameters needs three points for an uncertainty, one more for
-leave-one-out."""
+"""Minimum number of plants for a fit. A line with two parameters needs three points for an uncertainty, and
+leave-one-out cross-validation needs one more."""
 SHARE = 0.9
-"""Coverage of the intervals."""
+"""Coverage probability of the prediction intervals."""
 MIXED = 100.0
-"""If the mass per volume of a plant differs from the others by this factor, its mass has another unit: species differ
-by less than ten times."""
+"""Ratio of mass per volume between a plant and the median of all plants (or the inverse ratio) above which the unit of
+the mass is assumed to be wrong. Species differ by less than a factor of ten."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,29 +35,31 @@ class Relation:
     """Relation between a mass and a trait: ``ln(g) = intercept + slope * ln(trait)``."""
 
     kind: str
-    """One of `masses.KINDS`."""
+    """Kind of mass, one of `masses.KINDS`."""
     trait: str
-    """Name of the trait, with the unit of `scenes.trait_table`."""
+    """Name of the trait, whose unit is defined in `scenes.trait_table`."""
     proportional: bool
     """Whether the slope is fixed at 1."""
     line: Line
+    """Fitted line between the logarithms of trait and mass (g)."""
     least: float
     """Minimum of the trait among the fitted plants."""
     most: float
     """Maximum of the trait among the fitted plants."""
     plants: int
+    """Number of fitted plants."""
     error: float
-    """Leave-one-out error: root mean square of the relative errors."""
+    """Root mean square of the relative errors in leave-one-out cross-validation."""
     held: float
-    """Fraction of the left-out plants within their interval."""
+    """Fraction of masses within their prediction interval in leave-one-out cross-validation."""
 
     @property
     def name(self) -> str:
-        """Name of the relation."""
+        """Description of the relation, such as ``root_fresh from volume``."""
         return f"{self.kind} from {self.trait}" + ("" if self.proportional else f" to the power {self.line.slope:.2f}")
 
     def predict(self, value: float, sigma: float) -> tuple[float, float, float]:
-        """Predict the mass in grams and its 90 % interval from a trait and the standard deviation of its logarithm."""
+        """Predict the mass, g, and its 90 % interval from a trait and the standard deviation of its logarithm."""
         (middle,), (spread,) = self.line.at(np.array([np.log(value)]), x_sigma=sigma)
         reach = self.line.reach(SHARE) * spread
         return float(np.exp(middle)), float(np.exp(middle - reach)), float(np.exp(middle + reach))
@@ -65,11 +67,12 @@ class Relation:
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """Fitted model."""
+    """Fitted mass model of a species."""
 
     species: str
+    """Name of the species. Empty if unknown."""
     relations: tuple[Relation, ...]
-    """Selected relation of each kind of mass."""
+    """Selected relation for each kind of mass."""
     tried: tuple[Relation, ...]
     """All relations that were compared."""
     notes: tuple[str, ...]
@@ -78,24 +81,24 @@ class Model:
 
 @dataclass(frozen=True)
 class Pair:
-    """A plant with measured traits and weighed masses."""
+    """Measured traits and weighed masses of the same plant."""
 
     measured: Measured
     weighed: Weighed
 
 
 def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[list[Pair], list[str]]:
-    """Match results and masses by plant, and by day if the masses have one.
+    """Match results with masses by plant, and by day if the table of masses contains days.
 
     Returns
     -------
     list of Pair, list of str
-        Pairs, and a sentence for each result or mass without a partner.
+        Pairs of results and masses, and a sentence for each result or mass that could not be matched.
 
     Raises
     ------
     UserError
-        If two results match one weighed plant, or units are mixed.
+        If two results match the same weighed plant, or masses have different units.
     """
     found: list[Pair] = []
     notes = []
@@ -104,21 +107,22 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
         same = [m for m in of_plant if one.subject.day is None or m.subject.day is None or m.subject.day == one.subject.day]
         if len(same) > 1:
             raise UserError(
-                f"{one.where}: two results of plant {one.subject.plant} match, {same[0].name} and {same[1].name}; add the day to the table"
+                f"{one.where}: plant {one.subject.plant} matches two results, {same[0].name} and {same[1].name}; "
+                "add a column 'day' to the table"
             )
         if not same:
-            notes.append(f"{one.where}: no result of plant {one.subject.plant}{'' if not of_plant else ' on this day'}")
+            notes.append(f"{one.where}: plant {one.subject.plant} has no result{'' if not of_plant else ' on this day'}")
         else:
             found.append(Pair(same[0], one))
     met = {id(pair.measured) for pair in found}
-    notes += [f"{m.who}: no mass in the table" for m in measured if id(m) not in met]
+    notes += [f"{m.who}: the table contains no mass of this plant" for m in measured if id(m) not in met]
     notes += exclusion_notes([pair.measured for pair in found], TRAITS)
     _check_units(found)
     return found, notes
 
 
 def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, float]]:
-    """Return the mass per volume of each plant in g/ml (thesis, table 4.1)."""
+    """Return the mass per volume of each plant, g/ml (thesis, table 4.1)."""
     with_both = [(pair, pair.measured.usable("volume")) for pair in found if kind in pair.weighed.grams]
     return [(pair, pair.weighed.grams[kind] / (volume / 1000.0)) for pair, volume in with_both if volume is not None]
 
@@ -133,12 +137,12 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
     Parameters
     ----------
     balance_g : float
-        Readability of the balance, used as the standard deviation of a mass.
+        Readability of the balance, g, used as the standard deviation of a mass.
 
     Raises
     ------
     UserError
-        If too few plants have a mass, or the plants belong to two species.
+        If too few plants have a mass, or the plants are of two species.
     """
     species = one_species([pair.measured for pair in found])
     tried: list[Relation] = []
@@ -148,17 +152,18 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
             chosen = [pair for pair in found if kind in pair.weighed.grams and pair.measured.usable(trait) is not None]
             plants = len({pair.measured.subject.plant for pair in chosen})
             if plants >= LEAST_PLANTS:
-                values = {pair.measured.traits[trait] for pair in chosen}  # with one plant left out, two values must differ for a power law
+                values = {
+                    pair.measured.traits[trait] for pair in chosen
+                }  # a power law needs two different values after one plant is excluded
                 powers = (True, False) if len(values) > 2 else (True,)
                 tried += [_relation(chosen, kind, trait, held, balance_g) for held in powers]
             elif chosen and trait == "volume":
-                remarks.append(f"{kind}: {plants} plants with volume and mass, at least {LEAST_PLANTS} are required")
+                remarks.append(f"{kind}: {plants} plants have a volume and a mass, but a fit needs at least {LEAST_PLANTS}")
     best = tuple(_best([relation for relation in tried if relation.kind == kind]) for kind in dict.fromkeys(r.kind for r in tried))
     if not best:
         why = remarks or ["check that results and table use the same plant names"]
         raise UserError(
-            f"a fit requires {LEAST_PLANTS} plants with mass and reliable traits, "
-            f"but {len(found)} results match the table: {'; '.join(why)}"
+            f"a fit needs {LEAST_PLANTS} plants with a mass and reliable traits, but {len(found)} results match the table: {'; '.join(why)}"
         )
     return Model(species=species, relations=best, tried=tuple(tried), notes=tuple(remarks))
 
@@ -171,7 +176,7 @@ def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool,
     x, y, y_sigma = np.log(value), np.log(mass), balance_g / mass
     slope = 1.0 if proportional else None
     error, held = np.empty(len(x)), np.empty(len(x), bool)
-    for plant in np.unique(plants):  # all days of a plant are left out together
+    for plant in np.unique(plants):  # all days of a plant are excluded together
         out = plants == plant
         line = fit_line(x[~out], y[~out], value_sigma[~out], y_sigma[~out], slope=slope)
         middle, spread = line.at(x[out], x_sigma=value_sigma[out], y_sigma=y_sigma[out])
@@ -191,9 +196,9 @@ def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool,
 
 
 def _best(tried: Sequence[Relation]) -> Relation:
-    """Return the simplest relation whose error is within one standard error of the smallest.
+    """Return the simplest relation whose error is within one standard error of the minimum error.
 
-    The relative standard error of a root mean square of n values is 1 / sqrt(2 n).
+    The relative standard error of the root mean square of n values is 1 / sqrt(2 n).
     """
     least = min(relation.error for relation in tried)
     near = [relation for relation in tried if relation.error <= least * (1.0 + (2.0 * relation.plants) ** -0.5)]
@@ -201,7 +206,7 @@ def _best(tried: Sequence[Relation]) -> Relation:
 
 
 def _check_units(found: Sequence[Pair]) -> None:
-    """Reject a plant whose mass per volume differs a hundredfold from the others, which indicates another unit."""
+    """Raise an error if the mass per volume of a plant differs from the median by a factor of `MIXED`."""
     for kind in KINDS:
         known = ratios(found, kind)
         if len(known) < LEAST_PLANTS:
@@ -210,20 +215,20 @@ def _check_units(found: Sequence[Pair]) -> None:
         for pair, ratio in known:
             if not 1.0 / MIXED < ratio / middle < MIXED:
                 found_mass = f"{kind} of {pair.measured.who} is {pair.weighed.grams[kind]:g} g, {ratio / middle:.3g} times the value"
-                raise UserError(f"{pair.weighed.where}: {found_mass} expected from its volume; check the unit")
+                raise UserError(f"{pair.weighed.where}: {found_mass} expected from its volume; check the unit of the mass")
 
 
-def known_for(model: Model, measured: Measured) -> tuple[Relation, ...]:
-    """Return the relations of a model whose traits a result has.
+def applicable_relations(model: Model, measured: Measured) -> tuple[Relation, ...]:
+    """Return the relations of a model whose traits were measured in a result.
 
     Raises
     ------
     UserError
-        If the plant belongs to another species.
+        If the plant's species is not that of the model.
     """
     if model.species and measured.subject.species and model.species != measured.subject.species:
         raise UserError(
-            f"{measured.who} belongs to the species {measured.subject.species}, but "
-            f"the model was fitted to {model.species}; fit a model for it"
+            f"{measured.who} is of the species {measured.subject.species}, but "
+            f"the model was fitted to {model.species}; fit a model for this species"
         )
     return tuple(relation for relation in model.relations if measured.traits.get(relation.trait, 0.0) > 0.0)

@@ -1,10 +1,10 @@
 """Growth statistics: relative growth rates, means with intervals, and comparison of treatments.
 
-The logarithm of a trait of plant i on day t follows a linear mixed model (Laird and Ware 1982, Biometrics 38:963): one
+The logarithm of a trait of plant i on day t follows a linear mixed model (Laird and Ware 1982, Biometrics 38:963): a
 fixed level per day, a fixed effect of the treatment on the mean day and on the daily rate, and a random level and slope
-per plant. Treatments are compared between plants, however many times each plant is measured; the t statistic therefore
-has (plants - treatments) degrees of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and
-Simulation 37:69).
+per plant. The plants are the statistical units, however many times each plant is measured. The t statistic of a
+difference between treatments therefore has (plants - treatments) degrees of freedom (Schluchter and Elashoff 1990,
+Journal of Statistical Computation and Simulation 37:69).
 """
 
 import warnings
@@ -24,9 +24,9 @@ Array = NDArray[np.float64]
 SURE = 0.05
 """Significance level for differences between treatments."""
 ROUNDING = 1e-12
-"""Numerical tolerance: logarithms of equal traits differ by no more than this."""
+"""Numerical tolerance below which a difference of logarithms is assumed to be zero."""
 LEAST_PLANTS = 2
-"""Minimum number of plants per treatment."""
+"""Minimum number of plants per treatment for a comparison."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,35 +34,47 @@ class Observation:
     """Value of a trait of one plant on one day."""
 
     plant: str
+    """Name of the plant."""
     treatment: str
+    """Name of the treatment."""
     day: float
+    """Day of the experiment."""
     value: float
+    """Value of the trait."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """Mean of a treatment on one day."""
+    """Mean of a trait over the plants of a treatment on one day."""
 
     treatment: str
+    """Name of the treatment."""
     day: float
+    """Day of the experiment."""
     mean: float
+    """Mean over the plants."""
     low: float
-    """Lower end of the 90 % interval of the mean, with ``high`` as the upper end; equal to the mean for one plant."""
+    """Lower end of the 90 % interval of the mean, equal to the mean for a single plant."""
     high: float
+    """Upper end of the 90 % interval of the mean."""
     plants: int
+    """Number of plants."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """Coefficient of the model, with its standard error and the degrees of freedom of its t statistic."""
+    """Estimated coefficient of the model with its uncertainty."""
 
     value: float
+    """Estimate of the coefficient."""
     error: float
+    """Standard error of the coefficient."""
     dof: int
+    """Degrees of freedom of the t statistic."""
 
     @property
     def interval(self) -> tuple[float, float]:
-        """90 % interval."""
+        """90 % interval of the coefficient."""
         reach = float(student.ppf(0.95, self.dof)) * self.error
         return self.value - reach, self.value + reach
 
@@ -70,7 +82,7 @@ class Effect:
     def p(self) -> float:
         """Two-sided p value of the coefficient.
 
-        Without residual variation it is 0 or 1.
+        The p value is 0 or 1 if the standard error is zero.
         """
         if self.error <= ROUNDING:
             return 1.0 if abs(self.value) <= ROUNDING else 0.0
@@ -79,23 +91,28 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Difference between a treatment and the reference treatment."""
+    """Difference of a trait between a treatment and the reference treatment."""
 
     treatment: str
+    """Name of the treatment."""
     against: str
+    """Name of the reference treatment."""
     size: float
-    """Ratio of the trait between the treatments on the mean day."""
+    """Ratio of the trait between both treatments on the mean day."""
     size_interval: tuple[float, float]
-    """90 % interval."""
+    """90 % interval of the ratio of the trait between both treatments."""
     size_p: float
+    """p value of the ratio of the trait between both treatments."""
     rate_per_day: float
-    """Difference of the relative growth rates."""
+    """Difference of the relative growth rates, 1/day."""
     rate_p: float
+    """p value of the difference of the relative growth rates."""
     plants: int
+    """Number of plants in both treatments."""
 
     @property
     def is_significant(self) -> bool:
-        """Whether the sizes differ significantly; the p value of the rate is reported separately."""
+        """Whether the ratio of the trait differs significantly from 1. The growth rate is not taken into account."""
         return self.size_p < SURE
 
 
@@ -111,9 +128,9 @@ def means(seen: Sequence[Observation]) -> list[Point]:
 
 
 def relative_rates(seen: Sequence[Observation]) -> list[tuple[str, float, float, float]]:
-    """Return plant, start day, end day and relative growth rate per day.
+    """Return relative growth rates between consecutive days as (plant, first day, last day, rate per day).
 
-    The rate is the change of the logarithm divided by the time (Hunt 1982).
+    The relative growth rate is the change of the trait's logarithm divided by the time (Hunt 1982).
     """
     rates = []
     for plant in dict.fromkeys(one.plant for one in seen):
@@ -123,21 +140,21 @@ def relative_rates(seen: Sequence[Observation]) -> list[tuple[str, float, float,
 
 
 def _plants(seen: Sequence[Observation]) -> dict[str, set[str]]:
-    """Return the plants of each treatment, treatments ordered by name."""
+    """Return the names of the plants of each treatment, sorted by treatment."""
     return {name: {one.plant for one in seen if one.treatment == name} for name in sorted({one.treatment for one in seen})}
 
 
 def too_few(seen: Sequence[Observation]) -> str:
-    """Return the reason why treatments cannot be compared; empty if they can, or if there is only one."""
+    """Return the reason why treatments cannot be compared, empty if they can, or if there is a single treatment."""
     plants = _plants(seen)
     few = [name for name, own in plants.items() if len(own) < LEAST_PLANTS]
     if len(plants) < 2 or not few:
         return ""
-    return f"treatment {few[0]!r} has {len(plants[few[0]])} plant; each treatment requires at least {LEAST_PLANTS}"
+    return f"treatment {few[0]!r} has {len(plants[few[0]])} plant, but a comparison needs at least {LEAST_PLANTS} plants per treatment"
 
 
 def differences(seen: Sequence[Observation]) -> list[Difference]:
-    """Compare each treatment with the first one by name.
+    """Compare each treatment with the reference treatment, which is the first in alphabetical order.
 
     Raises
     ------
@@ -171,19 +188,19 @@ def _difference(seen: Sequence[Observation], *, against: str, treatment: str, pl
 
 
 def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], list[Effect]]:
-    """Estimate the effect of each covariate on the logarithm of a trait on the mean day, and on its daily rate.
+    """Estimate the effect of each covariate on the logarithm of a trait on the mean day, and on the daily growth rate.
 
     Parameters
     ----------
     seen : sequence of Observation
         Observations of at least ``C + 2`` plants.
     columns : (N, C) array of float
-        Covariates of the plants, such as 1 for treated plants, or a dose.
+        Covariates of each observation's plant, for example 0 or 1 for the treatment, or a dose.
 
     Returns
     -------
     tuple of list of Effect
-        Effects on the size and on the rate, one per covariate; the second list is empty for a single day.
+        Effects on the logarithm and on the rate, one per covariate. The second list is empty for a single day.
 
     Raises
     ------
@@ -203,15 +220,18 @@ def effects(seen: Sequence[Observation], columns: Array) -> tuple[list[Effect], 
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
-    """Return the fixed effects and their standard errors.
+    """Fit a mixed model and return its fixed effects (P,) and their standard errors (P,).
 
-    With one observation per plant, the random level cannot be estimated. Powell's method is used because the likelihood
-    has no gradient where a variance is 0; gradient methods stopped early for four of twelve sets of plants.
+    With one observation per plant, the random level cannot be estimated and ordinary least squares is used. Powell's
+    method is used because the likelihood has no gradient where a variance is zero. Gradient methods stopped early for
+    four of twelve sets of plants.
     """
     try:
         import statsmodels.api as models
     except ModuleNotFoundError:
-        raise UserError("comparing treatments requires statsmodels: pip install 'rhizotwin[experiment]'") from None
+        raise UserError(
+            "the comparison of treatments needs the package statsmodels; install it with: pip install 'rhizotwin[experiment]'"
+        ) from None
     if len(set(plants)) == len(plants):
         fitted = models.OLS(y, design).fit()
         return np.asarray(fitted.params), np.asarray(fitted.bse)
@@ -225,6 +245,6 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
             value = error = np.full(design.shape[1], np.nan)
     if np.isfinite(value).all() and np.isfinite(error).all():
         return value, error
-    # plants without any variation: the mixed model without a random effect of the plant
+    # without variation among plants, the random effect of the plant is omitted from the model
     plain = models.OLS(y, design).fit()
     return np.asarray(plain.params), np.asarray(plain.bse)

@@ -1,8 +1,8 @@
 """Dose response of traits to the ion concentrations of the nutrient solution.
 
-The model is that of `compare`, with concentrations instead of a treatment: the logarithm of a trait is one level per
-day plus a slope times the concentration. Ions that vary together share one slope, because their effects cannot be
-separated. Linearity is tested with the squared concentrations.
+The model is that of `compare`, with concentrations instead of a treatment. The logarithm of a trait is the sum of a
+level per day and a slope times the concentration. Ions whose concentrations are correlated have a common slope, because
+their effects cannot be separated. Linearity is tested with the squared concentrations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +20,11 @@ from rhizotwin.scenes.solution import UNIT
 Array = NDArray[np.float64]
 
 MOST_SHARED = 0.9
-"""Squared correlation between two ions above which they form one group; equivalent to a variance inflation factor of 10
-(Marquardt 1970, Technometrics 12:591)."""
+"""Maximum squared correlation between the concentrations of two ions that are fitted separately, equivalent to a
+variance inflation factor of 10 (Marquardt 1970, Technometrics 12:591)."""
 _SAME = 1e-6
-"""Relative tolerance; tables have seven digits."""
+"""Relative tolerance within which two concentrations are equal. The tolerance exceeds rounding errors in tables, which
+contain seven digits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,22 +32,27 @@ class Response:
     """Response of a trait to the concentration of an ion."""
 
     ion: str
+    """Name of the ion."""
     with_ions: tuple[str, ...]
-    """Other ions that vary together with the ion."""
+    """Other ions whose concentrations are correlated with this ion's concentration."""
     range_mmol: tuple[float, float]
-    """Minimum and maximum concentration in mmol/l."""
+    """Minimum and maximum concentration, mmol/l."""
     slope: float
-    """Change of the trait's logarithm per mmol/l on the mean day."""
+    """Change of the trait's logarithm on the mean day per concentration, l/mmol."""
     slope_interval: tuple[float, float]
-    """90 % interval."""
+    """90 % interval of the slope, l/mmol."""
     slope_p: float
+    """p value of the slope."""
     rate: float
-    """Change of the relative growth rate (1/day) per mmol/l; 0 for a single day."""
+    """Change of the relative growth rate per concentration, l/mmol/day, zero for a single day."""
     rate_p: float
+    """p value of the change of the relative growth rate."""
     curvature_p: float | None
-    """p value of the curvature; None for two concentrations, or too few plants."""
+    """p value of the quadratic term. None if there are only two concentrations or too few plants."""
     levels: int
+    """Number of different concentrations."""
     plants: int
+    """Number of plants."""
 
     @property
     def change(self) -> float:
@@ -54,10 +60,10 @@ class Response:
         return exp(self.slope * (self.range_mmol[1] - self.range_mmol[0]))
 
     def sentence(self, trait: str) -> str:
-        """Describe the response in a sentence."""
+        """Return a sentence that describes the response of a trait to the ion."""
         least, most = self.range_mmol
         low, high = (100.0 * (exp(end * (most - least)) - 1.0) for end in self.slope_interval)
-        beside = f", together with {', '.join(self.with_ions)}," if self.with_ions else ""
+        beside = f" (together with {', '.join(self.with_ions)})" if self.with_ions else ""
         return (
             f"{trait}: {100.0 * (self.change - 1.0):+.0f} % from {least:.3g} to {most:.3g} {UNIT} {self.ion}{beside} on the mean day "
             f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {self.slope_p:.2g}, {self.plants} plants); {self._shape}."
@@ -76,7 +82,7 @@ class Response:
 
 
 def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[str, float]]:
-    """Return the concentrations of each plant with a known solution.
+    """Return the ion concentrations, mmol/l, of each plant whose nutrient solution is known.
 
     Raises
     ------
@@ -88,10 +94,10 @@ def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[st
         known = [one for one in days if one.ions]
         for one in known[1:]:
             for ion in {*one.ions, *known[0].ions}:
-                if not _same(one.ions.get(ion, 0.0), known[0].ions.get(ion, 0.0)):
+                if not _are_equal(one.ions.get(ion, 0.0), known[0].ions.get(ion, 0.0)):
                     raise UserError(
-                        f"plant {plant} has two nutrient solutions: {known[0].name} and "
-                        f"{one.name} differ in {ion}; a plant must have one solution"
+                        f"plant {plant} has two nutrient solutions. {known[0].name} and "
+                        f"{one.name} differ in {ion}; use the same solution on all days of a plant"
                     )
         if known:
             found[plant] = known[0].ions
@@ -99,13 +105,13 @@ def read_doses(plants: Mapping[str, Sequence[Measured]]) -> dict[str, Mapping[st
 
 
 def group_ions(doses: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
-    """Group the ions that differ between plants; ions that vary together form one group.
+    """Group the ions whose concentrations differ between plants. Ions with correlated concentrations form one group.
 
-    The first ion of a group has the largest variation relative to its mean.
+    The first ion of a group has the largest range of concentration relative to its mean.
     """
     ions = list(dict.fromkeys(ion for own in doses.values() for ion in own))
     table = {ion: np.array([own.get(ion, 0.0) for own in doses.values()]) for ion in ions}
-    varying = [ion for ion, values in table.items() if not _same(float(values.min()), float(values.max()))]
+    varying = [ion for ion, values in table.items() if not _are_equal(float(values.min()), float(values.max()))]
     varying.sort(key=lambda ion: -float(np.ptp(table[ion]) / table[ion].mean()))
     groups: list[list[str]] = []
     for ion in varying:
@@ -123,14 +129,14 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
     Parameters
     ----------
     seen : sequence of Observation
-        Values of the trait; plants without concentrations are ignored.
+        Values of the trait. Plants without concentrations are ignored.
     doses : mapping
-        Concentrations in mmol/l by ion, by plant.
+        Ion concentrations of each plant by name of the plant, mmol/l.
 
     Returns
     -------
     list of Response
-        One response per group; empty if no concentration differs, or if there are too few plants.
+        One response per group of ions. Empty if all concentrations are equal or there are too few plants.
 
     Raises
     ------
@@ -142,7 +148,7 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
     groups = group_ions(own)
     dose = np.array([[own[one.plant].get(group[0], 0.0) for group in groups] for one in known], np.float64).reshape(len(known), len(groups))
     plants = len(own)
-    if not groups or plants < len(groups) + 2 or not _independent(dose):
+    if not groups or plants < len(groups) + 2 or not _are_independent(dose):
         return []
     size, rate = effects(known, dose)
     levels = [len(np.unique(np.round(column / column.max(), 6))) for column in dose.T]
@@ -166,22 +172,22 @@ def fit_responses(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, 
 
 
 def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[str, float]], responses: Sequence[Response]) -> Array:
-    """Compute partial residuals of the responses for a plot.
+    """Compute the partial residuals of fitted dose responses for a plot.
 
     Parameters
     ----------
     seen : sequence of Observation
         Values of the trait.
     doses : mapping
-        Concentrations in mmol/l by ion, by plant.
+        Ion concentrations of each plant by name of the plant, mmol/l.
     responses : sequence of Response
         Fitted responses of the trait.
 
     Returns
     -------
     (R, P, 2) array of float
-        Concentration in mmol/l and relative size of each plant: its ratio to the mean of its days, corrected for the
-        other responses.
+        Concentration, mmol/l, and relative size of each plant for each response. The relative size is the ratio of the
+        trait to its mean on the same days, corrected for the other responses.
     """
     known = [one for one in seen if one.plant in doses]
     day_mean = {day: np.mean([np.log(one.value) for one in known if one.day == day]) for day in {one.day for one in known}}
@@ -193,19 +199,19 @@ def partial_residuals(seen: Sequence[Observation], doses: Mapping[str, Mapping[s
 
 
 def _curvatures(seen: Sequence[Observation], dose: Array, plants: int) -> list[float | None]:
-    """Return the p value of the squared concentration of each group; None with too few plants."""
+    """Return the p value of each group's squared concentration, None if there are too few plants."""
     count = dose.shape[1]
     both = np.concatenate([dose, (dose - dose.mean(axis=0)) ** 2], axis=1)
-    if plants < 2 * count + 2 or not _independent(both):
+    if plants < 2 * count + 2 or not _are_independent(both):
         return [None] * count
     return [one.p for one in effects(seen, both)[0][count:]]
 
 
-def _independent(columns: Array) -> bool:
-    """Return whether the columns and a constant are linearly independent."""
+def _are_independent(columns: Array) -> bool:
+    """Return whether the columns (N, C) and a constant are linearly independent."""
     scaled = (columns - columns.mean(axis=0)) / columns.std(axis=0)
     return int(np.linalg.matrix_rank(scaled, tol=_SAME * len(scaled) ** 0.5)) == columns.shape[1]
 
 
-def _same(a: float, b: float) -> bool:
+def _are_equal(a: float, b: float) -> bool:
     return abs(a - b) <= _SAME * max(abs(a), abs(b))

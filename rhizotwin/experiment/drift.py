@@ -1,8 +1,9 @@
-"""Drift of the rig: numbers of every scan over time, with control limits, and their effect on traits.
+"""Monitor the drift of the rig with control charts, and estimate the effect of the drift on traits.
 
-Individuals control chart: centre line at the mean, limits at 3 standard deviations, which are estimated from the mean
-moving range of successive points divided by d2 = 1.128 (W. A. Shewhart, Economic Control of Quality of Manufactured
-Product, 1931; NIST/SEMATECH e-Handbook of Statistical Methods, section 6.3.2.2).
+Quantities that every scan measures are plotted in individuals control charts. The centre line of a chart is the mean.
+The control limits are 3 standard deviations from the mean, estimated from the mean moving range of successive points
+divided by d2 = 1.128 (W. A. Shewhart, Economic Control of Quality of Manufactured Product, 1931; NIST/SEMATECH
+e-Handbook of Statistical Methods, section 6.3.2.2).
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,28 +19,30 @@ from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 
 D2 = 1.128
-"""Mean range of two normal values, in standard deviations."""
+"""Mean range of two normally distributed values, in standard deviations."""
 SIGMAS = 3.0
+"""Distance of the control limits from the centre line, in standard deviations."""
 LEAST_POINTS = 4
-"""With fewer points no limits are computed."""
+"""Minimum number of points for which control limits are computed."""
 PICTURES = 4
-"""Pictures from which the panel's level is read."""
+"""Number of pictures of a scan from which the grey level of the panel is measured."""
 SURE = 0.05
-"""Level of the test of a trend."""
+"""Significance level of the test for a trend."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigNumber:
-    """A number of the rig that is measured by every scan."""
+    """Quantity of the rig that every scan measures."""
 
     name: str
+    """Name of the monitored quantity of the rig."""
     heading: str
-    """For people, with the unit."""
+    """Description of the quantity for users, with its unit."""
     effects: Mapping[str, float]
-    """Exponents of the traits: a trait changes by the factor of the number to this power. Traits that are missing have
-    no known relation to it."""
+    """Exponents by trait. If the quantity changes by a factor, the trait changes by this factor to the power of the
+    exponent. Traits without an exponent have no known relation to the quantity."""
     is_ratio: bool = False
-    """Its change is relative to its mean; otherwise it is in the number's own unit."""
+    """Whether changes are relative to the mean. Otherwise they are in the unit of the quantity."""
 
 
 RIG_NUMBERS = (
@@ -65,34 +68,38 @@ RIG_NUMBERS = (
     RigNumber(name="reprojection_px", heading="reprojection error of the markers (px)", effects={}),
     RigNumber(name="attenuation_per_mm", heading="attenuation of the roots (1/mm)", effects={"volume": -1.0}, is_ratio=True),
 )
-"""Numbers of the rig. Lengths are proportional to the scale of the pictures, volumes to its cube; the volume of thin
-translucent roots, whose opacity is attenuation times chord, is inversely proportional to the attenuation."""
+"""Quantities of the rig. Measured lengths are proportional to the scale of the pictures, and volumes to its cube. The
+volume of thin translucent roots is inversely proportional to the attenuation, because their opacity is the product of
+attenuation and chord length."""
 BY_NAME = {one.name: one for one in RIG_NUMBERS}
+"""Quantities of the rig by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chart:
-    """An individuals control chart."""
+    """Individuals control chart of a quantity."""
 
     times: tuple[float, ...]
-    """Days, ascending."""
+    """Times of the points, days, in ascending order."""
     values: tuple[float, ...]
+    """Values of the monitored quantity at the times of the points."""
     centre: float
+    """Centre line of the chart, which is the mean of the values."""
     sigma: float | None
-    """Standard deviation by the moving range; None: too few points."""
+    """Standard deviation estimated from the moving range. None if there are too few points."""
     slope_per_day: float
-    """Of the straight line through all points."""
+    """Slope of a straight line fitted to all points, per day."""
     slope_p: float
-    """Probability of such a slope without a trend; 1: too few points."""
+    """p value of the slope, 1 if there are too few points."""
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """Lower and upper control limit; None: too few points."""
+        """Lower and upper control limit. None if there are too few points."""
         return None if self.sigma is None else (self.centre - SIGMAS * self.sigma, self.centre + SIGMAS * self.sigma)
 
     @property
     def outside(self) -> tuple[int, ...]:
-        """Indices of the points beyond the limits."""
+        """Indices of the points outside the control limits."""
         if self.limits is None:
             return ()
         low, high = self.limits
@@ -100,21 +107,25 @@ class Chart:
 
     @property
     def has_trend(self) -> bool:
-        """Whether the values rise or fall with time."""
+        """Whether the slope of the straight line differs significantly from zero."""
         return self.slope_p < SURE
 
     @property
     def change(self) -> float:
-        """Change over the experiment: the larger of the trend and the farthest point beyond the limits; 0: none."""
+        """Estimated change during the experiment, zero without a trend and without points outside the control limits.
+
+        The change is the maximum of the trend over the whole time and of the distance between the mean and a point
+        outside the control limits.
+        """
         trend = abs(self.slope_per_day) * (self.times[-1] - self.times[0]) if self.has_trend else 0.0
         return max([trend, *(abs(self.values[i] - self.centre) for i in self.outside)])
 
 
 def rig_numbers(summary: Json) -> dict[str, float]:
-    """Return the numbers of the rig that a ``result.json`` holds, by the names of `RIG_NUMBERS`.
+    """Return the quantities of the rig that ``result.json`` contains, by the names of `RIG_NUMBERS`.
 
-    A focal length that the reconstruction has corrected by the markers or the roots leaves no uncorrected part. The
-    panel's level is not among them, see `panel_level`.
+    If the reconstruction corrected the focal length with the markers or the roots, its uncorrected part is 1. The level
+    of the panel is measured by `panel_level` instead.
     """
     rig: dict[str, Any] = summary.get("rig") or {}
     checks = {str(one.get("name")): one.get("value") for one in summary.get("checks") or [] if isinstance(one, dict)}
@@ -138,8 +149,9 @@ def rig_numbers(summary: Json) -> dict[str, float]:
 def panel_level(dataset: Dataset) -> float | None:
     """Return the grey level of the panel in the pictures of a scan, as a fraction of full scale.
 
-    Median over a few pictures of the level that a quarter of the pixels exceeds, as the scan judges its exposure
-    (`rig.scanning.preflight.measure_exposure`). None if the pictures are silhouettes or cannot be read.
+    The level of a picture is the grey value that a quarter of its pixels exceed, as in the exposure check of a scan
+    (`rig.scanning.preflight.measure_exposure`). The median over a few pictures is returned. None if the pictures are
+    silhouettes or cannot be read.
     """
     frames = [frame for frame in dataset.frames if frame.kind == "root"]
     if dataset.masks or not frames:
@@ -157,9 +169,9 @@ def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:
     Parameters
     ----------
     times : sequence of float
-        Days, in any order; at least one.
+        Times of the points, days, in any order, at least one.
     values : sequence of float
-        Of the same length.
+        Values of the quantity at these times.
     """
     order = np.argsort(np.asarray(times, np.float64), kind="stable")
     t, x = np.asarray(times, np.float64)[order], np.asarray(values, np.float64)[order]
@@ -170,7 +182,7 @@ def chart_of(times: Sequence[float], values: Sequence[float]) -> Chart:
 
 
 def effect_of(chart: Chart, number: RigNumber, trait: str) -> float:
-    """Return by which factor drift of a number changes a trait over the experiment; 1: not at all, or not known."""
+    """Return the factor by which the drift of a quantity may change a trait, 1 if no effect is known."""
     power = number.effects.get(trait, 0.0)
     if not power or not number.is_ratio or chart.centre <= 0.0:
         return 1.0
@@ -178,7 +190,7 @@ def effect_of(chart: Chart, number: RigNumber, trait: str) -> float:
 
 
 def _trend(t: np.ndarray[Any, Any], x: np.ndarray[Any, Any]) -> tuple[float, float]:
-    """Return slope and p of a straight line."""
+    """Return slope and p value of a straight line fitted to values ``x`` at times ``t``."""
     from scipy.stats import linregress
 
     if np.ptp(t) == 0.0 or np.ptp(x) == 0.0:
@@ -188,7 +200,7 @@ def _trend(t: np.ndarray[Any, Any], x: np.ndarray[Any, Any]) -> tuple[float, flo
 
 
 def _tilt_deg(pose: Any) -> float | None:
-    """Return the angle between the z axes of two frames."""
+    """Return the angle between the z axes of the two frames of a pose, deg, None without a pose."""
     if pose is None:
         return None
     return degrees(acos(max(-1.0, min(1.0, float(pose[2][2])))))

@@ -1,4 +1,4 @@
-"""Growth of plants over several days: growth curves, growth rates, root tracks, and comparison of treatments."""
+"""Growth of plants over several days: growth curves, growth rates, tracked roots and comparison of treatments."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,63 +16,70 @@ from rhizotwin.scenes.trait_table import DEFINITIONS, csv_text, format_exact
 from rhizotwin.stored import result_files
 
 CURVES = ("total_length", "volume", "depth", "tips")
-"""Traits with growth curves and comparisons."""
+"""Traits for which growth curves and comparisons are computed."""
 _COLUMNS = {d.name: d.column for d in DEFINITIONS}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """Growth of a set of plants."""
+    """Growth of a set of plants over several days."""
 
     plants: Mapping[str, Sequence[Measured]]
-    """Results of each plant ordered by day, by name of the plant."""
+    """Results by name of the plant, sorted by day."""
     tracked: Mapping[str, TrackedPlant]
-    """Plants with roots on at least two days."""
+    """Tracked roots by name of the plant, for plants that were scanned on at least two days."""
     seen: Mapping[str, Sequence[Observation]]
-    """Values by trait."""
+    """Reliable values by name of the trait."""
     curves: Mapping[str, Sequence[Point]]
+    """Mean of each treatment on each day, by name of the trait."""
     compared: Mapping[str, Sequence[Difference]]
+    """Differences between treatments, by name of the trait."""
     doses: Mapping[str, Mapping[str, float]]
-    """Concentrations of ions in mmol/l, by plant with a known solution."""
+    """Ion concentrations of the plants with a known nutrient solution, mmol/l, by name of the plant."""
     responses: Mapping[str, Sequence[Response]]
-    """Dose responses by trait, for concentrations that differ between plants."""
+    """Dose responses to the ions whose concentrations differ between plants, by name of the trait."""
     notes: tuple[str, ...]
+    """Sentences about excluded values and plants."""
     drift: Mapping[str, Chart] = field(default_factory=dict)
-    """Control charts of the rig over the experiment, by the names of `drift.RIG_NUMBERS`."""
+    """Control charts of the rig during the experiment, by the names of `drift.RIG_NUMBERS`."""
 
 
 def measure(found: Sequence[Measured]) -> Growth:
     """Measure the growth of the plants in a set of results.
 
-    Values that are not reliable are excluded from curves and comparisons; a note gives their number and the reasons.
+    Values that are not reliable are excluded from curves and comparisons. Their number and the reasons are noted.
 
     Raises
     ------
     UserError
-        If a result has no plant or day, a plant occurs twice on a day or in two treatments, scans of a plant show
-        different marker strips, or no value is reliable.
+        If a result has no plant or day, a plant occurs twice on a day or in two treatments, scans of a plant were made
+        with different marker strips, or no value is reliable.
     """
     plants = by_plant(found)
     for plant, days in plants.items():
         named = sorted({one.subject.treatment for one in days})
         if len(named) > 1:
-            raise UserError(f"plant {plant} has two treatments, {named[0]!r} and {named[1]!r}; a plant must have one treatment")
+            raise UserError(f"plant {plant} has two treatments, {named[0]!r} and {named[1]!r}; correct the treatment of one of its scans")
         _check_strips(plant, days)
     notes = exclusion_notes(found, CURVES)
     tracked = {plant: one for plant, days in plants.items() if (one := _track(days)) is not None}
     if lost := [plant for plant in plants if plant not in tracked]:
-        notes.append(f"roots were not tracked, because they were found on fewer than two days: {', '.join(lost)}")
+        notes.append(f"the roots of these plants were not tracked, because they were found on fewer than two days: {', '.join(lost)}")
     seen = {trait: values for trait in CURVES if (values := _seen(plants, trait))}
     if not seen and not tracked:
         raise UserError("; ".join(exclusion_notes(found, CURVES)) or f"the results contain none of the traits {', '.join(CURVES)}")
     unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "not assessed" for one in found)]
-    notes += [f"not assessed, so that their errors are unknown: {', '.join(unassessed)}"] if unassessed else []
-    notes += [f"{trait}: treatments were not compared: {why}" for trait, values in seen.items() if (why := too_few(values))]
+    notes += (
+        [f"the errors of these traits are unknown, because their reliability was not assessed: {', '.join(unassessed)}"]
+        if unassessed
+        else []
+    )
+    notes += [f"{trait}: the treatments were not compared, because {why}" for trait, values in seen.items() if (why := too_few(values))]
     doses = read_doses(plants)
     responses = {trait: fitted for trait, values in seen.items() if (fitted := fit_responses(values, doses))}
     if group_ions(doses):
-        why = f"{len(doses)} plants are too few, or their concentrations are collinear"
-        notes += [f"{trait}: no dose response: {why}" for trait in seen if trait not in responses]
+        why = f"{len(doses)} plants are too few or their concentrations are collinear"
+        notes += [f"{trait}: the dose response could not be fitted, because {why}" for trait in seen if trait not in responses]
     if doses and len(doses) < len(plants):
         notes.append(
             f"{len(plants) - len(doses)} of {len(plants)} plants have no known nutrient solution and are excluded from the dose response"
@@ -91,7 +98,7 @@ def measure(found: Sequence[Measured]) -> Growth:
 
 
 def _drift(found: Sequence[Measured]) -> dict[str, Chart]:
-    """Return the control charts of the rig over the dates of the scans, or the days of the plants if some have none."""
+    """Return the control charts of the rig by date, or by day of the plants if a scan has no date."""
     scans = {one.folder: one.subject for one in found if one.folder is not None}
     dated = all(whose.date for whose in scans.values())
     points: dict[str, list[tuple[float, float]]] = {}
@@ -112,7 +119,7 @@ def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Observat
 
 
 def _check_strips(plant: str, days: Sequence[Measured]) -> None:
-    """Reject scans of a plant with different marker strips, whose frames are unrelated."""
+    """Raise an error if scans of a plant were made with different marker strips, because their frames are unrelated."""
     strips = []
     for one in days:
         if one.folder is not None:
@@ -121,13 +128,12 @@ def _check_strips(plant: str, days: Sequence[Measured]) -> None:
     for one, strip in strips[1:]:
         if strip != strips[0][1]:
             raise UserError(
-                f"plant {plant}: {strips[0][0].name} and {one.name} were scanned with "
-                "different marker strips, so that they cannot be aligned"
+                f"plant {plant}: {strips[0][0].name} and {one.name} were scanned with different marker strips and cannot be aligned"
             )
 
 
 def _track(days: Sequence[Measured]) -> TrackedPlant | None:
-    """Track the roots of a plant; None if they were found on fewer than two days."""
+    """Track the roots of a plant. Return None if roots were found on fewer than two days."""
     known = []
     for one in days:
         file = None if one.folder is None else one.folder / "roots.rsml"
@@ -140,9 +146,9 @@ def _track(days: Sequence[Measured]) -> TrackedPlant | None:
 
 
 def neighbours_csv(growth: Growth) -> str:
-    """Return a table of distances and overlaps of plants that share a canister, by day.
+    """Return a CSV table of the distances and overlaps between plants in the same canister, by day.
 
-    Only scans with reliable lengths are included; empty if there are none.
+    The table only contains scans with reliable lengths, and is empty if there are none.
     """
     scans: dict[Path, list[Measured]] = {}
     for one in (one for own in growth.plants.values() for one in own):
@@ -154,7 +160,7 @@ def neighbours_csv(growth: Growth) -> str:
 
 
 def write(growth: Growth, folder: Path) -> None:
-    """Write the tables of growth, and RSML files with time, to a folder."""
+    """Write the tables of growth, and RSML files with times, to a folder."""
     for name, text in (("traits", traits_csv(growth)), ("roots", roots_csv(growth)), ("treatments", treatments_csv(growth))):
         atomic.write_text(folder / f"{name}.csv", text)
     if growth.responses:
@@ -165,9 +171,9 @@ def write(growth: Growth, folder: Path) -> None:
 
 
 def traits_csv(growth: Growth) -> str:
-    """Return a table with one row per plant, day and trait: value, 90 % interval, verdict, and relative growth rate.
+    """Return a CSV table with one row per plant, day and trait: value, 90 % interval, verdict and relative growth rate.
 
-    The rate refers to the preceding day and ignores values that are not reliable.
+    The growth rate is computed from the preceding day with a reliable value.
     """
     dissolved = solution.headings(list(growth.doses.values()))
     head = ["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "reasons", "relative_growth_rate_per_day"]
@@ -189,9 +195,9 @@ def traits_csv(growth: Growth) -> str:
 
 
 def roots_csv(growth: Growth) -> str:
-    """Return a table with one row per root and day.
+    """Return a CSV table of root tracks with one row per root and day.
 
-    Columns are: name, parent, order, day of emergence, length, elongation rate since the preceding observation,
+    Columns are name, parent, order, day of emergence, length, elongation rate since the preceding observation,
     diameter, and the verdict on the total length of the scan.
     """
     head = ["plant", "root", "parent", "order", "emergence_day", "day", "length_mm", "elongation_mm_per_day", "diameter_mm", "verdict"]
@@ -208,7 +214,7 @@ def roots_csv(growth: Growth) -> str:
 
 
 def treatments_csv(growth: Growth) -> str:
-    """Return a table with one row per trait and treatment: difference from the first treatment, intervals, p values."""
+    """Return a CSV table of differences from the reference treatment with one row per trait and treatment."""
     head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate_per_day", "rate_p", "plants", "significant"]
     rows: list[Sequence[str]] = [head]
     for trait, compared in growth.compared.items():
@@ -220,7 +226,7 @@ def treatments_csv(growth: Growth) -> str:
 
 
 def doses_csv(growth: Growth) -> str:
-    """Return a table with one row per trait and group of ions: slope of the trait's logarithm against concentration."""
+    """Return a CSV table of dose responses with one row per trait and group of ions."""
     head = ["trait", "ion", "together_with", f"from ({solution.UNIT})", f"to ({solution.UNIT})", "slope (l/mmol)", "low", "high", "p"]
     rows: list[Sequence[str]] = [[*head, "rate (l/mmol/day)", "rate_p", "curvature_p", "levels", "plants"]]
     for trait, responses in growth.responses.items():
@@ -240,9 +246,9 @@ def doses_csv(growth: Growth) -> str:
 
 
 def write_rsml(growth: Growth, folder: Path) -> list[Path]:
-    """Write the roots of each plant and day as RSML with time.
+    """Write the roots of each plant and day to RSML files with times, and return the paths of the files.
 
-    A root has the same id on all days; coordinates are in the frame of the first day.
+    A root has the same id on all days. Coordinates are in the canister frame of the first day.
     """
     files = []
     for number, (plant, tracked) in enumerate(growth.tracked.items(), start=1):

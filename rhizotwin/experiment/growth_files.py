@@ -1,4 +1,4 @@
-"""The folder that `rhizotwin growth` writes: curves, tables, pictures and the page."""
+"""Write the output folder of `rhizotwin growth`: growth curves, tables, figures and an HTML page."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,21 +12,21 @@ PAGE = "growth.html"
 
 
 def write(results: Sequence[Path], output: Path, *, replace: bool = False) -> list[str]:
-    """Measure growth and write its folder, which appears whole or not at all; return the findings, a sentence each.
+    """Measure growth, write the output folder atomically, and return the findings as sentences.
 
     Parameters
     ----------
     results : sequence of Path
-        Results, folders of results, tables of traits and tables of masses.
+        Result folders, folders of results, tables of traits, and tables of masses.
     output : Path
-        Folder to write.
+        Output folder.
     replace : bool
-        Whether an earlier folder of this kind is replaced; otherwise the folder must be new or empty.
+        Whether an earlier output of `rhizotwin growth` is replaced. Otherwise the folder must be new or empty.
 
     Raises
     ------
     UserError
-        If results lack plant or day, nothing is reliable, or the folder cannot be written.
+        If a result has no plant or day, no value is reliable, or the folder cannot be written.
     """
     weighed = [path for path in results if mass_curves.is_of_masses(path)]
     others = [path for path in results if path not in weighed]

@@ -1,6 +1,6 @@
-"""Growth curves as a figure and a page, in the style of the thesis's figure 4.1.
+"""Figures and HTML page of growth curves, in the style of figure 4.1 of the thesis.
 
-Curves show the mean of each day with its interval, with one line per treatment.
+A growth curve shows the mean on each day with its 90 % interval, with one line per treatment.
 """
 
 import base64
@@ -23,7 +23,7 @@ _STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem au
 
 
 def draw(growth: Growth) -> bytes:
-    """Draw the growth curves as PNG."""
+    """Draw the growth curves and return the figure as PNG."""
     drawn = figure(4.2 * len(growth.curves), 3.6)
     for axes, (trait, points) in zip(drawn.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
         for treatment in dict.fromkeys(point.treatment for point in points):
@@ -39,7 +39,7 @@ def draw(growth: Growth) -> bytes:
 
 
 def draw_responses(growth: Growth) -> bytes:
-    """Draw the dose responses as PNG: one row per group of ions, one dot per plant."""
+    """Draw the dose responses with one row per group of ions and one dot per plant, and return the figure as PNG."""
     many = max(len(one) for one in growth.responses.values())
     drawn = figure(4.2 * len(growth.responses), 3.6 * many)
     grid = drawn.subplots(many, len(growth.responses), squeeze=False)
@@ -59,52 +59,52 @@ def draw_responses(growth: Growth) -> bytes:
 
 
 def page(growth: Growth | None, masses: bytes | None = None) -> str:
-    """Return the HTML page: growth curves, comparisons, root tracks and excluded values.
+    """Return the HTML page with growth curves, comparisons, tracked roots and excluded values.
 
     Parameters
     ----------
     growth : Growth or None
-        None if only masses are known.
+        Measured growth. None if the page only shows masses.
     masses : bytes, optional
-        Figure from `mass_curves.draw`.
+        Figure of masses as PNG, see `mass_curves.draw`.
     """
     parts = []
     if growth is not None:
         parts.append(f"<h1>Growth of {len(growth.plants)} plants</h1>")
         if growth.curves:
-            parts.append(_shown("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval."))
+            parts.append(_figure_html("growth curves", draw(growth), "Mean of the plants on each day with its 90 % interval."))
         else:
             parts.append("<p>No trait is reliable enough for a curve.</p>")
         if growth.responses:
             caption = (
                 "Size of each plant relative to the mean of its days against the concentration of the ion, corrected for the other ions."
             )
-            parts.append("<h2>Dose response</h2>" + _shown("dose responses", draw_responses(growth), caption))
+            parts.append("<h2>Dose response</h2>" + _figure_html("dose responses", draw_responses(growth), caption))
         parts.append("<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth)) + "</ul>")
     if masses is not None:
         caption = "Fresh mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
-        parts.append("<h1>Masses</h1>" + _shown("mass curves", masses, caption))
+        parts.append("<h1>Masses</h1>" + _figure_html("mass curves", masses, caption))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
         f"{''.join(parts)}</body></html>\n"
     )
 
 
-def _shown(name: str, picture: bytes, caption: str) -> str:
+def _figure_html(name: str, picture: bytes, caption: str) -> str:
     return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(picture).decode()}"><p>{caption}</p>'
 
 
 def drift_cautions(charts: Mapping[str, Chart], trait: str, size: float) -> list[str]:
-    """Return a sentence for each number of the rig whose drift could change a trait by as much as treatments differ.
+    """Return a caution for each quantity of the rig whose drift could explain a difference between treatments.
 
     Parameters
     ----------
     charts : mapping of Chart
-        Control charts of the rig over the experiment.
+        Control charts of the rig during the experiment, by name of the quantity.
     trait : str
         Name of the trait.
     size : float
-        Factor by which the treatments differ.
+        Ratio of the trait between the treatments.
     """
     found = []
     for name, chart in charts.items():
@@ -112,15 +112,15 @@ def drift_cautions(charts: Mapping[str, Chart], trait: str, size: float) -> list
         if factor > 1.0 and abs(log(factor)) >= abs(log(size)):
             change = 100.0 * chart.change / chart.centre
             found.append(
-                f"{trait}: caution: the {BY_NAME[name].heading.partition(',')[0].partition(' (')[0]} changed by {change:.2g} % over the "
-                f"experiment, which could change the {trait} by {100.0 * (factor - 1.0):.2g} %, as much as this difference; compare plants "
-                "that were scanned at the same time, and see `rhizotwin catalogue report`."
+                f"{trait}: caution: the {BY_NAME[name].heading.partition(',')[0].partition(' (')[0]} changed by {change:.2g} % during the "
+                f"experiment, which could change the {trait} by {100.0 * (factor - 1.0):.2g} %, as much as the treatments differ; "
+                "compare plants that were scanned at the same time (see 'rhizotwin catalogue report')."
             )
     return found
 
 
 def sentences(growth: Growth) -> list[str]:
-    """Return the findings as sentences."""
+    """Return the findings on growth, treatments and dose responses as sentences."""
     found = []
     for trait, compared in growth.compared.items():
         for one in compared:

@@ -1,7 +1,7 @@
-"""Curves of fresh mass, dry mass and water content against time, as in the thesis's figure 4.1.
+"""Curves of fresh mass, dry mass and water content against time, as in figure 4.1 of the thesis.
 
 Masses are read from tables of weighed masses (`rhizotwin.experiment.masses`) and from tables written by ``biomass
-predict``. If a mass of a plant and day occurs in both, the weighed one is used.
+predict``. If both tables contain a mass of the same plant and day, the weighed mass is used.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from rhizotwin.scenes.trait_table import csv_text, format_exact
 
 _PREDICTED = {"plant", "day", "mass", "mass (g)"}
 QUANTITIES = {"fresh": "wet mass (g)", "dry": "dry mass (g)", "water": "water content (%)"}
+"""Axis label of each plotted quantity."""
 PARTS = (*ORGANS, "plant")
-"""``plant`` is the sum of root and shoot."""
+"""Parts of a plant for which masses are plotted. ``plant`` is the sum of root and shoot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,13 +30,16 @@ class Masses:
     """Masses of a plant on one day."""
 
     plant: str
+    """Name of the plant."""
     day: float
+    """Day of the experiment."""
     treatment: str
+    """Name of the treatment."""
     grams: Mapping[str, float]
-    """Masses by kind, such as ``root_fresh``."""
+    """Masses, g, by kind, such as ``root_fresh``."""
 
     def value(self, part: str, quantity: str) -> float | None:
-        """Return a quantity of a part; None if a required mass is unknown."""
+        """Return a quantity (key of `QUANTITIES`) of a part of the plant, None if a required mass is unknown."""
         if quantity == "water":
             fresh, dry = self.value(part, "fresh"), self.value(part, "dry")
             return None if fresh is None or dry is None else 100.0 * (1.0 - dry / fresh)
@@ -46,11 +50,11 @@ class Masses:
 
 
 Curves = Mapping[tuple[str, str], Sequence[Point]]
-"""Means by part and quantity."""
+"""Type of the mean curves by part and quantity."""
 
 
 def is_of_masses(path: Path) -> bool:
-    """Return whether a table contains weighed or predicted masses."""
+    """Return whether a file is a table of weighed or predicted masses."""
     if path.suffix.lower() != ".csv":
         return False
     head = _head(path)
@@ -58,20 +62,22 @@ def is_of_masses(path: Path) -> bool:
 
 
 def read(paths: Sequence[Path]) -> list[Masses]:
-    """Read tables of masses, one entry per plant and day.
+    """Read tables of masses and return one entry per plant and day.
 
     Raises
     ------
     UserError
-        If a table is damaged, or a mass has no plant or day.
+        If a table is damaged, a mass has no plant or day, or a plant has two treatments.
     """
     found: dict[tuple[str, float], Masses] = {}
     predicted = [path for path in paths if _head(path) >= _PREDICTED]
     for path in [*predicted, *(path for path in paths if path not in predicted)]:
-        for one in _predicted(path) if path in predicted else _weighed(path):
+        for one in _read_predicted(path) if path in predicted else _read_weighed(path):
             before = found.get((one.plant, one.day))
             if before is not None and before.treatment != one.treatment:
-                raise UserError(f"{path}: plant {one.plant} has two treatments, {before.treatment!r} and {one.treatment!r}")
+                raise UserError(
+                    f"{path}: plant {one.plant} has two treatments, {before.treatment!r} and {one.treatment!r}; correct one of them"
+                )
             grams = one.grams if before is None else {**before.grams, **one.grams}
             found[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams)
     return list(found.values())
@@ -93,7 +99,7 @@ def measure(masses: Sequence[Masses]) -> Curves:
 
 
 def to_csv(curves: Curves) -> str:
-    """Return a table with one row per part, quantity, treatment and day."""
+    """Return a CSV table with one row per part, quantity, treatment and day."""
     rows: list[list[str]] = [["part", "quantity", "treatment", "day", "mean", "low", "high", "plants"]]
     for (part, quantity), points in curves.items():
         for point in points:
@@ -103,7 +109,7 @@ def to_csv(curves: Curves) -> str:
 
 
 def draw(curves: Curves) -> bytes:
-    """Draw the three panels of figure 4.1 as PNG: fresh mass, dry mass, water content."""
+    """Draw fresh mass, dry mass and water content against time as in figure 4.1 of the thesis, as PNG."""
     colours, marks = dict(zip(PARTS, ("#8c510a", "#1b7837", "#333333"), strict=True)), "osD^v"
     shown = [quantity for quantity in QUANTITIES if any(key[1] == quantity for key in curves)]
     drawn = figure(4.2 * len(shown), 3.6)
@@ -130,16 +136,16 @@ def _head(path: Path) -> set[str]:
     return set(tables.read_table(path)[0].cells)
 
 
-def _weighed(path: Path) -> list[Masses]:
+def _read_weighed(path: Path) -> list[Masses]:
     return [_of(one.where, one.subject, one.grams) for one in read_masses(path, balance_g=BALANCE_G) if one.grams]
 
 
-def _predicted(path: Path) -> list[Masses]:
+def _read_predicted(path: Path) -> list[Masses]:
     found = []
     for row in tables.read_table(path):
         kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
         if kind not in KINDS or grams is None or not grams > 0.0:
-            raise UserError(f"{row.where}: not a row of predicted masses; give the table written by 'rhizotwin biomass predict'")
+            raise UserError(f"{row.where}: the row is not a predicted mass; specify a table written by 'rhizotwin biomass predict'")
         found.append(_of(row.where, subject.from_cells(row.cells, row.where), {kind: grams}))
     merged: dict[tuple[str, float], Masses] = {}
     for one in found:
@@ -151,5 +157,5 @@ def _predicted(path: Path) -> list[Masses]:
 
 def _of(where: str, whose: subject.Subject, grams: Mapping[str, float]) -> Masses:
     if not whose.plant or whose.day is None:
-        raise UserError(f"{where}: plant or day is missing; both are required for mass curves")
+        raise UserError(f"{where}: the plant or the day is missing, but mass curves need both")
     return Masses(plant=whose.plant, day=whose.day, treatment=whose.treatment, grams=grams)

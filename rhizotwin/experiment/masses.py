@@ -1,9 +1,9 @@
-"""Tables of weighed masses: one row per plant, units in the column names, foil residues added to the dry mass.
+"""Read tables of weighed masses with one row per plant.
 
 Columns are ``plant``, optionally ``day``, and any of ``root_fresh_g root_dry_g shoot_fresh_g shoot_dry_g`` (g, mg or
 kg, the same unit in the whole table). ``root_foil_g`` and ``root_foil_scraped_g`` (likewise for the shoot) are the mass
-of the empty foil and of the foil after scraping off the dry matter; their difference is added to the dry mass (thesis,
-section 5.1, steps 1 and 5).
+of the empty foil, and of the foil after the dry matter was scraped off. Their difference is added to the dry mass
+(thesis, section 5.1, steps 1 and 5).
 """
 
 import re
@@ -18,9 +18,11 @@ from rhizotwin.scenes.subject import Subject
 
 ORGANS, STATES = ("root", "shoot"), ("fresh", "dry")
 KINDS = tuple(f"{organ}_{state}" for organ in ORGANS for state in STATES)
+"""Kinds of mass: fresh and dry mass of root and shoot."""
 BALANCE_G = 1e-4
-"""Readability of a laboratory balance, as in the thesis."""
+"""Readability of the laboratory balance of the thesis, g."""
 GRAMS = {"g": 1.0, "mg": 1e-3, "kg": 1e3}
+"""Size of each supported unit of mass, g."""
 _COLUMN = re.compile(rf"({'|'.join(ORGANS)})_(fresh|dry|foil_scraped|foil)_(\w+)")
 
 
@@ -29,16 +31,17 @@ class Weighed:
     """Masses of one plant."""
 
     where: str
-    """File and line, for messages."""
+    """File and line of the table, for error messages."""
     subject: Subject
+    """Plant, day and treatment."""
     grams: Mapping[str, float]
-    """Weighed masses by kind (`KINDS`), including foil residues."""
+    """Weighed masses including foil residues, g, by kind (`KINDS`)."""
     residue_g: Mapping[str, float]
-    """Added foil residues by kind."""
+    """Foil residues that were added to the dry masses, g, by kind."""
 
 
 def has_masses(head: Collection[str]) -> bool:
-    """Return whether the column names are those of a table of masses."""
+    """Return whether column names are those of a table of masses."""
     return any((match := _COLUMN.fullmatch(column)) is not None and f"{match[1]}_{match[2]}" in KINDS for column in head)
 
 
@@ -48,17 +51,17 @@ def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
     Parameters
     ----------
     balance_g : float
-        Readability of the balance; a scraped foil may be lighter than the empty one by twice this value.
+        Readability of the balance, g. A scraped foil may be lighter than an empty foil by up to twice this value.
 
     Raises
     ------
     UserError
-        If units are mixed, a plant occurs twice, masses have no plant, a dry mass exceeds the fresh mass, or a value is
-        invalid.
+        If masses have different units, a plant occurs twice on a day, a mass has no plant, a dry mass exceeds the fresh
+        mass, or a value is invalid.
     """
     rows = tables.read_table(path)
     columns = _columns(path, list(rows[0].cells))
-    weighed = [_weighed(row, columns, balance_g) for row in rows]
+    weighed = [_read_row(row, columns, balance_g) for row in rows]
     seen: dict[tuple[str, float | None], str] = {}
     for one in weighed:
         key = (one.subject.plant, one.subject.day)
@@ -70,39 +73,39 @@ def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
 
 
 def _columns(path: Path, head: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Return the column and the unit in grams of each kind of mass."""
+    """Return the name of the column and its unit in grams for each kind of mass."""
     if "plant" not in head:
-        raise UserError(f"{path}: the column plant is missing; it must contain the plant names of the datasets")
+        raise UserError(f"{path}: the column 'plant' is missing; add it with the plant names used in the datasets")
     found: dict[str, tuple[str, float]] = {}
     for column in head:
         match = _COLUMN.fullmatch(column)
         if match is None:
             continue
         if match[3] not in GRAMS:
-            raise UserError(f"{path}: unknown unit {match[3]!r} in column {column}; use g, mg or kg")
+            raise UserError(f"{path}: the column {column} has the unknown unit {match[3]!r}; must be g, mg or kg")
         kind = f"{match[1]}_{match[2]}"
         if kind in found:
             raise UserError(f"{path}: the columns {found[kind][0]} and {column} contain the same mass; remove one of them")
         found[kind] = (column, GRAMS[match[3]])
     units = dict(found.values())
     if len(set(units.values())) > 1:
-        raise UserError(f"{path}: the columns {', '.join(units)} have different units; give all masses in the same unit")
+        raise UserError(f"{path}: the columns {', '.join(units)} have different units; convert all masses to the same unit")
     if not set(found) & set(KINDS):
-        raise UserError(f"{path} contains no mass column; at least one of {', '.join(f'{kind}_g' for kind in KINDS)} is required")
+        raise UserError(f"{path} contains no column of masses; add at least one of {', '.join(f'{kind}_g' for kind in KINDS)}")
     return found
 
 
-def _weighed(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance_g: float) -> Weighed:
+def _read_row(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance_g: float) -> Weighed:
     whose = subject.from_cells(row.cells, row.where)
     given = {kind: (column, tables.number(row, column), scale) for kind, (column, scale) in columns.items()}
     grams: dict[str, float] = {}
     for kind, (column, value, scale) in given.items():
         if value is not None and not value > 0.0:
-            raise UserError(f"{row.where}: {column} is {value:g}; a mass must be positive, or the cell empty")
+            raise UserError(f"{row.where}: {column} is {value:g}; must be positive, or the cell must be empty")
         if value is not None:
             grams[kind] = value * scale
     if grams and not whose.plant:
-        raise UserError(f"{row.where}: the name of the plant is missing; give the name used in the dataset")
+        raise UserError(f"{row.where}: the name of the plant is missing; enter the name used in the dataset")
     residue = {}
     for organ in ORGANS:
         left = _residue(row, organ, grams, balance_g)
@@ -119,11 +122,11 @@ def _weighed(row: tables.Row, columns: Mapping[str, tuple[str, float]], balance_
 
 
 def _residue(row: tables.Row, organ: str, grams: Mapping[str, float], balance_g: float) -> float | None:
-    """Return the residue on the foil after scraping; None if it was not weighed."""
+    """Return the residue on the foil after scraping, g, None if the foil was not weighed."""
     empty, scraped, dry = (grams.get(f"{organ}_{what}") for what in ("foil", "foil_scraped", "dry"))
     if empty is None or scraped is None or dry is None:
         return None
     if scraped < empty - 2.0 * balance_g:
-        lost = f"{scraped:g} g after scraping but {empty:g} g when empty"
-        raise UserError(f"{row.where}: the foil of the {organ} weighs {lost}; if it was torn, leave both cells empty")
+        lost = f"{scraped:g} g after scraping, less than the {empty:g} g of the empty foil"
+        raise UserError(f"{row.where}: the foil of the {organ} weighs {lost}; leave both cells empty if the foil was torn")
     return max(scraped - empty, 0.0)

@@ -1,9 +1,9 @@
-"""Tracking of roots over time: identity across days, day of emergence, and growth.
+"""Track roots over time: identity across days, day of emergence and growth.
 
-A root is recognised by its course, because the older root includes the younger root's centre line. The score of a known
-root and a root of the current day is the length of the known centre line that lies on the current root. Pairs are
-assigned so that the sum of scores is maximal (DynamicRoots, Symonova et al. 2015, matches overlapping voxels in a
-similar way). Roots without a match are new.
+A root is recognised by its centre line, because the older root includes the younger root's centre line. The score of a
+pair of a known root and a root of the current day is the length of the known centre line that lies on the current root.
+Pairs are assigned so that the sum of scores is maximal (DynamicRoots, Symonova et al. 2015, matches overlapping voxels
+in a similar way). Unmatched roots are new.
 """
 
 from collections.abc import Sequence
@@ -22,13 +22,15 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 LEAST_SHARE = 0.5
-"""Minimum fraction of a known centre line that must lie on a root for a match."""
+"""Minimum fraction of a known root's length that must lie on a root of the current day for a match."""
 RESIDUALS = 4.0
-"""A point lies on a root within this multiple of the median residual of the alignment ..."""
+"""Tolerance within which a point lies on a root, in units of the median residual of the alignment."""
 LEAST_ON_MM = 0.5
-"""... and at least within this distance: diameter of a fine root plus tracing error, about one voxel each."""
+"""Minimum tolerance within which a point lies on a root, mm: diameter of a fine root plus tracing error, about one
+voxel each."""
 LEAST_COSINE = 0.7
-"""Maximum angle of 45 degrees between directions, so that crossing roots are distinguished."""
+"""Minimum absolute cosine of the angle between the directions of matching points (45 degrees), which distinguishes
+crossing roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,44 +38,50 @@ class Day:
     """Roots of a plant on one day."""
 
     day: float
+    """Day of the experiment."""
     roots: tuple[Root, ...]
-    """Roots, parents before children."""
+    """Roots, sorted with parents before children."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootState:
-    """State of a root on one day, in the frame of the first day."""
+    """Length and diameter of a root on one day, with its geometry in the frame of the first day."""
 
     day: float
+    """Day of the experiment."""
     root: Root
+    """Centre line and diameters, in the frame of the first day."""
     length_mm: float
+    """Length of the centre line, mm."""
     diameter_mm: float
-    """Mean diameter over the length at the first observation, so that its change is radial growth."""
+    """Mean diameter, mm, over the root's length at its first observation, so that changes are due to radial growth."""
 
 
 @dataclass
 class Track:
-    """A root tracked over time."""
+    """Root tracked over time."""
 
     name: str
-    """Name of the root, the same on all days."""
+    """Name of the root, equal on all days."""
     parent: str
-    """Name of the parent root; empty for a taproot."""
+    """Name of the parent root, empty for a root without a parent."""
     order: int
+    """Order of the root, 0 for a root without a parent."""
     states: list[RootState] = field(default_factory=list)
+    """Observations of the root, sorted by day."""
     absent_day: float = 0.0
-    """Last day before the root appeared; 0 if it was present on the first day."""
+    """Last day before the root appeared, zero if the root was present on the first day."""
 
     @property
     def rates_mm_per_day(self) -> list[tuple[float, float, float]]:
-        """Return start day, end day and elongation per day between observations."""
+        """Elongation rates between consecutive observations as (first day, last day, rate in mm/day)."""
         return [(a.day, b.day, (b.length_mm - a.length_mm) / (b.day - a.day)) for a, b in pairwise(self.states)]
 
     @property
     def emergence_day(self) -> float:
         """Day of emergence, extrapolated to length zero with the first elongation rate.
 
-        It is limited to the interval between the last day without the root and the first day with it.
+        The day lies between the last day without the root and the first day with the root.
         """
         first = self.states[0]
         rate = self.rates_mm_per_day[0][2] if len(self.states) > 1 else 0.0
@@ -83,24 +91,25 @@ class Track:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedPlant:
-    """A plant whose roots were tracked over several days."""
+    """Plant whose roots were tracked over several days."""
 
     days: tuple[Day, ...]
-    """Days, in the frame of the first one."""
+    """Roots of each day, in the frame of the first day."""
     names: tuple[tuple[str, ...], ...]
-    """Names of the roots of each day."""
+    """Names of the roots of each day, in the order of ``Day.roots``."""
     tracks: tuple[Track, ...]
+    """All roots of the plant over time."""
     residual_mm: tuple[float, ...]
-    """Residual of each alignment with the preceding day."""
+    """Residual of the alignment with the preceding days, mm, one value per day after the first."""
 
 
 def track_roots(days: Sequence[Day]) -> TrackedPlant:
-    """Assign an identity over time to each root.
+    """Match the roots of a plant between days and return their tracks.
 
     Parameters
     ----------
     days : sequence of Day
-        Days of one plant in ascending order, each with at least one root.
+        Roots of a plant in ascending order of days, with at least one root per day.
     """
     tracks: dict[str, Track] = {}
     latest: dict[str, Root] = {}
@@ -111,9 +120,9 @@ def track_roots(days: Sequence[Day]) -> TrackedPlant:
         here, on_mm = now, LEAST_ON_MM
         if moved:
             found = align([latest[name] for name in latest], now.roots)
-            here, on_mm = _moved(now, found), max(LEAST_ON_MM, RESIDUALS * found.residual_mm)
+            here, on_mm = _align_day(now, found), max(LEAST_ON_MM, RESIDUALS * found.residual_mm)
             residuals.append(found.residual_mm)
-        known = _same(list(latest.values()), here.roots, on_mm)
+        known = _match_roots(list(latest.values()), here.roots, on_mm)
         own = [list(latest)[known[k]] if k in known else "" for k in range(len(here.roots))]
         for k, root in enumerate(here.roots):
             if not own[k]:
@@ -122,7 +131,7 @@ def track_roots(days: Sequence[Day]) -> TrackedPlant:
                 tracks[own[k]] = Track(name=own[k], parent=parent, order=root.order, absent_day=moved[-1].day if moved else 0.0)
             track = tracks[own[k]]
             first_mm = track.states[0].length_mm if track.states else np.inf
-            length_mm, diameter_mm = polyline.length_mm(root.points_mm), _diameter(root, first_mm)
+            length_mm, diameter_mm = polyline.length_mm(root.points_mm), _basal_diameter_mm(root, first_mm)
             track.states.append(RootState(day=now.day, root=root, length_mm=length_mm, diameter_mm=diameter_mm))
             latest[own[k]] = root
         moved.append(here)
@@ -132,14 +141,14 @@ def track_roots(days: Sequence[Day]) -> TrackedPlant:
 
 @dataclass(frozen=True)
 class _Points:
-    """All roots as sample points."""
+    """Sample points on the centre lines of all roots of a day."""
 
     points: Array
-    """(N, 3)"""
+    """Sample points (N, 3), mm."""
     along: Array
-    """(N, 3) unit directions."""
+    """Unit direction of the centre line at each point (N, 3)."""
     owner: NDArray[np.int64]
-    """(N,) index of the root."""
+    """Index of each point's root (N,)."""
 
     @classmethod
     def of(cls, roots: Sequence[Root]) -> "_Points":
@@ -148,12 +157,12 @@ class _Points:
         return cls(np.concatenate([points for points, _ in sampled]), np.concatenate([along for _, along in sampled]), owner)
 
 
-def _moved(day: Day, aligned: Aligned) -> Day:
+def _align_day(day: Day, aligned: Aligned) -> Day:
     return replace(day, roots=tuple(replace(root, points_mm=aligned.of(root.points_mm)) for root in day.roots))
 
 
-def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[int, int]:
-    """Map each matched root of the current day to its index among the known roots."""
+def _match_roots(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[int, int]:
+    """Match the roots of two days, and return the index of the known root by index of the current root."""
     if not known:
         return {}
     mine, theirs = _Points.of(known), _Points.of(today)
@@ -161,26 +170,26 @@ def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[in
     a, b, away = near["i"], near["j"], near["v"]
     along = np.abs(np.sum(mine.along[a] * theirs.along[b], axis=1)) >= LEAST_COSINE
     a, b, worth = a[along], b[along], 1.0 - 0.5 * away[along] / on_mm
-    best = np.zeros(len(mine.points) * len(today))  # best score of each known point on each current root
+    best = np.zeros(len(mine.points) * len(today))  # maximum score of each known point on each current root
     np.maximum.at(best, a * len(today) + theirs.owner[b], worth)
     score = np.zeros((len(known), len(today)))
     np.add.at(score, mine.owner, best.reshape(-1, len(today)))
     length = np.array([polyline.length_mm(root.points_mm) for root in known]) + STEP_MM
-    # short centre lines may lie on a root by chance, so that scores are weighted by length
+    # scores are weighted by length, because short centre lines may lie on a root by chance
     score *= (length / np.bincount(mine.owner, minlength=len(known)))[:, None]
     rows, columns = linear_sum_assignment(-score)
-    least = 0.5 * LEAST_SHARE * length  # a point at the maximum distance scores one half
+    least = 0.5 * LEAST_SHARE * length  # the score of a point at the maximum distance is one half
     return {int(j): int(i) for i, j in zip(rows, columns, strict=True) if score[i, j] >= least[i]}
 
 
 def _new_name(tracks: dict[str, Track], parent: str) -> str:
-    """Return a name composed of the parent's name and the number of the lateral in order of appearance."""
+    """Return the name of a new root: the parent's name and the number of the lateral in order of appearance."""
     count = sum(track.parent == parent for track in tracks.values())
     return f"{parent}.{count + 1}" if parent else str(count + 1)
 
 
-def _diameter(root: Root, first_mm: float) -> float:
-    """Return the mean diameter over the basal part of a root."""
+def _basal_diameter_mm(root: Root, first_mm: float) -> float:
+    """Return the mean diameter, mm, from the base to the distance ``first_mm``."""
     step = polyline.steps_mm(root.points_mm)
     way = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, min(first_mm, float(way[-1])), 20)

@@ -1,6 +1,6 @@
-"""Traits of many results with their plants.
+"""Read the traits of many results together with their plants.
 
-They are read from result folders, or from tables of traits written by `rhizotwin traits -o FILE.csv`.
+Traits are read from result folders, or from tables written by `rhizotwin traits -o FILE.csv`.
 """
 
 import re
@@ -20,7 +20,7 @@ from rhizotwin.scenes.subject import Subject
 from rhizotwin.stored import result_files, stored_traits
 
 IN_90 = 1.6448536269514722
-"""Half width of the 90 % interval of a normal distribution in standard deviations."""
+"""Half-width of the 90 % interval of a normal distribution, in standard deviations."""
 _MM3 = {"mm3": 1.0, "ml": 1000.0, "cm3": 1000.0, "l": 1e6}
 _HEAD = re.compile(r"(\w+)(?: \((\S+)\))?")
 _SUFFIX = re.compile(r"(\w+?)(_low|_high|_verdict)?")
@@ -31,28 +31,29 @@ class Measured:
     """Traits of one plant on one day."""
 
     name: str
-    """Name of the result folder, or file and line of a table."""
+    """Name of the result folder, or file and line of the table."""
     subject: Subject
+    """Plant, day, species and treatment."""
     traits: Mapping[str, float]
-    """Known traits by their names in tables, in the units of `scenes.trait_table`."""
+    """Measured traits by their names in tables, in the units of `scenes.trait_table`."""
     assessed: Mapping[str, Assessment] = field(default_factory=dict)
-    """Assessments by the same names; missing traits are not assessed."""
+    """Assessments of the traits by their names in tables. A trait without an entry is not assessed."""
     ions: Mapping[str, float] = field(default_factory=dict)
-    """Ion concentrations of the nutrient solution in mmol/l; empty if unknown."""
+    """Ion concentrations of the nutrient solution, mmol/l, empty if unknown."""
     folder: Path | None = None
-    """Result folder; None for a row of a table."""
+    """Result folder. None if the traits were read from a table."""
 
     def assessment(self, trait: str) -> Assessment:
-        """Return the reliability of a trait."""
+        """Return the assessment of a trait: reliability and 90 % interval."""
         return self.assessed.get(trait, NOT_ASSESSED)
 
     def usable(self, trait: str) -> float | None:
-        """Return the value of a trait for tests and fits; None unless it is positive and not marked as not reliable."""
+        """Return the value of a trait, None if the value is not positive or is marked as not reliable."""
         value = self.traits.get(trait, 0.0)
         return value if value > 0.0 and self.assessment(trait).verdict != "not reliable" else None
 
     def log_sigma(self, trait: str) -> float:
-        """Return the standard deviation of the logarithm of a trait, from its 90 % interval; 0 without an interval."""
+        """Return the standard deviation of a trait's logarithm from its 90 % interval, zero without an interval."""
         low, high = self.assessment(trait).interval or (0.0, 0.0)
         return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0
 
@@ -74,18 +75,18 @@ def read_all(sources: Sequence[Path]) -> list[Measured]:
     found = []
     for source in sources:
         if source.suffix.lower() == ".csv":
-            found += [_of_row(row) for row in tables.read_table(source)]
+            found += [_read_row(row) for row in tables.read_table(source)]
         elif (source / "result.json").is_file():
-            found += _of_folder(source)
+            found += _read_folder(source)
         else:
             if not source.is_dir():
-                raise UserError(f"{source} is not a result, a folder of results, or a table (.csv) of traits")
-            found += [one for folder in result_files.results_in([source]) for one in _of_folder(folder)]
+                raise UserError(f"{source} is not a result folder, a folder of results, or a table of traits (.csv)")
+            found += [one for folder in result_files.results_in([source]) for one in _read_folder(folder)]
     return found
 
 
 def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
-    """Group results by plant, ordered by day.
+    """Group results by plant and sort them by day.
 
     Raises
     ------
@@ -97,10 +98,12 @@ def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
         if not one.subject.plant:
             raise UserError(
                 f"{one.name}: the name of the plant is missing; set it with --plant "
-                "when the dataset is created, or as plant in its [subject]"
+                "when the dataset is created, or as 'plant' in [subject] of the scene"
             )
         if one.subject.day is None:
-            raise UserError(f"{one.name}: plant {one.subject.plant} has no day; set it with --day, or as day in the scene's [subject]")
+            raise UserError(
+                f"{one.name}: the day of plant {one.subject.plant} is missing; set it with --day, or as 'day' in [subject] of the scene"
+            )
         plants.setdefault(one.subject.plant, []).append(one)
     for plant, days in plants.items():
         days.sort(key=lambda one: one.subject.day or 0.0)
@@ -113,22 +116,24 @@ def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
 
 
 def one_species(found: Sequence[Measured]) -> str:
-    """Return the species of all results; empty if unknown.
+    """Return the species of all results, empty if unknown.
 
     Raises
     ------
     UserError
-        If there are two species.
+        If the results contain two species.
     """
     named = {one.subject.species: one for one in found if one.subject.species}
     if len(named) > 1:
         (first, one), (second, other) = list(named.items())[:2]
-        raise UserError(f"{one.who} belongs to the species {first}, {other.who} to {second}; a model requires a single species")
+        raise UserError(
+            f"{one.who} is of the species {first}, but {other.who} is of the species {second}; use results of a single species for a model"
+        )
     return next(iter(named), "")
 
 
-def _of_folder(folder: Path) -> list[Measured]:
-    """Read a result folder; one entry per plant."""
+def _read_folder(folder: Path) -> list[Measured]:
+    """Read a result folder and return one entry per plant."""
     summary = result_files.read_summary(folder)
     above = trait_table.shoot_numbers(stored_traits.of_shoot(summary))
     dissolved = solution.from_summary(summary, str(folder / "result.json")).ions_mmol_per_l
@@ -147,17 +152,19 @@ def _of_folder(folder: Path) -> list[Measured]:
 
 
 def exclusion_notes(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
-    """Return a sentence for each trait with values that are excluded because they are not reliable."""
+    """Return one sentence per trait with the number of excluded unreliable values and the reasons."""
     sentences = []
     for trait in traits:
         known = [one for one in found if one.traits.get(trait, 0.0) > 0.0]
-        reasons = [one.assessment(trait).reason or "according to the table" for one in known if one.usable(trait) is None]
+        reasons = [
+            one.assessment(trait).reason or "the table marks the value as not reliable" for one in known if one.usable(trait) is None
+        ]
         sentences.append(assessment.left_out(trait, reasons, total=len(known)))
     return [sentence for sentence in sentences if sentence]
 
 
-def _of_row(row: tables.Row) -> Measured:
-    """Read a row of a table of traits; columns may also have the names of earlier versions, as ``volume (mm3)``."""
+def _read_row(row: tables.Row) -> Measured:
+    """Read a row of a table of traits. Column names of earlier versions, such as ``volume (mm3)``, are accepted."""
     names = trait_table.column_names()
     numbers: dict[str, float] = {}
     for column in row.cells:
@@ -171,7 +178,7 @@ def _of_row(row: tables.Row) -> Measured:
         in_mm3 = 1.0
         if stem == "volume":
             if match[2] not in _MM3:
-                raise UserError(f"{row.where}: the column {column} must have a unit, (mm3) or (ml)")
+                raise UserError(f"{row.where}: the column {column} has no known unit; must be (mm3), (cm3), (ml) or (l)")
             in_mm3 = _MM3[match[2]]
         numbers[names[stem] + end] = value * in_mm3
     traits = {name: value for name, value in numbers.items() if _split(name)[1] == ""}
@@ -185,29 +192,32 @@ def _of_row(row: tables.Row) -> Measured:
 
 
 def _split(column: str) -> tuple[str, str]:
-    """Return the name of a trait in a column name, and the suffix: ``_low``, ``_high``, ``_verdict`` or nothing."""
+    """Split a column name into the trait's name and the suffix ``_low``, ``_high``, ``_verdict`` or an empty string."""
     match = _SUFFIX.fullmatch(column)
     return (column, "") if match is None else (match[1], match[2] or "")
 
 
 def _ions(row: tables.Row) -> dict[str, float]:
-    """Return the concentrations in a row in mmol/l by ion; empty if there are none."""
+    """Return the ion concentrations in a row, mmol/l, by name of the ion, empty if there are none."""
     headings = {ion: f"{ion} ({solution.UNIT})" for ion in solution.IONS}
     found = {ion: value for ion, heading in headings.items() if (value := tables.number(row, heading)) is not None}
     if low := [ion for ion, value in found.items() if value < 0.0]:
-        raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must not be negative")
+        raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must be at least 0")
     return found
 
 
 def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
-    """Read interval and verdict of a trait; a column ``trusted`` (yes or no) is the verdict on the volume."""
+    """Read interval and verdict of a trait.
+
+    The column ``trusted`` (yes or no) is the verdict on the volume in earlier versions.
+    """
     columns = [f"{column}_verdict" for column, own in trait_table.column_names().items() if own == name]
     word = next((row.cells[column] for column in columns if row.cells.get(column)), "")
     if name == "volume" and not word:
         word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")
     verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)}
     if word and word not in verdicts:
-        raise UserError(f"{row.where}: the verdict on {name} is {word!r}; it must be one of {', '.join(verdicts)}")
+        raise UserError(f"{row.where}: the verdict on {name} is {word!r}; must be one of: {', '.join(verdicts)}")
     ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
     interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
     return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

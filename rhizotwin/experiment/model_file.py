@@ -1,10 +1,10 @@
-"""Model of `rhizotwin biomass fit` as a JSON file, and its predictions as a table."""
+"""Read and write the model of `rhizotwin biomass fit` as a JSON file, and tabulate its predictions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rhizotwin.experiment.biomass import Model, Relation, known_for
+from rhizotwin.experiment.biomass import Model, Relation, applicable_relations
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes import atomic, solution, subject
 from rhizotwin.scenes.assessment import Assessment
@@ -21,60 +21,67 @@ class Predicted:
     """Predicted mass of a plant."""
 
     measured: Measured
+    """Traits of the plant."""
     relation: Relation
+    """Relation from which the mass is predicted."""
     grams: float
+    """Predicted mass, g."""
     low_g: float
-    """Lower end of the 90 % interval, with ``high_g`` as the upper end."""
+    """Lower end of the 90 % interval, g."""
     high_g: float
+    """Upper end of the 90 % interval, g."""
 
     @property
     def assessment(self) -> Assessment:
-        """Assessment of the trait on which the prediction is based."""
+        """Assessment of the trait from which the mass is predicted."""
         return self.measured.assessment(self.relation.trait)
 
     @property
     def beyond(self) -> bool:
-        """Whether the trait is outside the range of the fitted plants."""
+        """Whether the trait lies outside the range of the fitted plants."""
         return not self.relation.least <= self.measured.traits[self.relation.trait] <= self.relation.most
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stored:
-    """Contents of the file."""
+    """Contents of a model file."""
 
     schema_version: int
+    """Version of the file format."""
     model: Model
+    """Fitted model."""
     versions: dict[str, str]
+    """Versions of the software that wrote the file."""
 
 
 def save_model(model: Model, path: Path) -> None:
-    """Write a model atomically; `load_model` returns an equal one."""
+    """Write a model to a JSON file atomically."""
     atomic.write_json(path, to_plain(_Stored(schema_version=SCHEMA_VERSION, model=model, versions=versions(("numpy", "scipy")))))
 
 
 def load_model(path: Path) -> Model:
-    """Read a model.
+    """Read a model from a JSON file.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged or of another version.
+        If the file is missing, damaged or of an unsupported version.
     """
     return from_plain(_Stored, read_versioned_json(path, SCHEMA_VERSION), Place(str(path))).model
 
 
 def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
-    """Predict the masses of all results, of each kind of the model whose trait is available."""
+    """Predict the masses of all results in which the traits of the model were measured."""
     found = []
     for one in measured:
-        for relation in known_for(model, one):
+        for relation in applicable_relations(model, one):
             grams, low, high = relation.predict(one.traits[relation.trait], one.log_sigma(relation.trait))
             found.append(Predicted(measured=one, relation=relation, grams=grams, low_g=low, high_g=high))
     return found
 
 
 def to_csv(found: Sequence[Predicted]) -> str:
-    """Return a table with one row per mass: plant, mass with its 90 % interval, and reliability."""
+    """Return a CSV table with one row per predicted mass: plant, mass with its 90 % interval, and reliability."""
     dissolved = solution.headings([one.measured.ions for one in found])
     rows: list[list[str]] = [
         ["result", *subject.NAMES, *dissolved.values(), "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]

@@ -1,7 +1,8 @@
-"""Copper wires of known section as a phantom: how well a rig measures roots of each diameter.
+"""Measure copper wires of known cross-section as a phantom to find out which root diameters a rig can measure.
 
-A wire's upper end is hidden by its holder, so that its volume is compared per visible length, which is its section. The
-section of a real wire follows from the mass of a measured length of it and the density of copper.
+The upper end of a wire is hidden by its holder. The wire's volume is therefore divided by its visible length, and the
+resulting cross-section is compared with the known cross-section. The cross-section of a real wire is computed from the
+mass of a measured length and the density of copper.
 """
 
 from collections.abc import Sequence
@@ -15,66 +16,67 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.series import tube_mm3
 
 COPPER_MG_PER_MM3 = 8.96
-"""Density of copper at 20 degrees Celsius: CRC Handbook of Chemistry and Physics."""
+"""Density of copper at 20 degrees Celsius, mg/mm3 (CRC Handbook of Chemistry and Physics)."""
 TOLERANCE = 0.03
-"""Largest error of a section that counts as measured."""
+"""Maximum relative error of the cross-section of a wire that was measured successfully."""
 LEAST_MM = 10.0
-"""A wire of which less is found is not measured: its ends have too much weight."""
+"""Minimum detected length of a wire that was measured successfully, mm. Errors at the ends dominate shorter lengths."""
 NEAREST = 1.35
-"""Largest factor between the diameter of a root and that of its wire; wires that double in diameter are 1.41 apart."""
+"""Maximum ratio between the diameters of a root and the wire to which the root is assigned, or its inverse. For wires
+whose diameters double, the midpoint between two wires is at a ratio of 1.41."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wire:
-    """A wire as it was measured."""
+    """Measured length and volume of a wire."""
 
     diameter_mm: float
-    """Diameter that is known."""
+    """Known diameter of the wire, mm."""
     length_mm: float
-    """Length that was found."""
+    """Detected length of the wire, mm."""
     volume_mm3: float
-    """Volume of that length, from its centre line and diameters."""
+    """Volume of the detected length, computed from centre line and diameters, mm3."""
 
     @property
     def true_mm3(self) -> float:
-        """Volume that the known diameter gives for the length that was found."""
+        """True volume of the detected length, computed from the known diameter, mm3."""
         return pi / 4.0 * self.diameter_mm**2 * self.length_mm
 
     @property
     def error(self) -> float:
-        """Relative error of the section; 0 if nothing was found."""
+        """Relative error of the cross-section, zero if the wire was not detected."""
         return self.volume_mm3 / self.true_mm3 - 1.0 if self.length_mm > 0.0 else 0.0
 
     @property
     def is_measured(self) -> bool:
-        """Whether roots of this diameter are measured."""
+        """Whether the wire was measured successfully, so that roots of its diameter can be measured."""
         return self.length_mm >= LEAST_MM and abs(self.error) <= TOLERANCE
 
     @property
     def verdict(self) -> str:
-        """`is_measured` in words, with the reason."""
+        """Text that states whether the wire was measured successfully, with the reason if it was not."""
         if self.length_mm < LEAST_MM:
-            return "not measurable: too little of it was found"
+            return f"not measurable: less than {LEAST_MM:g} mm of the wire were detected"
         return f"{'measured' if self.is_measured else 'not measurable'} within {100.0 * TOLERANCE:g} %"
 
 
 def diameter_of(mg_per_m: float) -> float:
-    """Return the diameter of a round copper wire from its mass per metre, mm."""
+    """Return the diameter of a round copper wire, mm, from its mass per metre, mg/m."""
     return float((4.0 / pi * mg_per_m / 1000.0 / COPPER_MG_PER_MM3) ** 0.5)
 
 
 def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
-    """Return each wire of a scan of the phantom, from the centre lines of its result.
+    """Measure each wire in a scan of the phantom from the centre lines of the result.
 
-    Every centre line belongs to the wire whose diameter is nearest to its own; lines that are far from all of them are
-    left out.
+    Each centre line is assigned to the wire with the most similar diameter. Centre lines whose diameter differs from
+    all wires by more than the factor `NEAREST` are ignored.
 
     Parameters
     ----------
     result : Path
-        Folder of the result.
+        Result folder.
     diameters_mm : sequence of float
-        Known diameters.
+        Known diameters of the wires, mm.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def measure_wires(result: Path, diameters_mm: Sequence[float]) -> list[Wire]:
             )
     file = result / "roots.rsml"
     if not file.is_file():
-        raise UserError(f"{file} does not exist: no centre lines were found, so that no wire is measured")
+        raise UserError(f"{file} does not exist, because the reconstruction found no centre lines; no wire can be measured")
     lengths, volumes = dict.fromkeys(ordered, 0.0), dict.fromkeys(ordered, 0.0)
     for root in rsml.read_rsml(file):
         length, volume = rsml.length_mm([root]), tube_mm3([root])

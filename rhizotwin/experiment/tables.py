@@ -1,6 +1,6 @@
-"""CSV tables with a header and comment lines that start with ``#``.
+"""Read CSV tables with a header, and comment lines that start with ``#``.
 
-The tables of Kliman's thesis (2022) are included.
+Two tables of Kliman's thesis (2022) are part of the package.
 """
 
 import csv
@@ -14,21 +14,21 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import read_file
 
 SHIPPED = ("kliman_2022_masses.csv", "kliman_2022_volumes.csv")
-"""Tables A.1 and 4.1 of the thesis, with their source in the first lines."""
+"""Files with tables A.1 and 4.1 of the thesis. The first lines of each file contain its source."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Row of a table."""
+    """Row of a CSV table."""
 
     where: str
-    """File and line, for messages."""
+    """File and line, for error messages."""
     cells: dict[str, str]
-    """Cells by column name; empty for missing cells."""
+    """Cells of the row as text, by column name. Missing cells are empty."""
 
 
 def read_table(path: Path) -> list[Row]:
-    """Read a CSV file with a header; empty lines and lines that start with ``#`` are ignored.
+    """Read a CSV file with a header. Empty lines and lines that start with ``#`` are ignored.
 
     Raises
     ------
@@ -42,26 +42,26 @@ def read_table(path: Path) -> list[Row]:
         raise UserError(f"{path} is not a text file in UTF-8; save the table as CSV") from None
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
     if len(lines) < 2:
-        raise UserError(f"{path} has no rows below its header")
+        raise UserError(f"{path} contains no rows below the header")
     try:
         rows = [next(csv.reader(io.StringIO(line), strict=True)) for _, line in lines]
     except csv.Error as error:
-        raise UserError(f"{path} is not a CSV table ({error})") from None
+        raise UserError(f"{path} could not be read as a CSV table: {error}") from None
     head = [name.strip() for name in rows[0]]
     twice = sorted({name for name in head if name and head.count(name) > 1})
     if twice:
-        raise UserError(f"{path} has two columns named {twice[0]}")
+        raise UserError(f"{path} contains two columns with the name {twice[0]}; rename or remove one of them")
     made = []
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
         where = f"{path}, line {number}"
         if len(cells) > len(head):
-            raise UserError(f"{where}: {len(cells)} cells, but the header has {len(head)}; use a point as decimal separator")
+            raise UserError(f"{where}: the row has {len(cells)} cells, but the header has {len(head)}; use a point as decimal separator")
         made.append(Row(where=where, cells=dict(zip(head, [cell.strip() for cell in cells], strict=False))))
     return made
 
 
 def number(row: Row, column: str) -> float | None:
-    """Return the number in a cell; None if the cell is empty or the column is missing.
+    """Return the number in a cell, None if the cell is empty or the column is missing.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def number(row: Row, column: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
-        raise UserError(f"{row.where}: {column} is {text!r}, which is not a number; units belong in the column name") from None
+        raise UserError(f"{row.where}: {column} is {text!r}, which is not a number; write the unit in the column name") from None
     if not abs(value) < float("inf"):
         raise UserError(f"{row.where}: {column} is {text!r}, which is not a finite number")
     return value
@@ -86,7 +86,7 @@ def shipped(name: str) -> Path:
 
 
 def write_shipped(folder: Path) -> list[Path]:
-    """Write the thesis's tables to a folder; existing files are not replaced."""
+    """Write the thesis's tables to a folder and return their paths. Existing files are not replaced."""
     written = []
     for name in SHIPPED:
         atomic.write_text(folder / name, shipped(name).read_text(encoding="utf-8"), new=True)

@@ -1,8 +1,9 @@
-"""Fit of a straight line to points with errors in both coordinates and intrinsic scatter.
+"""Fit a straight line to points with errors in both coordinates and intrinsic scatter.
 
-York et al. 2004, American Journal of Physics 72:367, equations 13: maximum-likelihood line for normal errors. Intrinsic
-scatter (variation among plants) is added to the variance of y, so that chi squared equals the degrees of freedom (Paule
-and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
+The line is the maximum-likelihood estimate for normally distributed errors (York et al. 2004, American Journal of
+Physics 72:367, equations 13). Intrinsic scatter (variation among plants) is added to the variance of y, so that chi
+squared equals the degrees of freedom (Paule and Mandel 1982, Journal of Research of the National Bureau of Standards
+87:377).
 """
 
 from dataclasses import dataclass, replace
@@ -15,42 +16,46 @@ from scipy.stats import t as student
 Array = NDArray[np.float64]
 
 MOST_ROUNDS = 200
+"""Maximum number of iterations for the slope."""
 CONVERGED = 1e-13
-"""Relative change of the slope."""
+"""Relative change of the slope at which the iteration has converged."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """``y = intercept + slope * x`` with its uncertainty."""
+    """Straight line ``y = intercept + slope * x`` with its uncertainty."""
 
     intercept: float
+    """Value of y at x = 0."""
     slope: float
+    """Change of y per unit of x."""
     covariance: tuple[tuple[float, float], tuple[float, float]]
-    """Covariance of intercept and slope."""
+    """Covariance matrix of intercept and slope."""
     scatter: float
     """Intrinsic standard deviation of y about the line."""
     chi2: float
+    """Weighted sum of squared residuals."""
     dof: int
-    """Degrees of freedom: points minus parameters."""
+    """Degrees of freedom: number of points minus number of parameters."""
 
     def at(self, x: Array, *, x_sigma: Array | float = 0.0, y_sigma: Array | float = 0.0) -> tuple[Array, Array]:
-        """Predict y at x, with the standard deviation of a new point.
+        """Predict y (N,) at x, and the standard deviation (N,) of a new measurement of y.
 
         Parameters
         ----------
         x : (N,) float64 array
-            Measured values with the standard deviation ``x_sigma``.
+            Measured values of x, with standard deviation ``x_sigma``.
         y_sigma : float64 array or float
-            Standard deviation of the y to which the prediction is compared.
+            Standard deviation of the measured y that is compared with the prediction.
         """
         (a, ab), (_, b) = self.covariance
         variance = a + 2.0 * ab * x + b * x**2 + self.slope**2 * np.square(x_sigma) + self.scatter**2 + np.square(y_sigma)
         return self.intercept + self.slope * x, np.sqrt(variance)
 
     def reach(self, share: float) -> float:
-        """Return the half width of an interval with a given coverage, in standard deviations.
+        """Return the half-width of an interval with a given coverage probability, in standard deviations.
 
-        It is a quantile of Student's t distribution with the degrees of freedom of the line.
+        The half-width is a quantile of Student's t distribution with ``dof`` degrees of freedom.
         """
         return float(student.ppf(0.5 + share / 2.0, self.dof))
 
@@ -61,18 +66,18 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
     Parameters
     ----------
     x, y : (N,) float64 array
-        Points.
+        Coordinates of the points.
     x_sigma, y_sigma : (N,) float64 array
-        Independent standard deviations; may be 0.
+        Standard deviations of independent errors, may be zero.
     slope : float or None
-        Fixed slope; None: fitted.
+        Fixed slope. None: the slope is fitted.
     scatter : bool
-        Whether to estimate intrinsic scatter; False: none, as in York et al.
+        Whether to estimate intrinsic scatter. False: zero scatter as in York et al.
 
     Raises
     ------
     ValueError
-        If there are too few points for an uncertainty.
+        If there are too few points to estimate an uncertainty.
     """
     parameters = 1 if slope is not None else 2
     if len(x) <= parameters:
@@ -81,7 +86,7 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
     least = 1e-12 * max(spread, 1e-12)  # keeps the weights finite for points without errors and scatter
 
     def line(extra: float) -> Line:
-        return _weighted(x, y, x_sigma**2, y_sigma**2 + extra + (least if scatter else 0.0), slope)
+        return _fit_york(x, y, x_sigma**2, y_sigma**2 + extra + (least if scatter else 0.0), slope)
 
     bare = line(0.0)
     if not scatter or bare.chi2 <= bare.dof:
@@ -93,8 +98,8 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
     return replace(line(found), scatter=found**0.5)
 
 
-def _weighted(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | None) -> Line:
-    """Compute York's line for given variances; a fixed slope has no uncertainty."""
+def _fit_york(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | None) -> Line:
+    """Fit York's line for given variances of x and y (N,). The variance of a fixed slope is zero."""
     b = slope if slope is not None else float(np.polyfit(x, y, 1)[0])
     for _ in range(MOST_ROUNDS):
         weight = 1.0 / (y_var + b**2 * x_var)

@@ -1,4 +1,4 @@
-"""RO-Crate metadata (Soiland-Reyes et al. 2022, Data Science 5:97), written with the library rocrate."""
+"""Write the metadata of a publication as RO-Crate (Soiland-Reyes et al. 2022, Data Science 5:97)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +11,7 @@ from rhizotwin.scenes.errors import UserError
 
 _TYPES = {".csv": "text/csv", ".md": "text/markdown", ".txt": "text/plain", ".png": "image/png"}
 SOFTWARE = "https://github.com/rhizotwin/rhizotwin"
+"""Web address of this program."""
 
 
 def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[Found], *, files: dict[str, str], version: str) -> None:
@@ -19,13 +20,13 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
     Parameters
     ----------
     folder : Path
-        Folder of the publication.
+        Folder to publish.
     study : Study
         Description of the data.
     scans, results : sequence of Scan, sequence of Found
         Scans and results in the folder.
     files : dict of str
-        Description of each file at the top level, by name.
+        Descriptions of the files at the top level of the folder, by file name.
     version : str
         Version of this program.
 
@@ -37,13 +38,13 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
     try:
         from rocrate.rocrate import ROCrate
     except ModuleNotFoundError:
-        raise UserError("--publish requires rocrate: pip install 'rhizotwin[publish]'") from None
+        raise UserError("publishing needs the package rocrate; install it with: pip install 'rhizotwin[publish]'") from None
     crate = ROCrate(version="1.1")  # the version that most repositories read
     crate.name, crate.description, crate.keywords = study.title, study.description, list(study.keywords)
     crate.datePublished = study.published
     licence = {"@id": study.licence_url, "@type": "CreativeWork", "name": LICENCES[study.licence], "description": f"SPDX: {study.licence}"}
     crate.license = crate.add_jsonld({**licence, "url": study.licence_url})
-    homes = {str(entity["name"]): crate.add_jsonld(entity) for entity in _homes(study)}
+    homes = {str(entity["name"]): crate.add_jsonld(entity) for entity in _institutions(study)}
     people = [crate.add_jsonld(entity) for entity in _people(study)]
     for person, author in zip(people, study.authors, strict=True):
         if author.affiliation:
@@ -71,8 +72,8 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
     crate.metadata.write(folder)
 
 
-def _homes(study: Study) -> list[dict[str, Any]]:
-    """Return the institutions as entities, starting with that of the study."""
+def _institutions(study: Study) -> list[dict[str, Any]]:
+    """Return the institutions as RO-Crate entities, starting with the study's institution."""
     addresses = {study.institution: ""} | {one.affiliation: one.affiliation_url for one in study.authors}
     named = ((name, address) for name, address in addresses.items() if name)
     return [
@@ -82,7 +83,7 @@ def _homes(study: Study) -> list[dict[str, Any]]:
 
 
 def _people(study: Study) -> list[dict[str, Any]]:
-    """Return the authors as entities."""
+    """Return the authors as RO-Crate entities."""
     found = []
     for number, one in enumerate(study.authors, start=1):
         identity = f"https://orcid.org/{one.orcid}" if one.orcid else f"#author-{number}"

@@ -1,6 +1,6 @@
-"""Tables of MIAPPE 1.1 (Papoutsoglou et al. 2020, New Phytologist 227:260) from datasets and results.
+"""Tables of the MIAPPE 1.1 standard (Papoutsoglou et al. 2020, New Phytologist 227:260) for datasets and results.
 
-Column names are those of the MIAPPE checklist; unknown values are empty.
+Column names are those of the MIAPPE checklist. Unknown values are empty.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ _METHOD = "rhizotwin: refraction-aware reconstruction from pictures taken around
 
 
 def tables(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> dict[str, str]:
-    """Return the tables as CSV, by file name.
+    """Return the MIAPPE tables as CSV text by file name.
 
     Parameters
     ----------
     study : Study
         Description of the data.
     scans, results : sequence of Scan, sequence of Found
-        Scans and results of the publication.
+        Published scans and results.
     """
     rows: dict[str, list[list[str]]] = {
         "study": _study(study),
@@ -57,7 +57,7 @@ def _people(study: Study) -> list[list[str]]:
 
 
 def subjects(scan: Scan) -> list[Subject]:
-    """Return the plants in a scan."""
+    """Return all plants in a scan."""
     scene = scan.dataset.scene
     return [plant.subject(scene.subject) for plant in scene.plants] or [scene.subject]
 

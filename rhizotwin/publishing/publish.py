@@ -1,4 +1,4 @@
-"""Writing of datasets and results to a folder with licence, authors, metadata, checksums and an overview."""
+"""Copy datasets and results to a folder with licence, authors, metadata, checksums and an overview."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,20 +21,21 @@ from rhizotwin.scenes.provenance import versions
 from rhizotwin.stored import result_files, stored_traits
 
 CHECKSUMS = "checksums-sha256.txt"
+"""Name of the file with checksums."""
 Image = NDArray[np.uint8 | np.uint16]
 _ACROSS, _EDGE_PX = 4, 320
-"""Pictures per row of the contact sheet, and length of their longer edge."""
+"""Number of pictures per row of the contact sheet, and maximum length of a picture's longer edge, pixels."""
 
 
 def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[Path]:
-    """Write a folder for upload to a data repository.
+    """Write a folder that can be uploaded to a data repository.
 
     Parameters
     ----------
     sources : sequence of Path
         Datasets, results, or folders that contain them.
     output : Path
-        Folder to write.
+        Output folder, which must not exist.
     study : Study
         Description of the data.
     monitor : Monitor
@@ -43,12 +44,12 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
     Returns
     -------
     list of Path
-        Path of the folder.
+        The output folder as the only element.
 
     Raises
     ------
     UserError
-        If data are damaged or contain links, the folder exists, or rocrate is not installed.
+        If a file is damaged or a link, the output folder exists, or rocrate is not installed.
     """
     study = replace(study, published=study.published or datetime.now(UTC).date().isoformat())
     scans, results = published.find(sources)
@@ -74,14 +75,14 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
 
 
 def _checksums(folder: Path) -> str:
-    """Return one line per file in the format of sha256sum."""
+    """Return the SHA-256 checksums of all files in the format of sha256sum."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     names = {path.relative_to(folder).as_posix(): path for path in files}
     return "".join(f"{file_sha256(path)}  {name}\n" for name, path in names.items() if name != CHECKSUMS)
 
 
 def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:
-    """Draw the middle picture of each scan and the shape of each result."""
+    """Draw the middle picture of each scan and the shape of each result, and return the contact sheet as PNG."""
     shown = [(scan.name, _small(read_image(scan.dataset, scan.dataset.frames[len(scan.dataset.frames) // 2]))) for scan in scans]
     for found in results:
         shape = result_files.read_shape_picture(found.folder)
@@ -107,7 +108,7 @@ def _readme(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> st
     """Return the text of README.md."""
     people = ", ".join(author.name + (f" ({author.affiliation})" if author.affiliation else "") for author in study.authors)
     names = ", ".join(author.name for author in study.authors)
-    paper = f" Belongs to https://doi.org/{study.publication_doi}." if study.publication_doi else ""
+    paper = f" Supplement to https://doi.org/{study.publication_doi}." if study.publication_doi else ""
     lines = [
         *(f"# {study.title}", "", study.description, ""),
         *(f"**Authors:** {people}", "", f"**Licence:** [{LICENCES[study.licence]}]({study.licence_url})", ""),

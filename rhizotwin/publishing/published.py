@@ -1,4 +1,4 @@
-"""Datasets and results to be published: search, names, and copies."""
+"""Find and copy the datasets and results to be published."""
 
 import html
 import shutil
@@ -17,64 +17,71 @@ from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
 
 SCANS, RESULTS = "scans", "results"
+"""Folders of the publication for datasets and results."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """A dataset."""
+    """Dataset to be published."""
 
     name: str
+    """Name of the dataset's folder in the publication."""
     dataset: Dataset
+    """Dataset with its scene and pictures."""
 
     @property
     def place(self) -> str:
-        """Folder in the publication."""
+        """Path of the dataset in the publication, relative to the publication's folder."""
         return f"{SCANS}/{self.name}"
 
     @property
     def simulated(self) -> bool:
-        """Whether the pictures were rendered."""
+        """Whether the pictures were simulated."""
         return (self.dataset.folder / "truth").is_dir()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """A result."""
+    """Result to be published."""
 
     name: str
+    """Name of the result's folder in the publication."""
     folder: Path
+    """Original folder of the result."""
     summary: dict[str, Any]
+    """Content of ``result.json``."""
     traits: Traits
+    """Traits of the result."""
     scan: Scan | None
-    """Dataset of the result, if published, too."""
+    """Dataset of the result. None if the dataset is not published."""
 
     @property
     def place(self) -> str:
-        """Folder in the publication."""
+        """Path of the result in the publication, relative to the publication's folder."""
         return f"{RESULTS}/{self.name}"
 
     @property
     def plants(self) -> list[PlantTraits]:
-        """Return each plant with its traits."""
+        """Return the traits of each plant."""
         return traits_by_plant(self.name, self.summary, self.traits)
 
 
 def find(sources: Sequence[Path]) -> tuple[list[Scan], list[Found]]:
-    """Find the datasets and results in folders.
+    """Find all datasets and results in folders.
 
     Raises
     ------
     UserError
-        If nothing is found, or a file is damaged or a link.
+        If a folder contains neither a dataset nor a result, or a file is damaged or a link.
     """
     scans, results = list[Path](), list[Path]()
     for source in sources:
         if not source.is_dir():
-            raise UserError(f"the folder {source} does not exist; give datasets, results, or folders that contain them")
+            raise UserError(f"the folder {source} does not exist; specify datasets, results, or folders that contain them")
         folders.refuse_links(source)
         inside = sorted(path for path in source.rglob("*.json") if path.name in folders.HEADS and not _is_hidden(path, source))
         if not inside:
-            raise UserError(f"{source} contains no dataset and no result (dataset.json, result.json)")
+            raise UserError(f"{source} contains neither a dataset (dataset.json) nor a result (result.json)")
         scans += [path.parent for path in inside if path.name == "dataset.json"]
         results += [path.parent for path in inside if path.name == "result.json"]
     scans, results = (list(dict.fromkeys(path.resolve() for path in found)) for found in (scans, results))
@@ -89,16 +96,16 @@ def find(sources: Sequence[Path]) -> tuple[list[Scan], list[Found]]:
 
 
 def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monitor: Monitor) -> None:
-    """Copy datasets and results; every picture is decoded once, so that no damaged picture is published.
+    """Copy datasets and results, and check that every picture can be decoded.
 
-    The path of a result's dataset, which may contain personal folder names, is replaced by the path of the copy.
+    The dataset's path that is stored in a result may contain a user name, and is replaced by the path of the copy.
 
     Parameters
     ----------
     scans, results : sequence of Scan, sequence of Found
         Scans and results from `find`.
     folder : Path
-        Folder of the copies.
+        Folder to publish, to which the data are copied.
     monitor : Monitor
         Progress monitor.
     """
@@ -120,7 +127,7 @@ def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monit
 
 
 def _copy_folder(source: Path, goal: Path) -> None:
-    """Copy a folder without hidden files and logs."""
+    """Copy a folder without hidden files and intermediate results (``stages``)."""
     folders.refuse_links(source)
     goal.parent.mkdir(parents=True, exist_ok=True)
     shutil.copytree(source, goal, ignore=shutil.ignore_patterns(".*", "stages"))

@@ -20,7 +20,7 @@ LICENCES = {
     "ODbL-1.0": "Open Data Commons Open Database License v1.0",
     "PDDL-1.0": "Open Data Commons Public Domain Dedication & License 1.0",
 }
-"""Names of data licences by their SPDX identifier."""
+"""Names of data licences by SPDX identifier."""
 EXAMPLE = """title = "Roots of radishes in nutrient solution"
 description = "Eighteen radishes, scanned every five days."
 licence = "CC-BY-4.0"
@@ -39,18 +39,18 @@ _DOI = re.compile(r"10\.\d{4,9}/\S+", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True)
 class Author:
-    """Author of the data."""
+    """Author of the published data."""
 
     name: str
-    """Given and family name."""
+    """Given name and family name."""
     orcid: str = ""
     """ORCID iD, such as 0000-0002-1825-0097."""
     affiliation: str = ""
-    """Institution."""
+    """Institution of the author."""
     affiliation_url: str = ""
     """Web address of the institution, preferably from https://ror.org."""
     email: str = ""
-    """Contact address; it is published."""
+    """Email address, which is published."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,25 +62,25 @@ class Study:
     description: str
     """Purpose and procedure in a few sentences (MIAPPE: study description)."""
     licence: Literal["CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "ODC-By-1.0", "ODbL-1.0", "PDDL-1.0"]
-    """SPDX identifier of the licence of the data."""
+    """SPDX identifier of the licence."""
     authors: tuple[Author, ...]
     """Authors in the order of citation."""
     keywords: tuple[str, ...] = ("plant roots", "phenotyping", "hydroponics")
-    """Keywords for search."""
+    """Search keywords."""
     published: str = ""
-    """Date of publication, such as 2026-11-25; empty: today."""
+    """Date of publication, such as 2026-11-25. Empty: the current date."""
     publication_doi: str = ""
-    """DOI of the related paper, such as 10.1234/abc."""
+    """DOI of the paper about the data, such as 10.1234/abc."""
     start: str = ""
-    """Start of the experiment (MIAPPE: start date of study)."""
+    """Date on which the experiment started (MIAPPE: start date of study)."""
     institution: str = ""
     """Institution at which the plants were grown (MIAPPE: contact institution)."""
     country: str = ""
-    """ISO 3166 code or name (MIAPPE: geographic location, country)."""
+    """Country of the institution, as ISO 3166 code or name (MIAPPE: geographic location, country)."""
     facility: str = "growth chamber"
-    """MIAPPE: type of growth facility."""
+    """Type of growth facility (MIAPPE: type of growth facility)."""
     cultivation: str = "single plants in round acrylic canisters of nutrient solution"
-    """MIAPPE: cultural practices."""
+    """Cultivation of the plants (MIAPPE: cultural practices)."""
 
     @property
     def licence_url(self) -> str:
@@ -89,13 +89,13 @@ class Study:
 
 
 def read_study(path: Path) -> Study:
-    """Read and check a study file.
+    """Read and validate a study file.
 
     Raises
     ------
     UserError
-        If the file cannot be read, a key is unknown or missing, there is no author, the check digit of an ORCID iD is
-        wrong, a date or DOI is invalid, or a text contains line breaks.
+        If the file cannot be read, a key is unknown or missing, there is no author, an ORCID iD has a wrong check
+        digit, a date or DOI is invalid, or a text contains line breaks.
     """
     table, text = read_toml(path)
     place = Place(str(path), text)
@@ -127,7 +127,7 @@ def _check_date(text: str, place: Place) -> None:
 
 
 def _is_orcid(text: str) -> bool:
-    """Return whether the check digit of an ORCID iD is valid (ISO 7064, MOD 11-2)."""
+    """Return whether a text is an ORCID iD with a valid check digit (ISO 7064, MOD 11-2)."""
     if not _ORCID.fullmatch(text):
         return False
     total = 0
@@ -138,9 +138,9 @@ def _is_orcid(text: str) -> bool:
 
 
 def missing_study(folder: Path) -> UserError:
-    """Return the error for a missing study file, with an example."""
+    """Return the error for a missing study file, with an example of its contents."""
     lines = " | ".join(line for line in EXAMPLE.splitlines() if line)
     return UserError(
-        f"publishing {folder} requires a description of the data: give --study "
-        f"FILE.toml with, for example: {lines} (see docs/publishing.md)"
+        f"{folder} cannot be published without a description of the data; specify --study "
+        f"FILE.toml, for example with: {lines} (see docs/publishing.md)"
     )

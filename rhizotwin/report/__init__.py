@@ -1,1 +1,1 @@
-"""Reports of results as self-contained HTML pages, and the figures of results."""
+"""Reports of results as self-contained HTML pages, and figures of results."""

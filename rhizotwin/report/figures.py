@@ -27,26 +27,29 @@ from rhizotwin.stored.load import read_silhouette
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
-"""(left, right, bottom, top) in mm."""
+"""Type of a rectangle in a projection: left, right, bottom and top, mm."""
 
 SHAPE_RGB = (0.86, 0.55, 0.25)
-"""Ochre."""
+"""Colour of the reconstructed shape, ochre."""
 TRUTH_RGB = (0.42, 0.62, 0.80)
-"""Blue, which colour-blind people distinguish from ochre."""
+"""Colour of the true shape, blue, which people with colour blindness can distinguish from ochre."""
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
-"""Red, over grey pictures."""
+"""Colour of unusable pixels, red, blended with the grey picture."""
 _VIEWS_SHOWN = 4
-"""Number of views side by side."""
+"""Number of views that are shown side by side."""
 SHRINK = 2
-"""Supersampling of renderings, each way."""
+"""Supersampling factor of renderings in each direction."""
 PANEL_PX = 640
-"""Height of a rendering."""
+"""Height of a rendering, pixels."""
 _DISTANCE_PX = 2 * SHRINK
-"""Pixels of a rendering, each way, that share one distance."""
+"""Edge of a block of rendered pixels for which one distance is computed, pixels."""
 
 
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:
-    """Draw a few views spread over the scan: pictures above silhouettes, with uninformative pixels tinted red."""
+    """Draw views spread over the scan, pictures above silhouettes, with unusable pixels in red.
+
+    None without silhouettes.
+    """
     used = [view for view in summary["views"] if view["used"]]
     used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
     if not used:
@@ -70,24 +73,27 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset)
         for axis in axes[:, column]:
             axis.set_xticks([])
             axis.set_yticks([])
-    drawn.supxlabel("silhouette: white is root; red: no information", fontsize=9)
+    drawn.supxlabel("white: roots; red: pixels without information about the roots", fontsize=9)
     return drawn
 
 
 def for_screen(dataset: Dataset, file: str) -> Floats | None:
-    """Return a picture of the dataset (H, W), sRGB, 0..1; None, with a warning, if it can no longer be read."""
+    """Return a picture of the dataset (H, W) as sRGB values from 0 to 1.
+
+    None, after a warning, if the picture cannot be read.
+    """
     try:
         picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
     except UserError as error:
-        logging.getLogger(__name__).warning("%s; the report leaves this picture out", printable(str(error)))
+        logging.getLogger(__name__).warning("%s; the report is written without this picture", printable(str(error)))
         return None
     picture /= max(np.percentile(picture, 99.8), 1.0)
-    # from linear intensities to a screen's gamma
+    # linear intensities are converted with the gamma of a screen
     return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
-    """Return the planned camera position (3,) of each frame, canister frame; frames without a plan are left out."""
+    """Return the planned camera position (3,), mm, canister frame, of each frame that is part of the scan plan."""
     centres: dict[str, Floats] = {}
     for frame in dataset.frames:
         if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
@@ -100,7 +106,7 @@ def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
 
 
 def camera_ring(summary: Json, dataset: Dataset) -> Figure:
-    """Draw the cameras around the canister from above and from the side; crosses mark views that were not used."""
+    """Draw the cameras around the canister from above and from the side, with crosses for unused views."""
     scene = dataset.scene
     nominal = nominal_centres(dataset)
     used: list[Floats] = []
@@ -142,7 +148,7 @@ def camera_ring(summary: Json, dataset: Dataset) -> Figure:
     if used or left_out:
         top.legend(loc="upper right", fontsize=8, framealpha=0.9)
     if lost:
-        drawn.supxlabel(f"{lost} unused view(s) without a known position", fontsize=9)
+        drawn.supxlabel(f"{lost} unused views have no known position", fontsize=9)
     return drawn
 
 
@@ -174,7 +180,7 @@ def _canister_from_side(axes: Axes, scene: Scene) -> None:
     for row in range(strip.rows):
         for column in range(strip.columns):
             angle = (column + 0.5) * 2.0 * np.pi / strip.columns
-            if np.sin(angle) > 0.0:  # on the far side
+            if np.sin(angle) > 0.0:  # hidden on the far side
                 continue
             width = strip.marker_mm * -np.sin(angle)
             low = strip.bottom_mm + row * strip.row_pitch_mm
@@ -192,35 +198,35 @@ def _canister_outline(axes: Axes, scene: Scene) -> None:
 
 
 def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
-    """Draw the shape from the front and from the side, at the same scale."""
+    """Draw the shape in the canister from the front and from the side, at the same scale."""
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(shape.vertices_mm, side) for side in sides]
     tall = max((box[3] - box[2]) / (box[1] - box[0]) for box in boxes)
     drawn = figure(12.0, 6.0 * tall + 0.9)
     for axes, side, box in zip(drawn.subplots(1, 2), sides, boxes, strict=True):
         raster, px_mm = _raster(shape, side, box)
-        _show(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
+        _show_rendering(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
         axes.set_title(side.name, fontsize=10)
     drawn.suptitle(title, fontsize=11)
     return drawn
 
 
 def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order") -> Figure:
-    """Draw the shape from the front and from the side, without the canister.
+    """Draw the shape without the canister, from the front and from the side.
 
     Parameters
     ----------
     shape : Mesh
-        Surface, canister frame.
+        Surface mesh, mm, canister frame.
     roots : sequence of Root
-        Centre lines, for colours; empty: one colour.
+        Roots by which the surface is coloured. Empty: a single colour.
     by : str
-        Property that colours the surface, one of `root_colours.CHOICES`.
+        Root property shown by the colour, one of `root_colours.CHOICES`.
 
     Returns
     -------
     Figure
-        Two pictures at the same scale, with a colour key.
+        Two drawings at the same scale, with a colour key.
     """
     lines = as_lines(roots)
     colour, key = root_colours.colour_roots(by, lines)
@@ -246,7 +252,7 @@ def shape_close_up(shape: Mesh, roots: Sequence[Root] = (), *, by: str = "order"
 def _colours_of_pixels(
     found: shading.Raster, side: shading.Side, box: Box, px_mm: float, lines: Lines, colour: root_colours.Colouring
 ) -> Floats:
-    """Return the colours (H, W, 3), 0 to 1, of a rendered surface from the nearest points of centre lines."""
+    """Return the colour (H, W, 3), 0 to 1, of each rendered pixel from the nearest point of a centre line."""
     row, column = np.nonzero(found.hit)
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)
     picture = np.zeros((*found.hit.shape, 3))
@@ -255,23 +261,23 @@ def _colours_of_pixels(
 
 
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Figure:
-    """Draw the shape, the truth and the distance between them, from two sides.
+    """Draw the shape, the truth and the distance between them, from the front (top row) and from the side (bottom row).
 
-    The top row is the front, the bottom row the side.
+    The colours of the third column show the distance to the true surface.
 
     Parameters
     ----------
     shape, truth : Mesh
-        In the canister frame.
+        Surface meshes, mm, canister frame.
     scene : Scene
-        Canister and net pot, drawn behind.
+        Scene with the canister that is drawn behind the shape.
     title : str
-        Above the picture.
+        Title of the figure.
 
     Returns
     -------
     Figure
-        Two rows of two pictures.
+        Two rows of three drawings.
     """
     points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
     sides = (shading.FRONT, shading.SIDE)
@@ -293,7 +299,7 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
             shading.shade(found, by_distance, px_mm=px_mm, shrink=SHRINK, flat=True),
         )
         for axes, drawing in zip(row, drawings, strict=True):
-            _show(axes, scene, side, box, drawing)
+            _show_rendering(axes, scene, side, box, drawing)
             axes.set_title(side.name, fontsize=9)
     for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, distance to the truth"), strict=True):
         axes.set_title(f"{name}\n{sides[0].name}", fontsize=9)
@@ -304,18 +310,18 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Fi
 
 
 def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narrowest: float, flattest: float) -> Box:
-    """Return left, right, bottom and top of the bounding box of points, as projected on a side.
+    """Return the bounding box of projected points (left, right, bottom, top), mm.
 
     Parameters
     ----------
     points_mm : (P, 3) float64 array
-        In the canister's frame.
+        Points in the canister frame, mm.
     side : Side
         Direction of projection.
     margin_mm : float
-        Margin around the points.
+        Margin around the points, mm.
     narrowest, flattest : float
-        Smallest width over height, and smallest height over width.
+        Minimum ratio of width to height, and minimum ratio of height to width.
     """
     flat = points_mm @ side.axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
@@ -325,7 +331,7 @@ def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narro
 
 
 def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
-    """Set the limits of axes to a box and their labels to those of a side."""
+    """Set limits and labels of axes to a box and a viewing direction."""
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal")
@@ -338,23 +344,23 @@ def _box(points_mm: Floats, side: shading.Side) -> Box:
 
 
 def surface_distances(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
-    """Return the distance (H, W), mm, between the rendered surface and the truth, 0 outside the surface.
+    """Return the distance from each rendered pixel of the surface to the truth (H, W), mm, zero in empty pixels.
 
-    One distance is computed for each block of pixels.
+    All pixels of a block have the distance of the block's first pixel.
 
     Parameters
     ----------
     found : shading.Raster
-        The rendered shape.
+        Rendered shape.
     side, box, px_mm : shading.Side, Box, float
-        Direction, part, and edge of a pixel.
+        Direction of projection, rendered rectangle, and edge of a pixel, mm.
     truth : Mesh
-        True surface.
+        True surface mesh.
 
     Returns
     -------
     (H, W) array
-        mm.
+        Distance to the truth, mm.
     """
     row, column = np.nonzero(found.hit)
     _, first, number = np.unique(
@@ -372,7 +378,7 @@ def _raster(mesh: Mesh, side: shading.Side, box: Box) -> tuple[shading.Raster, f
     return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm), px_mm
 
 
-def _show(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
+def _show_rendering(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
     """Show a rendering at its position in the canister."""
     _canister_outline(axes, scene)
     axes.imshow(picture, extent=box, origin="upper", zorder=5, interpolation="antialiased")

@@ -1,4 +1,4 @@
-"""A result as HTML for notebooks: a picture of the shape and a table of numbers."""
+"""Display of a result in a notebook: HTML with a picture of the shape and a table of values."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from rhizotwin.recon.results.result import Result
 from rhizotwin.report import words
 
 DPI = 90
-"""A figure of 10 inches fills the 900 pixels of a notebook."""
+"""Resolution at which a figure of 10 inches has the width of a notebook, 900 pixels, dots per inch."""
 
 
 def html(result: Result) -> str:
-    """Return the HTML of a result."""
+    """Return the HTML code that represents a result in a notebook."""
     summary = result.summary()
     found, interval = words.volume_text(summary)
     used = sum(camera.used for camera in result.cameras)
@@ -30,7 +30,7 @@ def html(result: Result) -> str:
 
 
 def _picture(result: Result) -> str:
-    """Return the shape as an image element; empty if there is no shape."""
+    """Return the picture of the shape as an HTML element, empty if the shape is empty."""
     surface = result.solid.surface
     if not len(surface.faces):
         return ""

@@ -89,7 +89,7 @@
     const attach = (name, from, type, normalised) => { gl.bindBuffer(gl.ARRAY_BUFFER, from); gl.enableVertexAttribArray(place[name]); gl.vertexAttribPointer(place[name], 3, type, normalised, 0, 0); };
     const surface = { p: buffer(scaled(shape.position)), n: buffer(shape.normal), c: gl.createBuffer(), faces: gl.createBuffer() };
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, surface.faces); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, shape.faces, gl.STATIC_DRAW);
-    const segments = []; // pairs of points, without those between roots
+    const segments = []; // pairs of consecutive points of the same root
     let first = 0;
     for (const count of shape.counts) { for (let k = first; k + 1 < first + count; k++) segments.push(k, k + 1); first += count; }
     const lines = { p: buffer(scaled(shape.lines)), c: gl.createBuffer(), segments: gl.createBuffer() };
@@ -103,7 +103,7 @@
     }
     let turn, tilt, near, shift, wanted = false;
     const reset = () => { turn = 0.0; tilt = 0.12; near = 0; shift = [0, 0]; redraw(); };
-    const fitting = (rows, width, height) => { // the magnification at which all of it fits, with a margin
+    const fitting = (rows, width, height) => { // magnification at which the whole shape is visible, with a margin
       let across = 1e-6, up = 1e-6;
       for (let k = 0; k < at.length; k += 3) {
         across = Math.max(across, Math.abs(rows[0][0] * at[k] + rows[0][1] * at[k + 1] + rows[0][2] * at[k + 2]));

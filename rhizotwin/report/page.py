@@ -1,4 +1,4 @@
-"""The HTML report of one result or of many: volume and verdict, the shape in 3D, pictures, traits and details."""
+"""HTML report of one or many results: volume and verdict, shape in 3D, pictures, traits and details."""
 
 from __future__ import annotations
 
@@ -34,24 +34,28 @@ from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.through_water import THIN_MM, Pictures
 
 AZIMUTHS_DEG = (0, 45, 90, 135)
-"""Directions of the pictures in a report."""
+"""Azimuths of the pictures in a report, deg."""
 WIDEST_PX = 900
+"""Maximum width of a picture in a report, pixels."""
 TRIANGLES, TRIANGLES_OF_MANY = 80_000, 24_000
-"""Most triangles of a surface in the report of one result (about 1.7 MB), and of many."""
+"""Maximum number of triangles of the surface in a report of one result (about 1.7 MB), and in a report of many
+results."""
 MARGIN, SMALLEST_PART, LEAST_WIDE_PX = 1.3, 0.2, 480
-"""Cropping of pictures: size relative to the roots, smallest part of the picture, and smallest width on the page."""
+"""Crop of a picture: size relative to the extent of the roots, minimum fraction of the picture, and minimum width,
+px."""
 CAPTIONS = {
     "lengths.png": "Root length by depth, diameter and order.",
     "shape.png": "Reconstructed surface from two sides.",
     "shape_and_truth.png": "Reconstructed surface, true surface, and the distance between them, from two sides.",
     "inputs.png": "Pictures (top) and silhouettes (bottom). Red: pixels without information about the roots.",
-    "cameras.png": "Camera positions. Crosses: views that were not used.",
+    "cameras.png": "Camera positions. Crosses: unused views.",
 }
+"""Captions of the figures in a result's folder by file name."""
 
 
 @dataclass(frozen=True)
 class _Report:
-    """A result with all that its report shows."""
+    """Result with all data that a report needs."""
 
     folder: Path
     summary: dict[str, Any]
@@ -85,32 +89,32 @@ class _Report:
 
 
 def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
-    """Write the report of a result and return its path.
+    """Write the report of a result to an HTML file and return the file's path.
 
     Parameters
     ----------
     result_folder : Path
-        Folder of the result.
+        Result folder.
     dataset : Dataset, path or None
-        Dataset of the result; None: the one that the result names. A report without pictures is written if that one no
-        longer exists.
+        Dataset of the result. None: the dataset recorded in the result. If the recorded dataset does not exist, the
+        report contains no pictures.
     output : path or None
-        File to write; None: ``report.html`` in the result's folder.
+        Output file. None: ``report.html`` in the result folder.
 
     Raises
     ------
     UserError
-        If the result lacks a file, or was made from another dataset than the given one.
+        If a file of the result is missing, or the given dataset is not that of the result.
     """
     report = _Report.read(Path(result_folder), dataset)
     path = Path(result_folder) / "report.html" if output is None else output
-    text = _document(f"Roots of {report.name}", [_full(report)]).encode("utf-8", "backslashreplace")
+    text = _document(f"Roots of {report.name}", [_full_report(report)]).encode("utf-8", "backslashreplace")
     atomic.write_bytes(path, text, follow=output is not None)
     return path
 
 
 def write_many(result_folders: Sequence[Path], output: Path) -> Path:
-    """Write one report of many results, which begins with a table of their volumes."""
+    """Write a single report of many results, beginning with a table of their volumes, and return its path."""
     reports = [_Report.read(Path(folder), None) for folder in result_folders]
     usable = sum(bool(one.summary["volume_trusted"]) for one in reports)
     known = [name for name in subject.NAMES if any(name in one.subject.known for one in reports)]
@@ -119,13 +123,13 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     rows = "".join(_row(place, one, known) for place, one in enumerate(reports))
     title = f"{usable} of {len(reports)} volumes usable"
     table = f"<h1>{title}</h1><div class=wide><table class=overview><tr>{cells}</tr>{rows}</table></div>"
-    parts = [f'<div id="result-{place}">{_short(one)}</div>' for place, one in enumerate(reports)]
+    parts = [f'<div id="result-{place}">{_short_report(one)}</div>' for place, one in enumerate(reports)]
     atomic.write_bytes(output, _document(title, [table, *parts]).encode("utf-8", "backslashreplace"))
     return output
 
 
 def _row(place: int, report: _Report, known: Sequence[str]) -> str:
-    """Return a result's row in the table of many."""
+    """Return the row of a result in the table of volumes."""
     length, interval = report.traits.total_length_mm, report.assessed["total_length_mm"]
     shown = "-" if not length else round_digits(length) + ("" if interval.verdict == "reliable" else f" ({interval.verdict})")
     link = f'<a href="#result-{place}">{html.escape(report.folder.resolve().name)}</a>'
@@ -147,8 +151,8 @@ def _document(title: str, parts: Sequence[str]) -> str:
     )
 
 
-def _full(report: _Report) -> str:
-    """Return the report of one result."""
+def _full_report(report: _Report) -> str:
+    """Return the report of one result as an HTML section."""
     surface = surface_mesh.simplify(surface_mesh.close(report.surface), TRIANGLES)
     method = words.methods_paragraph(report.summary, roots=bool(report.roots), simulated=words.is_simulated(report.dataset))
     sections = {
@@ -164,14 +168,14 @@ def _full(report: _Report) -> str:
     return f"<section data-result>{_head(report)}{_shape(report, surface)}{rest}</section>"
 
 
-def _short(report: _Report) -> str:
-    """Return the report of one result among many."""
+def _short_report(report: _Report) -> str:
+    """Return the short report of one of many results as an HTML section."""
     shape = _shape(report, surface_mesh.simplify(surface_mesh.close(report.surface), TRIANGLES_OF_MANY))
     return f"<section data-result>{_head(report)}{shape}<details><summary>Traits</summary>{_traits(report)}</details></section>"
 
 
 def _head(report: _Report) -> str:
-    """Return name, subject, volume and traffic light."""
+    """Return an HTML heading with name, subject, volume and traffic light."""
     scan = "Simulated scan" if words.is_simulated(report.dataset) else "Scan"
     described = "" if report.dataset is None else ": ".join(filter(None, [scan, report.dataset.scene.description]))
     described = f"<p class=soft>{html.escape(described)}</p>" if described else ""
@@ -189,7 +193,7 @@ def _head(report: _Report) -> str:
 
 
 def _shape(report: _Report, surface: Mesh) -> str:
-    """Return the canvas with the shape, and the buttons that save files."""
+    """Return the canvas that shows the shape in 3D, and the buttons that save files, as HTML."""
     packed = shape_data.pack_shape(surface, report.roots)
     data = {
         "name": report.name,
@@ -202,7 +206,7 @@ def _shape(report: _Report, surface: Mesh) -> str:
     labels = {"csv": "Traits (CSV)", "stl": "Surface (STL)", "glb": "Surface with colours (GLB)", "rsml": "Centre lines (RSML)"}
     buttons = "".join(f"<button type=button data-file={name}>{labels[name]}</button>" for name in saved)
     mean_mm = report.traits.mean_diameter_mm
-    checked = " checked" if mean_mm is not None and mean_mm < THIN_MM else ""  # the surface of thin roots has gaps
+    checked = " checked" if mean_mm is not None and mean_mm < THIN_MM else ""  # because the surface of thin roots has gaps
     overlay = f"<label><input type=checkbox{checked}> centre lines</label>" if report.roots else ""
     return (
         f'<div class=solid><canvas aria-label="3D view of the shape"></canvas><div class=controls><div><select aria-label="colour">'
@@ -215,12 +219,12 @@ def _shape(report: _Report, surface: Mesh) -> str:
 
 
 def _inside_script(data: Any) -> str:
-    """Return JSON in which nothing can end the script element."""
+    """Return data as JSON text without characters that could end the script element."""
     return json.dumps(data, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _pictures(report: _Report, surface: Mesh) -> str:
-    """Return pictures from several directions with the outline of the reconstruction."""
+    """Return pictures from several directions with the outline of the reconstruction, as HTML."""
     if report.dataset is None:
         return "<p class=soft>The dataset was not found when this report was written.</p>"
     pictures = Pictures.of(report.dataset, report.summary)
@@ -236,7 +240,7 @@ def _pictures(report: _Report, surface: Mesh) -> str:
         used.add(place)
         try:
             image = pictures.draw_outline(place, surface, lines)
-        except UserError:  # the picture can no longer be read: the report is written without it
+        except UserError:  # a picture that cannot be read is omitted from the report
             continue
         scale = image.shape[1] / pictures.views[place].camera.image_wh[0]
         image = _crop(image, scale * (pictures.pixels(place, around[::8]) + 0.5) - 0.5)
@@ -245,7 +249,7 @@ def _pictures(report: _Report, surface: Mesh) -> str:
 
 
 def _crop(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Crop a picture to pixels (N, 2) with a margin, in the picture's aspect ratio, and enlarge small crops."""
+    """Crop a picture to pixels (N, 2) with a margin at the picture's aspect ratio, and enlarge small crops."""
     inside = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(inside):
         return image
@@ -273,7 +277,7 @@ def _figure(source: str, caption: str) -> str:
 
 
 def _plants(report: _Report) -> str:
-    """Return the traits of each of several plants; empty for a single plant."""
+    """Return a table of traits per plant as HTML, empty for a single plant."""
     if not report.summary.get("plants"):
         return ""
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
@@ -296,7 +300,7 @@ def _plants(report: _Report) -> str:
 
 
 def _traits(report: _Report) -> str:
-    """Return the table of all traits that are one number, with 90 % interval and definition."""
+    """Return a table of all scalar traits with 90 % interval and definition, as HTML."""
     values = ((definition, getattr(report.traits, definition.field)) for definition in trait_table.DEFINITIONS)
     rows = [words.trait_text(definition, value, report.assessed[definition.field]) for definition, value in values if value is not None]
     missing = "<p>No centre lines were found, so that lengths, diameters and angles are not available.</p>"
@@ -305,7 +309,7 @@ def _traits(report: _Report) -> str:
 
 
 def _figures(folder: Path) -> str:
-    """Return the figures in the result's folder."""
+    """Return the figures in the result's folder as HTML."""
     there = [(name, folder / "pictures" / name) for name in CAPTIONS if (folder / "pictures" / name).is_file()]
     return "".join(_figure(f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}", CAPTIONS[name]) for name, path in there)
 
@@ -315,7 +319,7 @@ def _rig(report: _Report) -> str:
 
 
 def _details(report: _Report) -> str:
-    """Return tables of sizes, calibration, views and provenance."""
+    """Return tables of sizes, calibration, views and settings as HTML."""
     summary = report.summary
     parts = {
         "Sizes": tables.table(_sizes(summary), numbers=(1,)),
@@ -333,8 +337,8 @@ def _sizes(summary: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("Root extent (x, y, z)", " x ".join(f"{extent:.1f}" for extent in extents) + " mm"),
         ("Hull before trimming", f"{round_digits(summary['hull_mm3'] / 1000.0)} ml"),
-        ("Part of the volume that is untrimmed hull", f"{round_digits(summary['untrimmed_mm3'] / 1000.0)} ml"),
-        ("Water covered by too few views", f"{round_digits(summary['blind_mm3'] / 1000.0)} ml"),
+        ("Volume of hull that could not be trimmed", f"{round_digits(summary['untrimmed_mm3'] / 1000.0)} ml"),
+        ("Water visible in too few views", f"{round_digits(summary['blind_mm3'] / 1000.0)} ml"),
         ("Attenuation of light in roots", attenuation),
         ("Views used", f"{sum(view['used'] for view in summary['views'])} of {len(summary['views'])}"),
         ("Computing time", f"{sum(summary['timings_s'].values()):.0f} s"),

@@ -1,4 +1,4 @@
-"""Write the figures of a result."""
+"""Write the figures of a result to its folder."""
 
 from pathlib import Path
 
@@ -11,30 +11,30 @@ from rhizotwin.scenes.figures import png
 from rhizotwin.stored import result_files, stored_traits
 
 DPI = 130
-"""Characters of 9 pt are 16 px high."""
+"""Resolution of the figures, dots per inch, at which characters of 9 pt are 16 pixels high."""
 
 
 def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: Path | None = None) -> list[Path]:
-    """Write ``pictures/*.png`` into a result folder.
+    """Write the figures of a result to ``pictures/*.png`` in its folder, and return the paths of the files.
 
-    Pictures of the dataset that can no longer be read are left out, so that a finished result is not lost with them.
+    Pictures of the dataset that cannot be read are omitted, so that the result is complete without them.
 
     Parameters
     ----------
     dataset : Path or Dataset
-        Dataset of the result, or its folder.
+        Dataset of the result, or the dataset's folder.
     truth_mesh : Path or None
-        File of the true solid of simulated data, drawn beside the shape (``shape_and_truth.png``).
+        Mesh file of the true shape of simulated data, drawn beside the reconstructed shape (``shape_and_truth.png``).
 
     Returns
     -------
     list of Path
-        Files that were written.
+        Paths of the written files.
 
     Raises
     ------
     UserError
-        If the result or the dataset lacks a file, or they do not belong together.
+        If a file is missing, or the dataset is not that of the result.
     """
     result_folder = Path(result_folder)
     summary = result_files.read_summary(result_folder)

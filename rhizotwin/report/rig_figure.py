@@ -1,4 +1,4 @@
-"""Drawing of the rig from the side with dimensions and frames (SVG)."""
+"""Draw the rig from the side as SVG, with dimensions and coordinate frame."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from html import escape
 from rhizotwin.scenes.model import Scene
 
 _MARGIN_MM = 45.0
+"""Margin around the drawing, mm."""
 
 
 def svg(scene: Scene) -> str:
-    """Draw panel, canister, water, net pot with marker strip, and a camera for each ring, to scale."""
+    """Draw panel, canister, water, net pot with marker strip, and one camera per ring to scale, as SVG."""
     can, pot, water, strip, lights = scene.canister, scene.net_pot, scene.water, scene.strip, scene.lights
     rings = scene.plan.rings
     left = -lights.backlight_distance_mm - _MARGIN_MM
@@ -34,14 +35,16 @@ def svg(scene: Scene) -> str:
             _line(x, z, can.outer_radius_mm, z, "#1f5f8b", dash=True),
             _box(x, z - 9.0, 22.0, 18.0, "#1f5f8b", "#123a55"),
             _text(x + 26.0, z - 3.0, f"camera, ring {number}" if len(rings) > 1 else "camera", "start"),
-            _measure(0.0, x, -can.height_mm - 22.0 - 12.0 * number, f"{ring.distance_mm:g} mm"),
-            _upright(x - 14.0 - 12.0 * number, 0.0, z, f"{ring.height_mm:g} mm"),
+            _horizontal_dimension(0.0, x, -can.height_mm - 22.0 - 12.0 * number, f"{ring.distance_mm:g} mm"),
+            _vertical_dimension(x - 14.0 - 12.0 * number, 0.0, z, f"{ring.height_mm:g} mm"),
         ]
-    wide = _measure(-can.outer_radius_mm, can.outer_radius_mm, -can.height_mm - 10.0, f"diameter {2.0 * can.outer_radius_mm:g} mm")
+    wide = _horizontal_dimension(
+        -can.outer_radius_mm, can.outer_radius_mm, -can.height_mm - 10.0, f"diameter {2.0 * can.outer_radius_mm:g} mm"
+    )
     parts += [
         wide,
-        _upright(-can.outer_radius_mm - 12.0, -can.height_mm, 0.0, f"{can.height_mm:g} mm"),
-        _measure(-lights.backlight_distance_mm, 0.0, shown[0] - 14.0, f"{lights.backlight_distance_mm:g} mm"),
+        _vertical_dimension(-can.outer_radius_mm - 12.0, -can.height_mm, 0.0, f"{can.height_mm:g} mm"),
+        _horizontal_dimension(-lights.backlight_distance_mm, 0.0, shown[0] - 14.0, f"{lights.backlight_distance_mm:g} mm"),
         _text(0.0, can.floor_z_mm + 18.0, f"water, n = {water.n_water:g}", "middle"),
         _text(0.0, can.floor_z_mm + 6.0, f"wall {can.wall_mm:g} mm, n = {can.n_wall:g}", "middle"),
         _text(0.0, pot.top_mm + 4.0, "net pot with marker strip", "middle"),
@@ -69,12 +72,12 @@ def _text(x: float, z: float, text: str, anchor: str, colour: str = "#222") -> s
     return f'<text x="{x:g}" y="{-z:g}" text-anchor="{anchor}" fill="{colour}">{escape(text)}</text>'
 
 
-def _measure(x1: float, x2: float, z: float, text: str) -> str:
+def _horizontal_dimension(x1: float, x2: float, z: float, text: str) -> str:
     ends = _line(x1, z - 3.0, x1, z + 3.0) + _line(x2, z - 3.0, x2, z + 3.0)
     return _line(x1, z, x2, z) + ends + _text((x1 + x2) / 2.0, z + 2.0, text, "middle")
 
 
-def _upright(x: float, z1: float, z2: float, text: str) -> str:
+def _vertical_dimension(x: float, z1: float, z2: float, text: str) -> str:
     ends = _line(x - 3.0, z1, x + 3.0, z1) + _line(x - 3.0, z2, x + 3.0, z2)
     return _line(x, z1, x, z2) + ends + _text(x - 4.0, (z1 + z2) / 2.0 - 3.0, text, "end")
 

@@ -1,4 +1,4 @@
-"""Figures of the roots: centre lines from two sides beside a picture, and histograms of their length."""
+"""Figures of the roots: centre lines from two sides beside a picture, and histograms of root length."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,17 +21,19 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 Floats = NDArray[np.float64]
 
 ORDERS = tuple(tuple(channel / 255.0 for channel in rgb) for rgb in root_colours.ORDERS)
+"""Colours of root orders, 0 to 1."""
 LEAST_WIDTH_PT = 0.7
-"""Thinner lines are hardly visible."""
+"""Minimum width of a line, points. Thinner lines are hardly visible."""
 PANEL_IN = 4.6
-"""Width of a panel; three panels side by side take 15 inches."""
+"""Width of a panel, inches. Three panels side by side are 15 inches wide including the margins."""
 MARGIN_MM = 4.0
-"""Margin around the roots."""
+"""Margin around the roots, mm."""
 BAR_RGB = "#4c86b0"
+"""Colour of histogram bars."""
 
 
 def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -> Figure:
-    """Draw the nearest picture and the roots by diameter and by order, from the front (top row) and from the side."""
+    """Draw the nearest picture and the roots by diameter and by order, from the front and from the side."""
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
     scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
@@ -41,9 +43,9 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
     drawn = figure(3.0 * PANEL_IN + 0.8, 1.0 + PANEL_IN * sum(tall))
     grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
     for row, side, box in zip(grid, sides, boxes, strict=True):
-        _input(row[0], side, box, summary, dataset)
+        _show_picture(row[0], side, box, summary, dataset)
         for axes, by in ((row[1], "diameter"), (row[2], "order")):
-            _lines(axes, roots, side, box, scale if by == "diameter" else None)
+            _draw_roots(axes, roots, side, box, scale if by == "diameter" else None)
             axes.set_title(f"by {by}, {side.name}", fontsize=9)
     bar = drawn.colorbar(scale, ax=list(grid[:, 1]), location="bottom", shrink=0.8, extend="max", aspect=40)
     bar.set_label("diameter (mm)")
@@ -55,7 +57,7 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
 
 
 def length_plots(traits: Traits) -> Figure:
-    """Draw the length by depth, by diameter and by order."""
+    """Draw histograms of root length by depth, diameter and order."""
     drawn = figure(13.0, 4.2)
     depth, diameter, order = drawn.subplots(1, 3, width_ratios=[1.0, 1.4, 0.7])
     bins = np.array(traits.length_by_depth_mm)
@@ -81,12 +83,12 @@ def length_plots(traits: Traits) -> Figure:
 
 
 def _box(points_mm: Floats, side: shading.Side) -> figures.Box:
-    """Return the bounding box of the roots with a margin and an aspect ratio between 1:2 and 2:1."""
+    """Return the bounding box of projected points with a margin and an aspect ratio between 1:2 and 2:1."""
     return figures.box_around(points_mm, side, margin_mm=MARGIN_MM, narrowest=0.5, flattest=0.5)
 
 
-def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures.Box, scale: ScalarMappable | None) -> None:
-    """Draw roots as lines of their width, the farthest first."""
+def _draw_roots(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures.Box, scale: ScalarMappable | None) -> None:
+    """Draw roots as lines with the width of the roots, sorted from far to near."""
     pieces, shades, diameters, depth = [], [], [], []
     for root in roots:
         seen = root.points_mm @ side.axes.T
@@ -108,8 +110,8 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures
     figures.put_axes(axes, side, box)
 
 
-def _input(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, dataset: Dataset) -> None:
-    """Show the picture of the camera nearest to a side, cropped to the roots; refraction magnifies them."""
+def _show_picture(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, dataset: Dataset) -> None:
+    """Show the picture of the camera nearest to a viewing direction, cropped to the magnified roots."""
     axes.set_xticks([])
     axes.set_yticks([])
     used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None]
@@ -122,14 +124,14 @@ def _input(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, data
     view = used[near]
     picture = figures.for_screen(dataset, view["file"])
     if picture is None:
-        axes.set_title(f"{view['file']} can no longer be read", fontsize=9)
+        axes.set_title(f"{view['file']} could not be read", fontsize=9)
         return
     corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
     seen = frames.apply(np.array(view["cam_from_canister"], np.float64), corners)
     camera = dataset.scene.camera.as_pinhole()
     pixels = seen[:, :2] / seen[:, 2:] * np.array(camera.focal_px) + np.array(camera.principal_px)
     middle = pixels.mean(axis=0)
-    # refraction widens the roots about n times and keeps their height
+    # refraction widens the roots by a factor of about n and does not change their height
     low, high = (middle + (corner - middle) * [dataset.scene.water.n_water, 1.1] for corner in (pixels.min(axis=0), pixels.max(axis=0)))
     width, height = camera.image_wh
     left, right = np.clip([low[0], high[0]], -0.5, width - 0.5)

@@ -1,4 +1,4 @@
-"""The shape of a result as data for the report's page: surface, centre lines and colours as whole numbers in base64."""
+"""Pack the shape of a result for the HTML report: surface, centre lines and colours as integers in base64."""
 
 from __future__ import annotations
 
@@ -16,62 +16,63 @@ from rhizotwin.root_colours import Key
 from rhizotwin.scenes.rsml import Root
 
 _LEVELS = 65535
+"""Largest 16-bit integer, to which coordinates are scaled."""
 
 
 def pack_shape(surface: Mesh, roots: Sequence[Root]) -> dict[str, Any]:
     """Return a surface with centre lines and colours as JSON values that ``page.js`` reads.
 
-    Coordinates are multiples of the largest extent over 65535, a few micrometres; diameters are multiples of
-    1 micrometre. Each vertex refers to the nearest point of a centre line, from which it takes its colour.
+    Coordinates are stored in units of 1/65535 of the largest extent, a few micrometres. Diameters are stored in
+    micrometres. Each vertex refers to the nearest centre-line point and has the colour of this point.
 
     Parameters
     ----------
     surface : Mesh
-        Closed surface with few triangles, see `surface_mesh`.
+        Closed surface with a reduced number of triangles, see `surface_mesh`.
     roots : sequence of Root
-        Centre lines; may be empty.
+        Roots with centre lines, may be empty.
     """
-    packed = _positions(surface.vertices_mm) | {"faces": _text(surface.faces.astype("<u4")), "plain": root_colours.SURFACE}
+    packed = _pack_positions(surface.vertices_mm) | {"faces": _encode(surface.faces.astype("<u4")), "plain": root_colours.SURFACE}
     if not roots:
         colour, key = root_colours.colour_depths(surface.vertices_mm[:, 2])
-        return packed | {"colours": {"depth": _text(colour(surface.vertices_mm[:, 2]))}, "keys": {"depth": _key(key)}}
+        return packed | {"colours": {"depth": _encode(colour(surface.vertices_mm[:, 2]))}, "keys": {"depth": _pack_key(key)}}
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
     nearest = surface_mesh.nearest_root(surface.vertices_mm, points, diameters / 2.0)
-    return packed | {"nearest": _text(nearest.astype("<u4")), "roots": _pack_lines(roots, points, diameters), **_pack_colours(roots)}
+    return packed | {"nearest": _encode(nearest.astype("<u4")), "roots": _pack_lines(roots, points, diameters), **_pack_colours(roots)}
 
 
 def _pack_lines(roots: Sequence[Root], points: NDArray[np.float64], diameters: NDArray[np.float64]) -> dict[str, Any]:
-    return _positions(points) | {
-        "diameters": _text(np.clip(np.round(1000.0 * diameters), 0, _LEVELS).astype("<u2")),
+    return _pack_positions(points) | {
+        "diameters": _encode(np.clip(np.round(1000.0 * diameters), 0, _LEVELS).astype("<u2")),
         "counts": [len(root.points_mm) for root in roots],
         "parents": [root.parent for root in roots],
     }
 
 
 def _pack_colours(roots: Sequence[Root]) -> dict[str, Any]:
-    """Return the colours of all centre-line points and the colour key, for each choice."""
+    """Return the colours of all centre-line points and the colour key, for each property that may be shown."""
     lines = as_lines(roots)
     choices = ["order", "diameter", "depth"] + ["uncertainty"] * all(line.sigma_mm is not None for line in lines.values())
     colours, keys = {}, {}
     for by in choices:
         colour, key = root_colours.colour_roots(by, lines)
-        colours[by] = _text(np.concatenate([colour(number, line) for number, line in lines.items()]))
-        keys[by] = _key(key)
+        colours[by] = _encode(np.concatenate([colour(number, line) for number, line in lines.items()]))
+        keys[by] = _pack_key(key)
     return {"colours": colours, "keys": keys}
 
 
-def _key(key: Key) -> dict[str, Any]:
+def _pack_key(key: Key) -> dict[str, Any]:
     return {"swatches": [{"rgb": rgb, "label": label} for rgb, label in key.swatches], "ends": key.ends}
 
 
-def _positions(points_mm: NDArray[np.float64]) -> dict[str, Any]:
+def _pack_positions(points_mm: NDArray[np.float64]) -> dict[str, Any]:
     if not len(points_mm):
         return {"origin": [0.0, 0.0, 0.0], "scale": 1.0, "points": ""}
     low = points_mm.min(axis=0)
     scale = max(float(np.ptp(points_mm, axis=0).max()), 1e-6) / _LEVELS
-    return {"origin": [float(x) for x in low], "scale": scale, "points": _text(np.round((points_mm - low) / scale).astype("<u2"))}
+    return {"origin": [float(x) for x in low], "scale": scale, "points": _encode(np.round((points_mm - low) / scale).astype("<u2"))}
 
 
-def _text(values: NDArray[Any]) -> str:
+def _encode(values: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,4 +1,4 @@
-"""Tables of the report: verdicts, calibration and views."""
+"""HTML tables of a report: verdicts, calibration and views."""
 
 import html
 from collections.abc import Sequence
@@ -12,14 +12,17 @@ from rhizotwin.stored import calibration_table
 
 
 def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
-    """Return rows of text as an HTML table, escaped; columns in ``numbers`` are aligned to the right."""
+    """Return rows of text as an HTML table with escaped cells.
+
+    Columns with an index in ``numbers`` are right-aligned.
+    """
     top = f"<tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr>" if head else ""
     body = ("".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row)) for row in rows)
     return f"<table>{top}{''.join(f'<tr>{row}</tr>' for row in body)}</table>"
 
 
 def verdict_cells(summary: Json) -> str:
-    """Return the first cells of a result's row in an overview: verdict, and volume with its 90 % interval."""
+    """Return the HTML cells with verdict and volume (with 90 % interval) of a result."""
     state = words.traffic_light(summary)[0]
     verdict = "not reliable" if state == "bad" else "usable"
     found, interval = words.volume_text(summary)
@@ -27,7 +30,7 @@ def verdict_cells(summary: Json) -> str:
 
 
 def calibration(summary: Json) -> str:
-    """Return the parameters calibrated from all views, and residuals before and after; empty if poses were given."""
+    """Return HTML tables of calibrated parameters, residuals and camera poses. Empty if the poses were given."""
     rig = summary.get("rig") or {}
     rows = [
         (
@@ -37,22 +40,22 @@ def calibration(summary: Json) -> str:
         for row in calibration_table.rows(rig)
     ]
     parts = [table(rows, head=("quantity", "given", "found", "sigma", "unit", ""), numbers=(1, 2, 3))] if rows else []
-    off = [[name, f"{before:.4f}", f"{after:.4f}", unit] for name, before, after, unit in calibration_table.reprojection(rig)]
-    parts += [table(off, head=("residual", "before", "after", "unit"), numbers=(1, 2))] if off else []
-    poses = [row for ring in rig.get("rings") or [] for row in _ring(ring)]
+    residuals = [[name, f"{before:.4f}", f"{after:.4f}", unit] for name, before, after, unit in calibration_table.reprojection(rig)]
+    parts += [table(residuals, head=("residual", "before", "after", "unit"), numbers=(1, 2))] if residuals else []
+    poses = [row for ring in rig.get("rings") or [] for row in _pose_rows(ring)]
     parts += [table(poses, head=("camera", "found", "sigma", "unit"), numbers=(1, 2))] if poses else []
     return "".join(parts)
 
 
-def _ring(ring: Json) -> list[list[str]]:
-    """Return the pose of a ring's camera; its covariance is of rotation (rad) and translation (mm) in camera axes."""
+def _pose_rows(ring: Json) -> list[list[str]]:
+    """Return the table rows for the camera of a ring: position, tilt and movement, with standard deviations."""
     name = f"Camera of ring {ring['ring']}" + (f", placement {ring['placement'] + 1}" if ring.get("placement") else "")
     pose = frames.invert(np.array(ring["cam_from_rig"], np.float64))
     spread = np.sqrt(np.maximum(np.diag(np.array(ring["covariance"], np.float64)), 0.0))
     tilt = float(np.rad2deg(np.arcsin(np.clip(pose[2, 2], -1.0, 1.0))))
     return [
         [f"{name}: distance from the table's axis", f"{np.hypot(*pose[:2, 3]):.3f}", f"{spread[5]:.3f}", "mm"],
-        [f"{name}: height over the rim", f"{pose[2, 3]:.3f}", f"{spread[4]:.3f}", "mm"],
+        [f"{name}: height above the rim", f"{pose[2, 3]:.3f}", f"{spread[4]:.3f}", "mm"],
         [f"{name}: upward tilt", f"{tilt:.4f}", f"{np.rad2deg(spread[0]):.4f}", "deg"],
         [f"{name}: movement between views", f"{ring['own_movement_mm']:.4f}", "", "mm"],
         [f"{name}: rotation between views", f"{ring['own_movement_deg']:.4f}", "", "deg"],
@@ -60,7 +63,7 @@ def _ring(ring: Json) -> list[list[str]]:
 
 
 def views(summary: Json) -> str:
-    """Return the table of all views, with the reason why views were not used."""
+    """Return an HTML table of all views, with the reasons why views were not used."""
 
     def number(value: float | None, digits: int, factor: float = 1.0) -> str:
         return "" if value is None else f"{factor * value:.{digits}f}"

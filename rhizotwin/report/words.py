@@ -1,4 +1,4 @@
-"""Text of reports: the verdict on a result, its traits with units and intervals, and how it was obtained."""
+"""Text of reports: the verdict on a result, its traits with units and intervals, and the method."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rhizotwin.scenes.trait_table import DEFINITIONS, Definition
 Light = Literal["good", "fair", "bad"]
 
 SMALLEST_SHARE = 0.05
-"""Causes of uncertainty smaller than this share of the largest are not listed one by one."""
+"""Minimum size of a listed cause of uncertainty, as a fraction of the largest cause."""
 LABELS = {
     "total_length_mm": "Total root length",
     "volume_mm3": "Volume",
@@ -25,10 +25,10 @@ LABELS = {
     "width_mm": "Width",
     "convex_hull_mm3": "Volume of the convex hull",
     "solidity": "Solidity",
-    "max_root_count": "Most roots at one height",
-    "median_root_count": "Roots at a typical height",
+    "max_root_count": "Maximum number of roots at one height",
+    "median_root_count": "Median number of roots per height",
     "bushiness": "Bushiness",
-    "lower_length_share": "Share of the length in the lower two thirds",
+    "lower_length_share": "Fraction of the length in the lower two thirds",
     "roots": "Number of roots",
     "tips": "Number of root tips",
     "branch_points": "Number of branch points",
@@ -39,9 +39,11 @@ LABELS = {
 }
 """Label of each trait, by its field in `scenes.traits.Traits`."""
 COUNTS = ("max_root_count", "median_root_count", "roots", "tips", "branch_points")
+"""Fields of traits that are shown as integers."""
 IN_ML = ("volume_mm3", "convex_hull_mm3")
+"""Fields of traits that are shown in ml."""
 UNITS = {"mm2": "mm²", "mm3": "ml", "deg": "degrees"}
-"""Units as they are shown, where they differ from those in files."""
+"""Units in reports, where they differ from the units in files."""
 _METHOD = (
     "{made} of roots in a round canister of nutrient solution in front of a diffuse backlight: {pictures} images around one rotation. "
     "Camera poses were estimated from a strip of printed markers{by}. Rays were traced through air, acrylic and water in closed form. "
@@ -53,14 +55,14 @@ _METHOD = (
 
 
 def volume_text(summary: dict[str, Any]) -> tuple[str, str]:
-    """Return the volume in ml and its 90 % interval, rounded to the digits that the interval supports."""
+    """Return the volume, ml, and its 90 % interval as text, rounded to the digits that the interval supports."""
     low, high = summary["volume_interval_mm3"]
     half = 0.5 * (high - low)
     return f"{ml(summary['volume_mm3'], half_mm3=half)} ml", interval_ml(low, high)
 
 
 def headline(summary: dict[str, Any]) -> tuple[str, str]:
-    """Return the first line of a report and the line below it."""
+    """Return the headline of a report, which states the volume, and the line below the headline."""
     found, interval = volume_text(summary)
     if summary["volume_trusted"]:
         return f"volume {found}", f"90 % interval {interval}"
@@ -68,7 +70,7 @@ def headline(summary: dict[str, Any]) -> tuple[str, str]:
 
 
 def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
-    """Return the state of a result, its meaning, and recommendations."""
+    """Return state, meaning and recommendations for a result."""
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]
     bad = [check for check in checks if check.get("state") == "bad"]
     fair = [check for check in checks if check.get("state") == "fair"]
@@ -84,20 +86,20 @@ def traffic_light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
 
 
 def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
-    """Return the causes of uncertainty of the volume as sentences, the largest first."""
+    """Return the causes of the volume's uncertainty as sentences, sorted by decreasing size."""
     terms = sorted(summary["volume_budget"], key=lambda term: -max(term["less_mm3"], term["more_mm3"]))
     largest = max((max(term["less_mm3"], term["more_mm3"]) for term in terms), default=0.0)
     listed = [term for term in terms if max(term["less_mm3"], term["more_mm3"]) >= SMALLEST_SHARE * largest > 0.0]
     sentences = [f"The volume may be {_deviation(term['less_mm3'], term['more_mm3'])}, because {term['why']}." for term in listed]
     if rest := len(terms) - len(listed):
-        sentences.append(f"{rest} other cause{'s' if rest > 1 else ''} of uncertainty: each below 5 % of the largest.")
+        sentences.append(f"{rest} other cause{'s' if rest > 1 else ''} of uncertainty, each smaller than 5 % of the largest cause.")
     return sentences
 
 
 def trait_text(definition: Definition, value: float | int | None, assessed: Assessment) -> tuple[str, str, str, str]:
-    """Return a trait's label, its value with unit, its 90 % interval or verdict, and its definition.
+    """Return the label of a trait, its value with unit, its 90 % interval or verdict, and its definition, as text.
 
-    Value and interval have the digits that the interval supports, three significant digits where there is no interval.
+    Value and interval have the digits that the interval supports. Without an interval the value has three digits.
     """
     label = LABELS.get(definition.field, definition.name.replace("_", " ").capitalize())
     meaning = re.sub(r"\w+_\w+", lambda word: _FIELD_LABELS.get(word[0], word[0]), definition.meaning)
@@ -120,12 +122,12 @@ def _with_unit(definition: Definition, value: float | int | None, half: float | 
 
 
 def _number(definition: Definition, value: float, half: float | None) -> str:
-    """Return a number of a trait in the unit that is shown.
+    """Format a value of a trait in the unit that reports use.
 
     Parameters
     ----------
     half : float or None
-        Half of its 90 % interval; None if there is none.
+        Half-width of the 90 % interval in the trait's unit, None if unknown.
     """
     if definition.field in COUNTS:
         return f"{value:.0f}"
@@ -134,7 +136,7 @@ def _number(definition: Definition, value: float, half: float | None) -> str:
 
 
 def root_summary(summary: dict[str, Any]) -> list[str]:
-    """Return a line with length, tips and mean diameter, and the reason why some are not reliable."""
+    """Return a line with length, tips and mean diameter, and a line with the reason if a value is not reliable."""
     estimates = summary.get("estimates") or []
     if not estimates:
         return []
@@ -150,23 +152,23 @@ def root_summary(summary: dict[str, Any]) -> list[str]:
 
 
 _AROUND = {"total_length_mm": ("length ", " mm"), "tips": ("", " tips"), "mean_diameter_mm": ("mean diameter ", " mm")}
-"""Text before and after the number, on one line."""
+"""Text before and after the value of a trait in a summary line."""
 
 
 def is_simulated(dataset: Dataset | None) -> bool:
-    """Return whether the images of a dataset were rendered."""
+    """Return whether the pictures of a dataset were simulated."""
     return dataset is not None and ((dataset.folder / "truth").is_dir() or dataset.origin.get("program") == "rhizotwin simulate")
 
 
 def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) -> str:
-    """Return a paragraph for the methods section of a paper, with the versions of the software.
+    """Return a paragraph for the methods section of a paper, including the versions of the software.
 
     Parameters
     ----------
     roots : bool
-        Whether the result has centre lines.
+        Whether the result contains centre lines.
     simulated : bool
-        Whether the images were rendered.
+        Whether the images were simulated.
     """
     used = sum(view["used"] for view in summary["views"])
     versions = summary.get("versions", {})
@@ -184,7 +186,7 @@ def methods_paragraph(summary: dict[str, Any], *, roots: bool, simulated: bool) 
 
 
 def _deviation(less_mm3: float, more_mm3: float) -> str:
-    """Return by how much the volume may be smaller or larger."""
+    """Return the possible deviations of the volume to both sides, ml, as text."""
     less, more = round_digits(less_mm3 / 1000.0, 2), round_digits(more_mm3 / 1000.0, 2)
     if less_mm3 < SMALLEST_SHARE * more_mm3:
         return f"{more} ml larger"
@@ -194,6 +196,6 @@ def _deviation(less_mm3: float, more_mm3: float) -> str:
 
 
 def _sentence(text: str | None) -> str:
-    """Return text with a capital at its beginning and a full stop at its end."""
+    """Return a text with an initial capital letter and a final full stop."""
     text = (text or "").strip()
     return "" if not text else text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")

@@ -1,4 +1,4 @@
-"""Projection of a result into a picture: its surface and roots, with refraction by wall and water."""
+"""Project the surface and the roots of a result into a picture, with refraction by wall and water."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _FINE = 8
-"""Subsamples per pixel in each direction."""
+"""Number of subsamples per pixel in each direction."""
 _SHIFT = 4
-"""OpenCV rounds vertices to sixteenths of a subsample."""
+"""Number of fractional bits of vertex coordinates in OpenCV, which rounds them to sixteenths of a subsample."""
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-"""Correction of OpenCV's polygon fill, which includes the outline: areas extend 0.48 samples too far (discs with 40
-vertices). After erosion with this element they are 0.42 too small; the mean of both is accurate to 0.03."""
+"""Structuring element for the correction of OpenCV's polygon fill, which includes the outline. Filled areas extend 0.48
+subsamples too far (discs with 40 vertices), and 0.42 subsamples too little after erosion with this element. The mean of
+both is accurate to 0.03 subsamples."""
 
 
 def coverage(view: View, optics: Optics, mesh: Mesh, roots: Sequence[Root]) -> Image:
@@ -32,18 +33,18 @@ def coverage(view: View, optics: Optics, mesh: Mesh, roots: Sequence[Root]) -> I
     Parameters
     ----------
     view : View
-        Lens and pose.
+        Camera with its pose.
     optics : Optics
-        Refracting media.
+        Refractive media of the canister.
     mesh : Mesh
-        Surface in the canister frame.
+        Surface mesh, mm, canister frame.
     roots : sequence of Root
-        Roots, drawn as bands of their diameters, because roots thinner than a voxel have no surface.
+        Roots, drawn with their diameters because roots thinner than a voxel may have no surface.
     """
     width, height = view.camera.image_wh
     fine = np.zeros((height * _FINE, width * _FINE), np.uint8)
     corners = pixels(view, optics, mesh.vertices_mm)[mesh.faces] if len(mesh.faces) else np.zeros((0, 3, 2))
-    for polygons in (corners, *(_bands(view, optics, root) for root in roots)):
+    for polygons in (corners, *(_project_segments(view, optics, root) for root in roots)):
         inside = np.isfinite(polygons).all(axis=(1, 2))
         placed = ((polygons[inside] + 0.5) * _FINE - 0.5) * 2**_SHIFT  # pixel centres have integer coordinates in both grids
         for polygon in np.round(placed).astype(np.int32):
@@ -53,7 +54,7 @@ def coverage(view: View, optics: Optics, mesh: Mesh, roots: Sequence[Root]) -> I
 
 
 def pixels(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Project points (N, 3) to pixels (N, 2); NaN if a point is not visible."""
+    """Project points (N, 3), mm, canister frame, to pixels (N, 2). Points that are not visible are NaN."""
     within = np.hypot(points_mm[:, 0], points_mm[:, 1]) < optics.inner_radius_mm
     found = np.full((len(points_mm), 2), np.nan)
     if within.any():
@@ -61,10 +62,10 @@ def pixels(view: View, optics: Optics, points_mm: Array) -> Array:
     return found
 
 
-def _bands(view: View, optics: Optics, root: Root) -> Array:
-    """Return a quadrangle (N - 1, 4, 2) for each segment of a root.
+def _project_segments(view: View, optics: Optics, root: Root) -> Array:
+    """Return a quadrangle (N - 1, 4, 2), pixels, for each segment of a root.
 
-    Its sides are the axis moved by the radius perpendicular to the line of sight.
+    The long sides of a quadrangle are the projected axis, shifted by the radius perpendicular to the line of sight.
     """
     points = root.points_mm
     across = np.cross(np.gradient(points, axis=0), points - view.centre_mm)

@@ -1,4 +1,4 @@
-"""Readers for the output of other methods: meshes, voxels, points, and tables of traits."""
+"""Read the output files of other methods: meshes, voxels, points and tables of traits."""
 
 import csv
 import io
@@ -24,38 +24,42 @@ from rhizotwin.stored import result_files
 Floats = NDArray[np.float64]
 
 MESHES = (".ply", ".stl", ".obj", ".glb")
+"""File name extensions of triangle meshes."""
 VOXELS = (".nrrd", ".npz")
+"""File name extensions of voxel arrays."""
 POINTS = (".ply", ".xyz")
+"""File name extensions of point sets."""
 MOST_MIB = 1024
-"""Maximum size of a file of voxels or points."""
+"""Maximum size of a file of voxels or points, MiB."""
 MOST_OCCUPIED = 50_000_000
-"""Maximum number of occupied voxels: a solid of 50 ml in voxels of 0.1 mm."""
+"""Maximum number of occupied voxels, equivalent to a solid of 50 ml in voxels of 0.1 mm."""
 _UNREADABLE = (nrrd.NRRDError, KeyError, IndexError, ValueError, TypeError, OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-"""Exceptions of NumPy, pynrrd and zlib for damaged files."""
+"""Exceptions that NumPy, pynrrd and zlib raise for damaged files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stated:
-    """Trait as reported by a method."""
+    """Value of a trait as reported by another method."""
 
     value: float
+    """Value that the method reports, in the unit of the trait."""
     interval: tuple[float, float] | None = None
-    """90 % interval; None if not reported."""
+    """90 % interval that the method reports, None if not reported."""
 
 
 def read_shape(path: Path) -> Mesh:
-    """Read a triangle mesh: PLY, STL or OBJ in mm with z up, or GLB in metres with y up as its standard requires.
+    """Read a triangle mesh: PLY, STL or OBJ in mm with z up, or GLB in metres with y up according to its standard.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged, without faces or of another type.
+        If the file is missing or damaged, has no faces, or has an unsupported format.
     """
     if path.suffix.lower() not in MESHES:
-        raise UserError(f"{path}: unknown mesh format; use one of {', '.join(MESHES)}")
+        raise UserError(f"{path} has no supported mesh format; must be one of: {', '.join(MESHES)}")
     read = result_files.read_mesh(path)
     merged = trimesh.Trimesh(read.vertices_mm, read.faces, process=False)
-    merged.merge_vertices()  # the triangles of an STL do not share vertices
+    merged.merge_vertices()  # triangles in an STL file have separate vertices
     mesh = Mesh.of(merged)
     if path.suffix.lower() != ".glb":
         return mesh
@@ -64,33 +68,36 @@ def read_shape(path: Path) -> Mesh:
 
 
 def read_voxels(path: Path) -> Leaves:
-    """Read a block of occupancies in the canister frame.
+    """Read the occupancies of a voxel array in the canister frame.
 
-    NRRD: ``space directions`` a multiple of the unit matrix and ``space origin`` the centre of the first voxel, both in
-    mm. NPZ: ``occupancy`` (X, Y, Z), ``origin_mm`` (3,) the lowest corner of the first voxel, ``voxel_mm``. Integers
-    are divided by the maximum of their type; booleans and floats are fractions.
+    In an NRRD file, ``space directions`` is a multiple of the unit matrix, and ``space origin`` is the centre of the
+    first voxel, mm. An NPZ file contains the arrays ``occupancy`` (X, Y, Z), ``origin_mm`` (3,), which is the lowest
+    corner of the first voxel, and ``voxel_mm``. Booleans and floats are fractions. Integers are divided by the maximum
+    of their type.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged or of another type.
+        If the file is missing or damaged, or has an unsupported format.
     """
     if path.suffix.lower() not in VOXELS:
-        raise UserError(f"{path}: unknown voxel format; use one of {', '.join(VOXELS)}")
+        raise UserError(f"{path} has no supported voxel format; must be one of: {', '.join(VOXELS)}")
     _check(path)
     try:
         block, origin_mm, voxel_mm = _read_nrrd(path) if path.suffix.lower() == ".nrrd" else _read_npz(path)
     except _UNREADABLE as error:
-        raise UserError(f"{path} is not a valid file of voxels ({printable(str(error))[:200]})") from None
+        raise UserError(f"{path} could not be read as voxels: {printable(str(error))[:200]}") from None
     if block.ndim != 3 or not block.size or block.dtype.kind not in "buif":
-        raise UserError(f"{path}: the array has the shape {block.shape} and type {block.dtype}, but must be numeric with three axes")
+        raise UserError(
+            f"{path}: the array has the shape {block.shape} and the type {block.dtype}; must be a numeric array with three axes"
+        )
     if not (np.isfinite(origin_mm).all() and math.isfinite(voxel_mm) and voxel_mm > 0.0):
-        raise UserError(f"{path}: origin and voxel size must be finite, and the voxel size positive")
-    share = _as_share(block)
+        raise UserError(f"{path}: the origin must be finite, and the voxel size must be finite and positive")
+    share = _to_fractions(block)
     if not np.isfinite(share).all() or share.min() < 0.0 or share.max() > 1.0:
         raise UserError(f"{path}: occupancies must be between 0 and 1")
     if (occupied := int(np.count_nonzero(share))) > MOST_OCCUPIED:
-        raise UserError(f"{path}: {occupied} occupied voxels exceed the limit of {MOST_OCCUPIED}; use larger voxels")
+        raise UserError(f"{path}: the number of occupied voxels is {occupied}, but must be at most {MOST_OCCUPIED}; use larger voxels")
     low = np.argwhere(share).astype(np.int32)
     return Leaves(
         low=low,
@@ -102,15 +109,15 @@ def read_voxels(path: Path) -> Leaves:
 
 
 def read_points(path: Path) -> Floats:
-    """Read points (N, 3) in mm: the vertices of a PLY file, or lines of x y z.
+    """Read points (N, 3), mm, from the vertices of a PLY file, or from text lines with x y z.
 
     Raises
     ------
     UserError
-        If the file is missing, damaged, empty or of another type.
+        If the file is missing, damaged or empty, or has an unsupported format.
     """
     if path.suffix.lower() not in POINTS:
-        raise UserError(f"{path}: unknown point format; use one of {', '.join(POINTS)}")
+        raise UserError(f"{path} has no supported point format; must be one of: {', '.join(POINTS)}")
     _check(path)
     if path.suffix.lower() == ".ply":
         loaded = result_files.load_geometry(path, "points")
@@ -119,27 +126,27 @@ def read_points(path: Path) -> Floats:
         try:
             points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
         except (ValueError, IndexError) as error:
-            raise UserError(f"{path} is not a valid file of points ({printable(str(error))[:200]})") from None
+            raise UserError(f"{path} could not be read as points: {printable(str(error))[:200]}") from None
     if not len(points) or not np.isfinite(points).all():
-        raise UserError(f"{path} has {len(points)} points; at least one is required, and all must be finite")
+        raise UserError(f"{path} contains {len(points)} points; must contain at least one, and all coordinates must be finite")
     return points
 
 
 def read_traits(path: Path) -> dict[str, Stated]:
     """Read a table of traits with the columns ``trait`` and ``value``, and ``low`` and ``high`` for a 90 % interval.
 
-    Names and units are those of ``rhizotwin traits``, with or without the unit in the name; other rows are ignored.
+    Names and units are those of ``rhizotwin traits``, with or without the unit in the name. Other rows are ignored.
 
     Raises
     ------
     UserError
-        If the file is missing, lacks these columns, or a number is invalid.
+        If the file or one of these columns is missing, or a number is invalid.
     """
     names = {column: name for one in DEFINITIONS for column, name in ((one.name, one.name), (one.column, one.name))}
     text = read_file(path).decode("utf-8", errors="replace")
     rows = csv.DictReader(io.StringIO(text))
     if not {"trait", "value"} <= set(rows.fieldnames or ()):
-        raise UserError(f"{path}: the first line must contain the columns trait and value (and low and high for intervals)")
+        raise UserError(f"{path}: the first line must contain the columns 'trait' and 'value' (and 'low' and 'high' for intervals)")
     found: dict[str, Stated] = {}
     for line, row in enumerate(rows, start=2):
         if row["trait"] in names and row["value"]:
@@ -148,7 +155,8 @@ def read_traits(path: Path) -> dict[str, Stated]:
                 found[names[row["trait"]]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
     if not found:
         raise UserError(
-            f"{path}: no row names a trait; 'rhizotwin traits' lists them, such as {', '.join(one.column for one in DEFINITIONS[:4])}"
+            f"{path} contains no known trait, such as {', '.join(one.column for one in DEFINITIONS[:4])}; "
+            "'rhizotwin traits' prints all names"
         )
     return found
 
@@ -177,15 +185,15 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
         header = nrrd.read_header(file)
         encoding = header["encoding"]
         if {"data file", "datafile"} & set(header) or encoding not in ("raw", "gzip", "gz"):
-            raise ValueError("the voxels must be stored in the file itself, as raw or gzip")
+            raise ValueError("the voxels must be stored in the same file with the encoding raw or gzip")
         most = result_files.MOST_SHAPE_MIB * 2**20
         if math.prod(int(size) for size in header["sizes"]) > most:
-            raise ValueError(f"the size {header['sizes']} is too large")
+            raise ValueError(f"the array of size {header['sizes']} is too large; use larger voxels")
         if encoding != "raw":
             unpacked = zlib.decompressobj(zlib.MAX_WBITS | 32)
             unpacked.decompress(file.read(), most)
             if unpacked.unconsumed_tail:
-                raise ValueError(f"it exceeds {result_files.MOST_SHAPE_MIB} MiB when unpacked")
+                raise ValueError(f"the unpacked size exceeds {result_files.MOST_SHAPE_MIB} MiB")
     directions = np.asarray(header["space directions"], np.float64)
     voxel_mm = float(directions[0, 0])
     if not np.allclose(directions, voxel_mm * np.eye(3), atol=1e-9 * abs(voxel_mm)):
@@ -197,12 +205,12 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
 def _read_npz(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         if not isinstance(stored, np.lib.npyio.NpzFile) or stored.zip is None:
-            raise ValueError("it contains a single array instead of an archive of named arrays")
+            raise ValueError("the file must contain an archive of named arrays, not a single array")
         result_files.check_unpacked(path, stored.zip.infolist())
         return stored["occupancy"], np.asarray(stored["origin_mm"], np.float64).reshape(3), float(stored["voxel_mm"])
 
 
-def _as_share(block: NDArray[np.generic]) -> NDArray[np.float32]:
+def _to_fractions(block: NDArray[np.generic]) -> NDArray[np.float32]:
     if block.dtype.kind in "ui":
         return np.asarray(block, np.float32) / np.float32(np.iinfo(block.dtype.name).max)
     return np.asarray(block, np.float32)

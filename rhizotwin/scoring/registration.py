@@ -1,8 +1,8 @@
 """Rigid registration of one surface to another without an initial estimate.
 
-It registers a printed part to its reconstruction by iterated closest points (Besl and McKay 1992) from many starting
-poses, with point-to-plane distances (Chen and Medioni 1992) in both directions. Distant points have less weight
-(Cauchy), so that missing roots and artefacts have little influence.
+A printed part is registered to its reconstruction with the iterative closest point algorithm (Besl and McKay 1992) from
+many starting poses, with point-to-plane distances (Chen and Medioni 1992) in both directions. Distant points are
+down-weighted with a Cauchy function, so that missing roots and artefacts have little influence.
 """
 
 from dataclasses import dataclass
@@ -21,20 +21,22 @@ from rhizotwin.scenes import frames
 Floats = NDArray[np.float64]
 
 COARSE, MIDDLE, FINE = 500, 3_000, 20_000
-"""Number of points on each surface for: selection among all starts, selection among the best starts, and final
-registration. With 20 000 points, scatter of 0.1 mm causes a position error of 1 um."""
+"""Number of points on each surface in the three stages: selection among all starting poses, selection among the best
+poses, and final registration. With 20 000 points, a scatter of 0.1 mm causes a position error of 0.001 mm."""
 TURNS = 12
-"""Starts about each vertical axis, 30 degrees apart; the iteration converges from half of this."""
+"""Number of starting poses per vertical direction, at equal angles of 30 degrees. The algorithm converges from half
+this angle."""
 KEPT = 4
-"""Number of starts refined with more points."""
+"""Number of starting poses that are refined with more points."""
 ROUNDS = 25
-"""Maximum number of iterations; ten to twenty usually suffice."""
+"""Maximum number of iterations per starting pose. Ten to twenty are usually sufficient."""
 SETTLED_MM = 1e-5
-"""The iteration ends when no point moves farther than this."""
+"""Motion of the solid in an iteration below which the algorithm has converged, mm."""
 CAUCHY = 2.385
-"""95 % efficiency on normal errors (Holland and Welsch 1977)."""
+"""Scale of the Cauchy weight function, in standard deviations, for 95 % efficiency with normal errors (Holland and
+Welsch 1977)."""
 LEAST_SPREAD = 1e-4
-"""Lower limit of the distance scale relative to the size of the solid; it avoids division by zero."""
+"""Minimum of the distance scale, as a fraction of the solid's size, to avoid division by zero."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,17 +44,19 @@ class Registration:
     """Result of a registration."""
 
     to_from_solid: Floats
-    """(4, 4) rigid motion from the coordinates of the solid to those of the other surface."""
+    """Rigid transform (4, 4) from the frame of the solid to the frame of the other surface, mm."""
     moved: Mesh
-    """Registered solid."""
+    """Mesh of the solid after registration."""
 
 
 @dataclass(frozen=True)
 class _Cloud:
-    """Uniformly distributed points on a surface, with their normals."""
+    """Points sampled uniformly on a surface, with their normals."""
 
     points: Floats
+    """Sample points (N, 3), mm."""
     normals: Floats
+    """Unit normals of the surface at the points (N, 3)."""
 
 
 def register(solid: Mesh, to: Mesh) -> Registration:
@@ -61,17 +65,17 @@ def register(solid: Mesh, to: Mesh) -> Registration:
     Parameters
     ----------
     solid : Mesh
-        Closed mesh in mm, in any pose, not mirrored.
+        Closed mesh, mm, in any pose but not mirrored.
     to : Mesh
-        Surface to register to.
+        Reference surface, mm, to which the solid is registered.
     """
     size_mm = float(np.linalg.norm(np.ptp(solid.vertices_mm, axis=0)))
-    poses = [np.eye(4)]  # the pose may already be correct, as for the file of a simulated specimen
+    poses = [np.eye(4)]  # the file of a simulated specimen has the correct pose
     for count, kept in ((COARSE, KEPT), (MIDDLE, 1), (FINE, 1)):
-        cloud, cloud_to = (_cloud(mesh, count) for mesh in (solid, to))
+        cloud, cloud_to = (_sample_cloud(mesh, count) for mesh in (solid, to))
         if count == COARSE:
-            poses += _starts(cloud, cloud_to)
-        found = [_settled(cloud, cloud_to, pose, size_mm=size_mm) for pose in poses]
+            poses += _starting_poses(cloud, cloud_to)
+        found = [_iterate_closest_points(cloud, cloud_to, pose, size_mm=size_mm) for pose in poses]
         found.sort(key=lambda one: one[1])
         poses = [pose for pose, _ in found[:kept]]
     pose = found[0][0]
@@ -79,19 +83,19 @@ def register(solid: Mesh, to: Mesh) -> Registration:
     return Registration(to_from_solid=pose, moved=moved)
 
 
-def _cloud(mesh: Mesh, count: int) -> _Cloud:
-    """Sample points on a mesh, identical in each call."""
+def _sample_cloud(mesh: Mesh, count: int) -> _Cloud:
+    """Sample points on a mesh, with the same random numbers in each call."""
     points, face = surface_sample.sample(mesh.vertices_mm, mesh.faces, count=count, rng=np.random.default_rng(0))
     a, b, c = mesh.corners_mm[:, face]
     across = np.cross(b - a, c - a)
     return _Cloud(points, across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None])
 
 
-def _starts(cloud: _Cloud, to: _Cloud) -> list[Floats]:
-    """Return starting poses (4, 4).
+def _starting_poses(cloud: _Cloud, to: _Cloud) -> list[Floats]:
+    """Return the starting poses (4, 4) for a registration.
 
-    Principal axes are aligned in every proper combination, and rotations about the vertical are added, for both ends
-    up.
+    Principal axes are aligned in all combinations that are rotations. Further poses are rotations about the vertical,
+    upright and upside down.
     """
     middle, middle_to = cloud.points.mean(axis=0), to.points.mean(axis=0)
     axes, axes_to = (np.linalg.svd(one.points - one.points.mean(axis=0), full_matrices=False)[2].T for one in (cloud, to))
@@ -111,10 +115,11 @@ def _starts(cloud: _Cloud, to: _Cloud) -> list[Floats]:
     return poses
 
 
-def _settled(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tuple[Floats, float]:
-    """Iterate closest points; return the pose and the mean point-to-point distance.
+def _iterate_closest_points(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tuple[Floats, float]:
+    """Run the iterative closest point algorithm and return the pose (4, 4) and the mean point-to-point distance, mm.
 
-    Poses are ranked by the mean: for a plant with misplaced laterals, the median would depend on the taproot only.
+    Poses are ranked by the mean distance. The median distance of a plant with misplaced laterals would depend on the
+    taproot only.
     """
     tree, tree_to, least_mm, mean_mm = cKDTree(cloud.points), cKDTree(to.points), LEAST_SPREAD * size_mm, np.inf
     for _ in range(ROUNDS):
@@ -129,7 +134,7 @@ def _settled(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tupl
         middle = at.mean(axis=0)
         rows = np.concatenate([np.cross(at - middle, normals), normals], axis=1)
         normal = rows.T @ (weight[:, None] * rows)
-        # a body of revolution can rotate freely; directions that the surfaces do not determine are left unchanged
+        # directions that the surfaces do not determine are unchanged, such as rotations of a body of revolution
         step = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (rows.T @ (weight * off))
         change = np.eye(4)
         change[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()

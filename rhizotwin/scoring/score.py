@@ -41,65 +41,77 @@ from rhizotwin.stored import result_files
 from rhizotwin.stored.load import load_result
 
 SHOWN_LINES = 19
-"""Lines of a score's `repr`, besides the one that says how many are left."""
+"""Maximum number of lines in the `repr` of a score, not counting the line with the number of omitted lines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score(VolumeScore):
     """Agreement of a result with the ground truth, in total and by stage.
 
-    Relative errors are found / true - 1.
+    Relative errors are (found / true - 1).
     """
 
     voxel_mm: float
+    """Edge of a voxel of the result, mm."""
     extents_mm: Triple
-    """Size of the bounding box along x, y, z of the canister frame."""
+    """Size of the result's bounding box along x, y and z of the canister frame, mm."""
     extents_true_mm: Triple
+    """Size of the true bounding box along x, y and z of the canister frame, mm."""
     extents_error: Triple
+    """Relative errors of the bounding box along x, y and z."""
     extents_error_max: float
-    """Largest absolute error of the three."""
+    """Maximum absolute relative error of the bounding box along x, y and z."""
     voxels: VoxelScore
+    """Agreement of the occupied voxels with the true solid."""
     surface: SurfaceScore
+    """Distances between the surface of the result and the true surface."""
     poses: PoseScore | None
-    """None if no view was used."""
+    """Errors of the camera poses. None if no view was used."""
     rig: tuple[RigError, ...]
-    """Errors of the calibrated rig parameters with known true values."""
+    """Errors of the calibrated rig parameters whose true values are known."""
     masks: MaskScore | None
-    """None if the result contains no silhouettes."""
+    """Errors of the silhouettes. None if the result contains no silhouettes."""
     hull: HullScore
+    """Agreement of the visual hull with the true solid."""
     roots: RootScore | None
-    """None if truth or result have no roots."""
+    """Agreement of the centre lines with the true centre lines. None if the truth or the result has no roots."""
     plants: tuple[PlantScore, ...]
-    """Scores of each of several plants in the canister; empty for a single plant."""
+    """Scores of the plants if the canister contains several. Empty for a single plant."""
     shoot: ShootScore | None
-    """None if truth or result have no shoot."""
+    """Agreement of the shoot with the true shoot. None if the truth or the result has no shoot."""
     traits: dict[str, TraitScore]
-    """By the names of `scenes.trait_table`."""
+    """Errors of the traits by the names of `scenes.trait_table`."""
     blind_mm3: float
-    """Volume of the water that is visible in too few views."""
+    """Volume of the water that is visible in too few views to be reconstructed, mm3."""
     timings_s: dict[str, float]
+    """Duration of each stage of the reconstruction, s."""
     peak_memory_mib: float | None
+    """Maximum memory of the reconstruction, MiB. None if unknown."""
     warnings: tuple[str, ...]
+    """Warnings of the reconstruction."""
 
     def to_dict(self) -> Json:
-        """Convert to JSON values with recall, precision and iou at the top level; infinite values become None."""
+        """Convert the score to values that the json module can write.
+
+        The fields of ``voxels`` are at the top level. Infinite values become None.
+        """
         found = asdict(self)
         voxels = found.pop("voxels")
         found = {**found, **voxels}
         return {key: plain(value) for key, value in found.items()}
 
     def __repr__(self) -> str:
-        """Return the first lines of the table."""
+        """Return the first lines of the score's text table."""
         lines = self.table().splitlines()
         rest = len(lines) - SHOWN_LINES
-        return "\n".join(lines if rest <= 1 else [*lines[:SHOWN_LINES], f"... {rest} more lines: print(score.table())"])
+        return "\n".join(lines if rest <= 1 else [*lines[:SHOWN_LINES], f"... {rest} more lines, see print(score.table())"])
 
     def _repr_html_(self) -> str:
-        """Return HTML for notebooks."""
+        """Return the text table as HTML for notebooks."""
         return f"<pre>{html.escape(self.table())}</pre>"
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         shoot = [] if self.shoot is None else self.shoot.rows()
         plants = [row for plant in self.plants for row in plant.rows()]
         rows = [*self._shape_rows(), *plants, *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
@@ -114,7 +126,7 @@ class Score(VolumeScore):
             rows += [
                 ("length", f"{r.length_mm:.1f} mm, true {r.length_true_mm:.1f} mm: {percent(r.length_error)}"),
                 ("  centre lines", f"recall {r.recall:.4f}, precision {r.precision:.4f}, median distance {r.distance_median_mm:.3f} mm"),
-                ("  radii", f"median {percent(r.radius_error_median)}"),
+                ("  radii", f"median error {percent(r.radius_error_median)}"),
                 ("  tips", f"{r.tips}, true {r.tips_true}: recall {r.tip_recall:.3f}, precision {r.tip_precision:.3f}"),
             ]
         return [
@@ -130,8 +142,8 @@ class Score(VolumeScore):
             p = self.poses
             rows += [
                 ("  cameras", f"{p.used} used, {p.left_out} not used"),
-                ("  camera positions", f"median {p.median_mm:.4f} mm, worst {p.max_mm:.4f} mm"),
-                ("  camera directions", f"median {p.median_deg:.4f} deg, worst {p.max_deg:.4f} deg"),
+                ("  camera positions", f"median {p.median_mm:.4f} mm, maximum {p.max_mm:.4f} mm"),
+                ("  camera directions", f"median {p.median_deg:.4f} deg, maximum {p.max_deg:.4f} deg"),
                 ("  common error", f"{p.common_mm:.4f} mm at the specimen, {p.common_deg:.4f} deg; remaining per view {p.own_mm:.4f} mm"),
             ]
         rows += [(f"  {error.quantity}", error.text) for error in self.rig]
@@ -139,23 +151,23 @@ class Score(VolumeScore):
             m = self.masks
             rows += [
                 ("  silhouettes", f"area {percent(m.area_error)}, IoU {m.iou:.4f}, mean error {100.0 * m.mean_abs:.2f} % of the area"),
-                ("  unseen", f"{100.0 * m.unseen:.2f} % of the true area is in masked regions"),
+                ("  unusable pixels", f"{100.0 * m.unseen:.2f} % of the true area"),
             ]
         h = self.hull
         rows += [
             ("  hull", f"{h.volume_mm3:.1f} mm3: {percent(h.volume_error)}; contains {100.0 * h.recall:.2f} % of the truth"),
             ("  trimmed", f"contains {100.0 * h.kept_recall:.2f} % of the truth"),
             ("  counting voxels", f"{h.leaf_count_volume_mm3:.1f} mm3: {percent(h.leaf_count_volume_mm3 / self.volume_true_mm3 - 1.0)}"),
-            ("  blind", f"{self.blind_mm3:.1f} mm3 of the water"),
+            ("  blind", f"{self.blind_mm3:.1f} mm3 of the water is visible in too few views"),
             ("  time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in self.timings_s.items())),
         ]
         if self.peak_memory_mib is not None:
-            rows.append(("  memory", f"{self.peak_memory_mib:.0f} MiB at most"))
+            rows.append(("  memory", f"at most {self.peak_memory_mib:.0f} MiB"))
         return rows
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON types."""
+    """Convert a value to types that the json module can write. Infinite numbers and NaN become None."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -166,10 +178,13 @@ def plain(value: Any) -> Any:
 
 
 def truth_mesh_path(dataset_folder: Path) -> Path:
-    """Return the path of the true solid of a simulated dataset; raise UserError if the dataset has no ground truth."""
+    """Return the path of the true solid's mesh in a simulated dataset.
+
+    Raise an error if the dataset has no ground truth.
+    """
     truth_folder = Path(dataset_folder) / "truth"
     if not truth_folder.is_dir():
-        raise UserError(f"{dataset_folder} has no ground truth; only simulated datasets can be scored this way")
+        raise UserError(f"{dataset_folder} contains no ground truth; use a simulated dataset, or compare with a known solid or volume")
     return truth_folder / "specimen.ply"
 
 
@@ -179,14 +194,14 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     Parameters
     ----------
     result : Result or path
-        Result, or its folder.
+        Result, or the result's folder.
     dataset : Dataset or path
-        Dataset of the result, or its folder.
+        Simulated dataset of the result, or the dataset's folder.
 
     Raises
     ------
     UserError
-        If the dataset has no ground truth, the result belongs to another dataset, or a file is missing or damaged.
+        If the dataset has no ground truth or is not that of the result, or a file is missing or damaged.
     """
     where = "the result" if isinstance(result, Result) else str(result)
     found = result if isinstance(result, Result) else load_result(result)
@@ -201,7 +216,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     try:
         voxels, hull = compare_voxels(solid.voxels, solid.hull, true_solid)
     except ValueError as error:
-        raise UserError(f"{mesh_path}: {error}; simulate the dataset again") from None
+        raise UserError(f"{mesh_path}: {error}; repeat the simulation") from None
     skeleton = mesh_path.parent / "skeleton.rsml"
     true_roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
     both = found.roots and true_roots
@@ -230,5 +245,5 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
 
 
 def _true_traits(roots: Sequence[Root], solid: Mesh, volume_mm3: float) -> Traits:
-    """Measure the traits of the ground truth by the current definitions, also for datasets of older versions."""
+    """Measure the traits of the ground truth with the current definitions instead of those stored in the dataset."""
     return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=float(solid.areas_mm2.sum()))

@@ -51,50 +51,65 @@ OF_CENTRE_LINES = (
 ALPHA = 0.1
 """Significance level of the 90 % intervals."""
 _MOST_SIDE = 200
-"""Voxels along the longest side for the comparison of surfaces that do not bound a solid."""
+"""Number of voxels along the longest side of the bounding box for the comparison of surfaces that intersect
+themselves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatedScore:
-    """Trait reported in a file, compared with the ground truth."""
+    """Reported value of a trait compared with the ground truth."""
 
     value: float
+    """Value that the method reports, in the unit of the trait."""
     true: float
+    """True value in the trait's unit."""
     error: float
-    """Relative error found / true - 1; for angles the difference in degrees."""
+    """Relative error (found / true - 1), or the difference in degrees for an angle."""
     interval: tuple[float, float] | None = None
+    """90 % interval that the method reports, None if not reported."""
     holds: bool | None = None
-    """Whether the interval contains the true value; None without an interval."""
+    """Whether the interval contains the true value. None without an interval."""
     interval_score: float | None = None
-    """Interval score of the 90 % interval (Gneiting and Raftery 2007) relative to the true value: width plus penalties
-    for misses, smaller is better."""
+    """Interval score of the 90 % interval (Gneiting and Raftery 2007), relative to the true value: width plus a penalty
+    if the interval does not contain the true value. Smaller is better."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileScore:
-    """Output file of another method compared with the ground truth. Relative errors are found / true - 1."""
+    """Agreement of the output file of another method with the ground truth. Relative errors are (found / true - 1)."""
 
     file: str
+    """Path of the output file."""
     scene: str
+    """Name of the scene."""
     volume_mm3: float | None = None
+    """Volume of the output, mm3. None if unknown."""
     volume_true_mm3: float
+    """True volume of the specimen, mm3."""
     volume_error: float | None = None
+    """Relative error of the volume. None if unknown."""
     extents_error: tuple[float, float, float] | None = None
+    """Relative errors of the bounding box along x, y and z. None if unknown."""
     iou: float | None = None
-    """Volume of the intersection over volume of the union; exact for meshes that bound a solid, by occupancy for
-    voxels."""
+    """Volume of the intersection divided by volume of the union, exact for meshes that bound a solid, computed from
+    occupancies for voxels. None if unknown."""
     surface: SurfaceScore | None = None
+    """Distances between the surface of the output and the true surface. None if the output has no surface."""
     roots: RootScore | None = None
+    """Agreement of the centre lines with the true centre lines. None if the output has no centre lines."""
     topology: TopologyScore | None = None
+    """Agreement of the branching with the true branching. None if the output has no centre lines."""
     traits: dict[str, StatedScore]
+    """Errors of the traits by name."""
     notes: tuple[str, ...] = ()
+    """Sentences about values that could not be computed."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert to JSON values; values that are not finite become None."""
+        """Convert the score to values that the json module can write. Infinite values become None."""
         return {key: plain(value) for key, value in asdict(self).items()}
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         rows: list[tuple[str, str]] = []
         if self.volume_mm3 is not None and self.volume_error is not None:
             rows.append(
@@ -128,7 +143,7 @@ class FileScore:
             held = (
                 ""
                 if one.holds is None
-                else f", interval {'contains' if one.holds else 'misses'} the true value, score {one.interval_score:.3f}"
+                else f", interval {'contains' if one.holds else 'does not contain'} the true value, interval score {one.interval_score:.3f}"
             )
             error = f"{one.error:+.2f} deg" if name.startswith("angle") else percent(one.error)
             rows.append((name, f"{one.value:.5g}, true {one.true:.5g}: {error}{held}"))
@@ -138,31 +153,31 @@ class FileScore:
 
 
 def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: bool = False) -> FileScore:
-    """Score a triangle mesh: volume, extents, IoU and surface distances.
+    """Score a triangle mesh: volume, extents, intersection over union and surface distances.
 
     Parameters
     ----------
     file : path
         PLY, STL or OBJ in mm with z up, or GLB in metres with y up.
     dataset : Dataset or path
-        Simulated dataset.
+        Simulated dataset, or the dataset's folder.
     registered : bool
-        Register the mesh to the true solid first; otherwise its coordinates are those of the canister frame.
+        Whether the mesh is first registered to the true solid. Otherwise its coordinates are in the canister frame.
 
     Raises
     ------
     UserError
-        If the file cannot be read or the dataset has no ground truth.
+        If the file cannot be read, or the dataset has no ground truth.
     """
     known = _Known.of(dataset)
     mesh = foreign_files.read_shape(Path(file))
     if registered:
         mesh = register(mesh, known.solid).moved
-    return replace(_of_mesh(mesh, known), file=str(file))
+    return replace(_score_mesh(mesh, known), file=str(file))
 
 
 def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score voxel occupancies (NRRD or NPZ, `foreign_files.read_voxels`) like a mesh in `score_mesh`."""
+    """Score voxel occupancies (NRRD or NPZ, see `foreign_files.read_voxels`) with the measures of `score_mesh`."""
     known = _Known.of(dataset)
     leaves = foreign_files.read_voxels(Path(file))
     volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
@@ -177,13 +192,13 @@ def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         iou=compare_voxels(leaves, leaves, known.solid)[0].iou_weighted,
     )
     if not len(shape.vertices):
-        return replace(scored, notes=("no voxel is at least half occupied, so that there is no surface",))
+        return replace(scored, notes=("the output has no surface, because no voxel is at least half occupied",))
     mesh = Mesh.of(shape)
     return replace(scored, extents_error=known.extents_error(mesh.vertices_mm), surface=compare_surfaces(mesh, known.solid))
 
 
 def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score points on the surface (PLY or lines of x y z) by their distances to the true surface, and vice versa."""
+    """Score surface points (PLY, or text lines with x y z) by their distances to the true surface, and vice versa."""
     known = _Known.of(dataset)
     points = foreign_files.read_points(Path(file))
     vertices, faces = known.solid.vertices_mm, known.solid.faces
@@ -201,17 +216,17 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score centre lines (RSML): length, recall, precision, tips, parents, orders, and derived traits.
+    """Score centre lines (RSML): length, recall, precision, tips, parents, orders and derived traits.
 
     Raises
     ------
     UserError
-        If the file cannot be read or the dataset has no true centre lines.
+        If the file cannot be read, or the dataset has no true centre lines.
     """
     known = _Known.of(dataset)
     roots = rsml.read_rsml(Path(file))
     if not known.roots:
-        raise UserError(f"{known.folder}: the specimen has no centre lines, so that an RSML file cannot be scored")
+        raise UserError(f"{known.folder}: the specimen has no true centre lines with which an RSML file could be compared")
     if not roots:
         raise UserError(f"{file} contains no roots")
     compared = compare_traits(_traits_of(roots), _traits_of(known.roots))
@@ -231,10 +246,10 @@ def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
-    """Score a table of traits (CSV, `foreign_files.read_traits`) and its 90 % intervals."""
+    """Score the values and 90 % intervals in a table of traits (CSV, see `foreign_files.read_traits`)."""
     known, stated = _Known.of(dataset), foreign_files.read_traits(Path(file))
     true = known.traits()
-    traits = {name: _stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
+    traits = {name: _score_stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
     volume = traits.get("volume")
     return FileScore(
         file=str(file),
@@ -247,7 +262,7 @@ def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
 
 
 def interval_score(interval: tuple[float, float], true: float) -> float:
-    """Return the interval score of a 90 % interval (Gneiting and Raftery 2007, eq. 43), relative to the truth."""
+    """Return the interval score of a 90 % interval (Gneiting and Raftery 2007, eq. 43), relative to the true value."""
     low, high = interval
     return ((high - low) + 2.0 / ALPHA * (max(low - true, 0.0) + max(true - high, 0.0))) / abs(true)
 
@@ -276,18 +291,18 @@ class _Known:
         )
 
     def extents_error(self, points_mm: Floats) -> tuple[float, float, float]:
-        """Return the relative errors of the sides of the bounding box."""
+        """Return the relative errors of the bounding box of points (N, 3), mm, along x, y and z."""
         size = np.ptp(points_mm, axis=0) / np.ptp(self.solid.vertices_mm, axis=0) - 1.0
         return float(size[0]), float(size[1]), float(size[2])
 
     def traits(self) -> dict[str, float | None]:
-        """Return the true traits by their names in tables."""
+        """Return the true values of the scalar traits by the names of `scenes.trait_table`."""
         volume_mm3, surface_mm2 = self.truth.volume_mm3, float(self.solid.areas_mm2.sum())
         measured = measure_traits(self.roots, self.solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)
         return {name: one.true for name, one in compare_traits(measured, measured).items() if not isinstance(one.true, list)}
 
 
-def _of_mesh(mesh: Mesh, known: _Known) -> FileScore:
+def _score_mesh(mesh: Mesh, known: _Known) -> FileScore:
     import manifold3d
 
     from rhizotwin.sim.solids import to_manifold
@@ -299,7 +314,7 @@ def _of_mesh(mesh: Mesh, known: _Known) -> FileScore:
         volume_mm3, both = float(solid.volume()), float((solid ^ true).volume())
         iou: float | None = both / (volume_mm3 + float(true.volume()) - both)
     else:
-        volume_mm3, iou, notes = _by_voxels(mesh, known)
+        volume_mm3, iou, notes = _compare_with_voxels(mesh, known)
     return FileScore(
         file="",
         scene=known.scene,
@@ -314,8 +329,13 @@ def _of_mesh(mesh: Mesh, known: _Known) -> FileScore:
     )
 
 
-def _by_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """Compute volume and IoU of a self-intersecting closed mesh by counting voxels; None if it is open."""
+def _compare_with_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
+    """Compute volume, mm3, and intersection over union of a self-intersecting mesh from voxels, and notes.
+
+    Volume and intersection over union are None if the mesh is not closed.
+
+    None for an open mesh.
+    """
     points = np.concatenate([mesh.vertices_mm[np.unique(mesh.faces)], known.solid.vertices_mm])
     low, size = points.min(axis=0), np.ptp(points, axis=0)
     voxel_mm = float(size.max()) / _MOST_SIDE
@@ -324,19 +344,19 @@ def _by_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, t
     try:
         inside = voxelise.count_in_boxes(mesh.vertices_mm, mesh.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
     except ValueError:
-        return None, None, ("the mesh is not closed, so that its volume is undefined",)
+        return None, None, ("the volume is undefined, because the mesh is not closed",)
     truth = voxelise.count_in_boxes(known.solid.vertices_mm, known.solid.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
     either = int((inside | truth).sum())
-    note = f"the mesh intersects itself or is inside out; volume and IoU were computed in voxels of {voxel_mm:.3f} mm"
+    note = f"the mesh intersects itself or its normals point inwards; volume and IoU were computed with voxels of {voxel_mm:.3f} mm"
     return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
 
 
 def _traits_of(roots: Sequence[Root]) -> Traits:
-    """Measure the traits of centre lines; volume and surface, which are not available, are set to 1."""
+    """Measure the traits of centre lines. Volume and surface area, which are unknown, are set to 1."""
     return measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=1.0, surface_mm2=1.0)
 
 
-def _stated(name: str, one: Stated, true: float | None) -> StatedScore:
+def _score_stated(name: str, one: Stated, true: float | None) -> StatedScore:
     known = float(true or 0.0)
     error = one.value - known if name.startswith("angle") else one.value / known - 1.0 if known else math.nan
     if one.interval is None:

@@ -28,44 +28,47 @@ from rhizotwin.scoring.score_solid import table_of
 from rhizotwin.stored.load import load_result
 
 NEAR_PX = 2.0
-"""Maximum distance at which a root counts as explained: the width of the blur on either side of a root."""
+"""Maximum distance between centre lines that match, pixels: the width of the blur on either side of a root."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureScore:
-    """Comparison of a result with unused pictures. Pixels are those of the pictures."""
+    """Agreement of a result with pictures that were not used in its reconstruction, in pixels of these pictures."""
 
     scene: str
+    """Name of the scene."""
     pictures: int
     """Number of compared pictures."""
     known: int
-    """Number of pictures in the dataset that the reconstruction used; they are not compared."""
+    """Number of pictures of the dataset that were used in the reconstruction and are therefore not compared."""
     iou: float
-    """Intersection over union of the covered areas, over all pictures."""
+    """Intersection over union of the covered areas in all compared pictures."""
     edge_median_px: float
-    """Median distance between the outlines, in both directions."""
+    """Median distance between the outlines in both directions, pixels."""
     edge_p95_px: float
+    """95th percentile of the distance between the outlines, pixels."""
     line_median_px: float
-    """Median distance between the centre lines, in both directions."""
+    """Median distance between the centre lines in both directions, pixels."""
     line_p95_px: float
+    """95th percentile of the distance between the centre lines, pixels."""
     explained: float
-    """Fraction of the pictures' centre lines within `NEAR_PX` of the projected result."""
+    """Fraction of the centre lines in the pictures within `NEAR_PX` of the projected result."""
     seen: float
     """Fraction of the projected centre lines within `NEAR_PX` of a root in the pictures."""
     per_view: dict[str, float]
-    """Area scores by picture."""
+    """Intersection over union of the covered areas by picture."""
 
     def to_dict(self) -> Json:
-        """Convert to JSON values."""
+        """Convert the score to values that the json module can write."""
         return asdict(self)
 
     def table(self) -> str:
-        """Format the score as a text table."""
-        ignored = f", {self.known} used pictures are ignored" if self.known else ""
+        """Return the score as a text table."""
+        ignored = f"; {self.known} used pictures were excluded" if self.known else ""
         rows = [
-            ("pictures", f"{self.pictures} unused{ignored}"),
+            ("pictures", f"{self.pictures} unused pictures were compared{ignored}"),
             ("area", f"intersection over union {100.0 * self.iou:.1f} %"),
-            ("outlines apart", f"median {self.edge_median_px:.2f} px, 95 % {self.edge_p95_px:.2f} px"),
+            ("outline distance", f"median {self.edge_median_px:.2f} px, 95 % {self.edge_p95_px:.2f} px"),
             ("centre line distance", f"median {self.line_median_px:.2f} px, 95 % {self.line_p95_px:.2f} px"),
             ("recall of root length", f"{100.0 * self.explained:.1f} %"),
             ("precision of root length", f"{100.0 * self.seen:.1f} %"),
@@ -76,35 +79,39 @@ class PictureScore:
 def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *, monitor: Monitor) -> PictureScore:
     """Compare a result with the pictures of a dataset that were not used in its reconstruction.
 
-    Cameras and coverage of the pictures are estimated as in a reconstruction; nothing is fitted to the result.
+    Cameras and coverage of the pictures are estimated as in a reconstruction, independently of the result.
 
     Parameters
     ----------
     result : Result or path
-        Result, or its folder.
+        Result, or the result's folder.
     dataset : Dataset or path
-        Dataset of the same plant on the same rig: the complete scan of which the result used a part, or another scan.
+        Dataset of the same plant on the same rig: another scan, or the complete scan if the result used only a part.
     monitor : Monitor
         Progress monitor.
 
     Raises
     ------
     UserError
-        If all pictures were used, or cannot be read.
+        If all pictures were used in the reconstruction, or a picture cannot be read.
     """
     found = result if isinstance(result, Result) else load_result(result)
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     if dataset.sha256 and dataset.sha256 == found.dataset_sha256:
-        raise UserError(f"{dataset.folder} is the dataset of the result; give a dataset with pictures that were not used")
+        raise UserError(
+            f"{dataset.folder} is the dataset of the result; specify a dataset with pictures that were not used in the reconstruction"
+        )
     pictures = verify_curve(read_pictures(dataset, monitor=monitor), monitor=monitor)
     used = {camera.sha256: camera for camera in found.cameras if camera.sha256 and camera.used}
     cameras = find_cameras(pictures, monitor=monitor)
     same = {k: used[sha256] for k, frame in enumerate(pictures.frames) if (sha256 := picture_hash(dataset, frame)) in used}
-    cameras = _in_frame_of(found, cameras, same, bare=dataset.scene.strip.rows == 0)
+    cameras = _to_result_frame(found, cameras, same, bare=dataset.scene.strip.rows == 0)
     cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor)
     chosen = [k for k in cameras.order if k not in same]
     if not chosen:
-        raise UserError(f"{dataset.folder}: all pictures with a camera were used in the reconstruction; give a dataset with other pictures")
+        raise UserError(
+            f"{dataset.folder}: all pictures with a camera were used in the reconstruction; specify a dataset with other pictures"
+        )
     mesh = found.solid.surface
 
     def one(k: int) -> Compared:
@@ -115,11 +122,11 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
     return gather(found.scene, [pictures.frames[k].file for k in chosen], compared, known=len(same))
 
 
-def _in_frame_of(found: Result, cameras: Cameras, same: dict[int, Camera], *, bare: bool) -> Cameras:
-    """Return the cameras in the canister frame of the result, with its refractive index of the water.
+def _to_result_frame(found: Result, cameras: Cameras, same: dict[int, Camera], *, bare: bool) -> Cameras:
+    """Return the cameras in the canister frame of the result, with the result's refractive index of the water.
 
-    Markers define the frame. Without markers the frame starts at the first picture, and pictures common to both scans
-    give the angle between them.
+    The markers define the frame. Without markers the azimuth of the frame is that of the first picture, and the angle
+    between both frames is computed from pictures that both scans contain.
     """
     n_water = found.rig.get("n_water")
     optics = cameras.optics if n_water is None else replace(cameras.optics, n_water=float(n_water))
@@ -132,7 +139,7 @@ def _in_frame_of(found: Result, cameras: Cameras, same: dict[int, Camera], *, ba
     ]
     if not turns:
         raise UserError(
-            "without markers, the dataset must include some of the pictures that the result was reconstructed from; give the complete scan"
+            "without markers, the dataset must include pictures that were used in the reconstruction; specify the complete scan"
         )
     turned = frames.rotation_z(float(np.angle(np.mean(np.exp(1j * np.array(turns))))))
     every = tuple(
@@ -147,25 +154,27 @@ class Compared:
     """Comparison of one picture with the projected result."""
 
     both_px2: float
+    """Area of the intersection of both silhouettes, square pixels."""
     either_px2: float
+    """Area of the union of both silhouettes, square pixels."""
     edges_px: NDArray[np.float32]
-    """(N,) distances between the outlines, at both outlines."""
+    """Distances between the outlines, sampled on both outlines (N,), pixels."""
     lines_px: NDArray[np.float32]
-    """(N,) distances between the centre lines, where one is near the other's root."""
+    """Distances between the centre lines, sampled where a centre line is near the other silhouette (N,), pixels."""
     explained: tuple[float, float]
-    """Length of the picture's centre lines near the projected result, and total length, px."""
+    """Length of the picture's centre lines near the projected result, and their total length, pixels."""
     seen: tuple[float, float]
-    """Length of the projected centre lines near a root in the picture, and total length."""
+    """Length of the projected centre lines near a root in the picture, and their total length, pixels."""
 
 
 def compare(shape: Image, picture: Silhouette) -> Compared:
-    """Compare the projected coverage (H, W) with a picture within its valid region."""
+    """Compare the projected coverage (H, W) with the usable pixels of a picture."""
     shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.usable))
     told = shown < UNSEEN_PX
     root, own = (shown > 0.0) & told, (made > 0.0) & told
-    apart = np.abs(made - shown)[(_rim(root) | _rim(own)) & told]
-    explained, off = _along(root, own)
-    seen, back = _along(own, root)
+    apart = np.abs(made - shown)[(_outline_samples(root) | _outline_samples(own)) & told]
+    explained, off = _compare_centre_lines(root, own)
+    seen, back = _compare_centre_lines(own, root)
     return Compared(
         both_px2=float((root & own).sum()) / UPSAMPLING**2,
         either_px2=float((root | own).sum()) / UPSAMPLING**2,
@@ -176,15 +185,16 @@ def compare(shape: Image, picture: Silhouette) -> Compared:
     )
 
 
-def _rim(inside: Mask) -> Mask:
-    """Return the samples next to an outline, on its inside."""
+def _outline_samples(inside: Mask) -> Mask:
+    """Return the samples next to the outline of an area (H, W), inside the area."""
     return inside & ~ndimage.binary_erosion(inside, border_value=1)
 
 
-def _along(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.float32]]:
-    """Return the length of the centre lines of one image near the area of the other, and the total length.
+def _compare_centre_lines(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.float32]]:
+    """Compare the centre lines of one area with another area, both (H, W).
 
-    The distances of that part from the other centre lines are also returned; all in px.
+    Returns the length of the centre lines near the other area and their total length, pixels, and the distances (N,) of
+    the near part from the centre lines of the other area, pixels.
     """
     line, line_of_other = skeletonize(one), skeletonize(other)
     if not line.any() or not line_of_other.any():
@@ -204,14 +214,14 @@ def gather(scene: str, files: Sequence[str], found: Sequence[Compared], *, known
     files : sequence of str
         File names of the pictures.
     found : sequence of Compared
-        Comparison of each picture.
+        Comparisons of the pictures.
     known : int
-        Number of pictures that the reconstruction used.
+        Number of pictures that were used in the reconstruction.
 
     Returns
     -------
     PictureScore
-        Combined score and scores of each picture.
+        Score of all pictures together, with the agreement of each picture.
     """
 
     def share(parts: Sequence[tuple[float, float]]) -> float:

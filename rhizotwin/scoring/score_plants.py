@@ -1,4 +1,4 @@
-"""Comparison of each of several plants in a result with the ground truth."""
+"""Comparison of several plants in a result with the ground truth, separately for each plant."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,57 +14,66 @@ from rhizotwin.scenes.rsml import Root
 from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.1
-"""Distance of the sample points along roots: a fifth of the tolerance of a centre line."""
+"""Spacing of the sample points along roots, mm, a fifth of the tolerance of a centre line."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlantScore:
-    """Score of one of several plants. Relative errors are found / true - 1."""
+    """Agreement of a plant with the ground truth. Relative errors are (found / true - 1)."""
 
     plant: str
+    """Name of the plant."""
     volume_mm3: float
+    """Volume of the plant, mm3."""
     volume_true_mm3: float
+    """True volume of the plant, mm3."""
     volume_error: float
+    """Relative error of the volume."""
     interval_holds_truth: bool
+    """Whether the 90 % interval of the volume contains the true volume."""
     length_mm: float
+    """Total length of the plant's roots, mm."""
     length_true_mm: float
+    """True total length of the plant's roots, mm."""
     length_error: float
+    """Relative error of the length."""
     rightly_given: float
-    """Fraction of the plant's found length on true roots that lies on roots of this plant."""
+    """Fraction of the root length assigned to this plant that is correctly assigned, excluding roots that match no true
+    root."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the rows of the text table."""
+        """Return the rows (name, text) of the score's text table."""
         return [
             (f"plant {self.plant}", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {100.0 * self.volume_error:+.2f} %"),
             ("  length", f"{self.length_mm:.1f} mm, true {self.length_true_mm:.1f} mm: {100.0 * self.length_error:+.2f} %"),
-            ("  rightly given", f"{100.0 * self.rightly_given:.2f} % of the length"),
+            ("  assigned correctly", f"{100.0 * self.rightly_given:.2f} % of the length"),
         ]
 
 
 def compare_plants(
     found: Sequence[PlantResult], roots: Sequence[Root], truth: Mapping[str, Mapping[str, Any]], true: Sequence[Root]
 ) -> tuple[PlantScore, ...]:
-    """Compare each plant that occurs in both result and ground truth.
+    """Compare each plant that occurs in both the result and the ground truth.
 
     Parameters
     ----------
-    found : sequence of OfPlant
+    found : sequence of PlantResult
         Plants of the result.
     roots, true : sequence of Root
-        Found and true roots, with their plants.
+        Found and true roots with the names of their plants.
     truth : mapping
-        True values by plant, as `scenes.truth.Truth.plants`.
+        True values by name of the plant, see `scenes.truth.Truth.plants`.
     """
     told = [one for one in found if one.subject.plant in truth]
     if not told:
         return ()
-    points, owner = _points(true)
+    points, owner = _sample_roots(true)
     tree = cKDTree(points)
     scores = []
     for one in told:
         name = one.subject.plant
         own, length_true = rsml.plant_roots(roots, name), rsml.length_mm(rsml.plant_roots(true, name))
-        away, nearest = tree.query(_points(own)[0])
+        away, nearest = tree.query(_sample_roots(own)[0])
         near = away < NEAR_MM
         low, high = one.volume_interval_mm3
         volume_true, length = float(truth[name]["volume_mm3"]), rsml.length_mm(own)
@@ -84,8 +93,8 @@ def compare_plants(
     return tuple(scores)
 
 
-def _points(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
-    """Sample points (N, 3) every fifth of `NEAR_MM` along roots, with the plant (N,) of each."""
+def _sample_roots(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    """Sample points (N, 3), mm, along roots, and return them with the name (N,) of the plant at each point."""
     points, plants = [], []
     for root in roots:
         way = polyline.arc_length_mm(root.points_mm)

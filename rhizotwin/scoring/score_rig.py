@@ -1,4 +1,4 @@
-"""Comparison of the self-calibrated rig parameters with the ground truth, in units of their standard deviations."""
+"""Comparison of self-calibrated rig parameters with the ground truth, in units of their standard deviations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.calibration_table import Row, rows
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
-"""Index of each quantity among tilts and offsets."""
+"""Index of each tilt and offset in the vector of the canister's pose parameters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,40 +20,44 @@ class RigError:
     """Error of a rig parameter that was calibrated from the pictures."""
 
     quantity: str
+    """Name of the calibrated rig parameter."""
     found: float
+    """Calibrated value of the parameter."""
     true: float
+    """True value of the parameter."""
     sigma: float | None
-    """Standard deviation reported by the result."""
+    """Standard deviation reported by the result. None if not reported."""
     unit: str
+    """Unit of the parameter. Empty for a dimensionless parameter."""
 
     @property
     def error(self) -> float:
-        """Found minus true value."""
+        """Calibrated value minus true value."""
         return self.found - self.true
 
     @property
     def text(self) -> str:
-        """Format the comparison."""
+        """Text with the calibrated value, the true value and the error."""
         sigmas = "" if not self.sigma else f", {abs(self.error) / self.sigma:.1f} standard deviations"
         return f"{self.found:.6g}, true {self.true:.6g}: error {self.error:+.2g} {self.unit}".rstrip() + sigmas
 
 
 def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[RigError, ...]:
-    """Return the errors of all rig parameters with known true values."""
+    """Return the errors of all rig parameters whose true values are known."""
     found = []
     for row in rows(rig):
-        true = _true(row, truth)
+        true = _true_value(row, truth)
         if true is not None:
             found.append(RigError(quantity=row.quantity, found=row.found, true=true, sigma=row.sigma, unit=row.unit))
     angles = _table_angles(cameras, truth)
     return (*found, *([] if angles is None or not rig else [angles]))
 
 
-def _true(row: Row, truth: Truth) -> float | None:
-    """Return the true value of a row; None if unknown."""
-    if row.quantity == "index of the water":
+def _true_value(row: Row, truth: Truth) -> float | None:
+    """Return the true value of a calibrated parameter, None if unknown."""
+    if row.quantity == "refractive index of the water":
         return truth.n_water
-    if row.quantity == "focal length over the given":
+    if row.quantity == "focal length relative to the given value":
         error = truth.drawn.get("focal_error")
         return None if error is None else 1.0 + float(error)
     name, _, what = row.quantity.partition(": ")
@@ -68,9 +72,9 @@ def _true(row: Row, truth: Truth) -> float | None:
 
 
 def _table_angles(cameras: Sequence[Camera], truth: Truth) -> RigError | None:
-    """Return the rms error of the table angles without their common part.
+    """Return the RMS error of the table angles, deg, after subtraction of the mean error of each ring.
 
-    The common part is equivalent to a change of the camera's azimuth.
+    The mean error is equivalent to a change of the camera's azimuth.
     """
     true = {view.file: view.table_deg for view in truth.views}
     off: dict[int, list[float]] = {}

@@ -1,4 +1,4 @@
-"""Comparison of the centre lines of a result with the true ones."""
+"""Comparison of the centre lines of a result with the true centre lines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,37 +13,43 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 NEAR_MM = 0.5
-"""Maximum distance between centre lines for a match."""
+"""Maximum distance between centre lines that match, mm."""
 TIP_MM = 1.0
-"""Maximum distance between matching tips: two to five diameters."""
+"""Maximum distance between tips that match, mm, two to five root diameters."""
 _STEP_MM = 0.1
-"""Distance of the sample points along centre lines: a fifth of `NEAR_MM`."""
+"""Spacing of the sample points along centre lines, mm, a fifth of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootScore:
-    """Agreement of the found roots with the true ones. Relative errors are found / true - 1."""
+    """Agreement of the found roots with the true roots. Relative errors are (found / true - 1)."""
 
     length_mm: float
+    """Total length of the found roots, mm."""
     length_true_mm: float
+    """Total length of the true roots, mm."""
     length_error: float
+    """Relative error of the total length."""
     recall: float
     """Fraction of the true length within `NEAR_MM` of a found centre line."""
     precision: float
     """Fraction of the found length within `NEAR_MM` of a true centre line."""
     distance_median_mm: float
-    """Median distance from found centre lines to true ones."""
+    """Median distance from the found to the true centre lines, mm."""
     radius_error_median: float
     """Median relative error of the radius along matched centre lines."""
     tips: int
+    """Number of found tips."""
     tips_true: int
+    """Number of true tips."""
     tip_recall: float
-    """Fraction of the true tips with a found tip within `TIP_MM`."""
+    """Fraction of the true tips within `TIP_MM` of a found tip."""
     tip_precision: float
+    """Fraction of the found tips within `TIP_MM` of a true tip."""
 
 
 def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
-    """Compare centre lines, radii and tips of two root systems that are not empty."""
+    """Compare centre lines, radii and tips of two root systems, neither of which is empty."""
     on_found, on_true = (rsml.sample_centre_lines(roots, _STEP_MM) for roots in (found, true))
     away, nearest = cKDTree(on_true.points_mm).query(on_found.points_mm)
     missed = cKDTree(on_found.points_mm).query(on_true.points_mm)[0]
@@ -61,11 +67,11 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
         radius_error_median=float(np.median(ratio)) - 1.0 if near.any() else float("nan"),
         tips=len(tips),
         tips_true=len(true_tips),
-        tip_recall=_near_share(true_tips, tips),
-        tip_precision=_near_share(tips, true_tips),
+        tip_recall=_near_fraction(true_tips, tips),
+        tip_precision=_near_fraction(tips, true_tips),
     )
 
 
-def _near_share(these: Array, others: Array) -> float:
-    """Return the fraction of tips (A, 3) with one of the others (B, 3) within `TIP_MM`; 0 without tips."""
+def _near_fraction(these: Array, others: Array) -> float:
+    """Return the fraction of tips (A, 3) within `TIP_MM` of one of the other tips (B, 3), zero without tips."""
     return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0

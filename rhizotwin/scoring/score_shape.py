@@ -1,4 +1,4 @@
-"""Comparison of a reconstructed shape with the true solid by voxels and surfaces."""
+"""Comparison of a reconstructed shape with the true solid, by voxels and by surfaces."""
 
 from __future__ import annotations
 
@@ -14,58 +14,67 @@ from rhizotwin.scoring import surface_distance, voxelise
 Array = NDArray[np.float64]
 
 SURFACE_SAMPLES = 20_000
-"""Points on each surface; the sampling error of the median is below 1 % of the spread."""
+"""Number of sample points on each surface. The sampling error of the median distance is below 1 % of the spread."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelScore:
-    """Overlap of the occupied voxels with the truth; a leaf counts as occupied from an occupancy of one half."""
+    """Overlap of the occupied voxels with the true solid. A leaf is occupied from an occupancy of one half."""
 
     recall: float
-    """Fraction of the true solid's voxel centres that are occupied."""
+    """Fraction of the voxel centres in the true solid that are occupied."""
     precision: float
     """Fraction of the occupied voxels whose centre is in the true solid."""
     iou: float
-    """Voxels in the intersection over voxels in the union."""
+    """Number of voxels in the intersection divided by number of voxels in the union."""
     recall_weighted: float
-    """Like recall, with each leaf weighted by its occupancy and the truth by 2^3 points per voxel."""
+    """Recall of the volume, with each leaf weighted by its occupancy and the true solid sampled with 2^3 points per
+    voxel."""
     precision_weighted: float
+    """Precision of the volume with the same weights."""
     iou_weighted: float
+    """Intersection over union of the volumes with the same weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HullScore:
-    """Visual hull before trimming."""
+    """Agreement of the visual hull before trimming with the true solid."""
 
     recall: float
-    """Fraction of the true solid's voxel centres in the leaves of the hull; the rest was carved away by mistake."""
+    """Fraction of the voxel centres in the true solid that lie in leaves of the hull. The rest was carved by
+    mistake."""
     volume_mm3: float
+    """Volume of the hull, mm3."""
     volume_error: float
-    """Relative error of the volume; the excess is not determined by the silhouettes."""
+    """Relative error of the hull's volume. Silhouettes do not determine the excess volume."""
     kept_recall: float
-    """Fraction of the true solid's voxel centres in the leaves of the trimmed shape; the difference from the recall of
-    the hull was trimmed away by mistake."""
+    """Fraction of the voxel centres in the true solid that lie in leaves of the trimmed shape. The difference from the
+    recall of the hull was trimmed by mistake."""
     leaf_count_volume_mm3: float
-    """Volume of the leaves that are at least half occupied, counted as full: the volume measure of the thesis."""
+    """Volume of the leaves that are at least half occupied, counted as full, mm3. This is the volume measure of the
+    thesis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceScore:
-    """Distances between the reconstructed and the true surface at uniformly distributed points, in mm."""
+    """Distances between the reconstructed and the true surface at uniformly distributed points, mm."""
 
     median_mm: float
-    """Median over both directions."""
+    """Median distance of the points on both surfaces, mm."""
     p95_mm: float
+    """95th percentile of the distance of the points on both surfaces, mm."""
     result_to_truth_median_mm: float
-    """Median from reconstructed points, which shows artefacts and thickening."""
+    """Median distance of points on the reconstructed surface, mm. Artefacts and thickening increase it."""
     result_to_truth_p95_mm: float
+    """95th percentile of the distance of points on the reconstructed surface, mm."""
     truth_to_result_median_mm: float
-    """Median from true points, which shows missing parts."""
+    """Median distance of points on the true surface, mm. Missing parts increase it."""
     truth_to_result_p95_mm: float
+    """95th percentile of the distance of points on the true surface, mm."""
 
     @staticmethod
     def of(to_truth: Array, to_result: Array) -> SurfaceScore:
-        """Summarise the distances (A,) from result to truth, and (B,) from truth to result."""
+        """Compute the statistics of the distances from result to truth (A,) and from truth to result (B,), mm."""
         both = np.concatenate([to_truth, to_result])
         return SurfaceScore(
             median_mm=float(np.median(both)),
@@ -82,7 +91,7 @@ def _ratio(part: float, whole: float) -> float:
 
 
 def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
-    """Compare the leaves of a shape, and of the hull before trimming, with a closed mesh on their own grid.
+    """Compare the leaves of the trimmed shape and of the hull with a closed mesh, on the grid of the leaves.
 
     Raises
     ------
@@ -122,7 +131,7 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
 
 
 def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
-    """Compare two surfaces by distances of sample points, which are identical in each call."""
+    """Compare two surfaces by the distances of sample points, which are identical in each call."""
     rng = np.random.default_rng(0)
     on_shape = surface_sample.sample(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)[0]
     on_truth = surface_sample.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]

@@ -12,35 +12,47 @@ from rhizotwin.stored import result_files
 
 @dataclass(frozen=True, kw_only=True)
 class ShootScore:
-    """Agreement of a shoot with the true one. Relative errors are found / true - 1."""
+    """Agreement of a shoot with the true shoot. Relative errors are (found / true - 1)."""
 
     height_mm: float
+    """Height above the net pot, mm."""
     height_true_mm: float
+    """True height above the net pot, mm."""
     height_error: float
+    """Relative error of the height."""
     surface_area_mm2: float
+    """One-sided surface area, mm2."""
     surface_area_true_mm2: float
-    """Half of the surface of the true solid: one side of its blades and half of its stalks."""
+    """Half of the true solid's surface area, mm2: one side of the blades and half of the stalks."""
     surface_area_error: float
+    """Relative error of the surface area."""
     leaf_area_mm2: float | None
-    """One-sided area of the blades; None if leaves enclose a space that is not visible in any picture."""
+    """One-sided area of the blades, mm2. None if leaves enclose a space that is not visible in any picture."""
     leaf_area_true_mm2: float
+    """True one-sided area of the blades, mm2."""
     leaf_area_error: float | None
+    """Relative error of the leaf area. None if the leaf area is unknown."""
     leaves: int
+    """Number of leaves."""
     leaves_true: int
+    """True number of leaves."""
     projected_error: float
     """Median relative error of the projected area over the pictures."""
     projected_error_max: float
-    """Largest absolute relative error of any picture."""
+    """Maximum absolute value of the relative error of the projected area."""
     hull_mm3: float
+    """Volume of the shoot's hull, mm3."""
     volume_mm3: float | None
-    """None if the leaf thickness was not measured."""
+    """Volume of the shoot, mm3. None if the leaf thickness was not measured."""
     volume_true_mm3: float
+    """True volume of the shoot, mm3."""
     volume_error: float | None
+    """Relative error of the volume. None if the volume is unknown."""
     colour: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """NDVI and NDRE, found and true; empty where the shoot was taken in one band."""
+    """NDVI and NDRE as (found, true). Empty if the shoot was imaged in a single band."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the rows of the text table."""
+        """Return the rows (name, text) of the score's text table."""
         return [
             ("shoot", ""),
             ("  height", f"{self.height_mm:.2f} mm, true {self.height_true_mm:.2f} mm: {100.0 * self.height_error:+.2f} %"),
@@ -50,7 +62,7 @@ class ShootScore:
             ),
             ("  leaf area", self._leaf_area()),
             ("  leaves", f"{self.leaves}, true {self.leaves_true}"),
-            ("  projected area", f"median {100.0 * self.projected_error:+.2f} %, worst {100.0 * self.projected_error_max:.2f} %"),
+            ("  projected area", f"median {100.0 * self.projected_error:+.2f} %, maximum {100.0 * self.projected_error_max:.2f} %"),
             ("  volume", self._volume()),
             *((f"  {name}", f"{found:.3f}, true {true:.3f}: {found - true:+.3f}") for name, (found, true) in self.colour.items()),
             ("  hull", f"{self.hull_mm3:.0f} mm3, {self.hull_mm3 / self.volume_true_mm3:.2f} times the true volume"),
@@ -70,7 +82,7 @@ class ShootScore:
 
 
 def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) -> ShootScore | None:
-    """Compare a shoot with the ``truth`` folder of a dataset; None without a shoot or its truth."""
+    """Compare a shoot with the ``truth`` folder of a dataset. None if the result or the truth has no shoot."""
     if found is None or not truth:
         return None
     half_mm2 = 0.5 * float(result_files.read_mesh(folder / "shoot.ply").areas_mm2.sum())

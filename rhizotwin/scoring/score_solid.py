@@ -1,4 +1,4 @@
-"""Comparison of a result with a known solid, or with a measured volume."""
+"""Comparison of a result with a known solid or with a measured volume."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,48 +17,57 @@ from rhizotwin.stored.load import load_result
 
 @dataclass(frozen=True, kw_only=True)
 class VolumeScore:
-    """Volume of a result compared with the true one. Relative errors are found / true - 1."""
+    """Volume of a result compared with the true volume. Relative errors are (found / true - 1)."""
 
     scene: str
+    """Name of the scene."""
     volume_mm3: float
+    """Volume of the result, mm3."""
     volume_true_mm3: float
+    """True volume of the specimen, mm3."""
     volume_error: float
+    """Relative error of the volume."""
     volume_interval_mm3: tuple[float, float]
-    """90 % interval of the result."""
+    """90 % interval of the result's volume, mm3."""
     interval_holds_truth: bool
+    """Whether the interval contains the true volume."""
     volume_trusted: bool
+    """Whether the volume is reliable according to the result."""
     volume_verdict: str
+    """Reliability of the volume in one sentence."""
 
     def to_dict(self) -> Json:
-        """Convert to JSON values."""
+        """Convert the score to values that the json module can write."""
         return asdict(self)
 
     def table(self) -> str:
-        """Format the score as a text table."""
-        return table_of(f"{self.scene}, compared with a given volume", volume_rows(self))
+        """Return the score as a text table."""
+        return table_of(f"{self.scene}, compared with a known volume", volume_rows(self))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SolidScore(VolumeScore):
-    """Result compared with the scanned solid after registration."""
+    """Agreement of a result with the scanned solid after registration."""
 
     extents_mm: Triple
-    """Size of the bounding box along x, y, z of the canister frame."""
+    """Size of the result's bounding box along x, y and z of the canister frame, mm."""
     extents_true_mm: Triple
-    """Size of the registered solid."""
+    """Size of the registered solid's bounding box along x, y and z of the canister frame, mm."""
     extents_error: Triple
+    """Relative errors of the bounding box along x, y and z."""
     surface: SurfaceScore
+    """Distances between the surface of the result and the true surface."""
     result_from_solid: tuple[tuple[float, ...], ...]
-    """(4, 4) rigid motion that registers the solid to the result."""
+    """Rigid transform (4, 4) that registers the solid to the result, mm."""
 
     def table(self) -> str:
-        """Format the score as a text table."""
+        """Return the score as a text table."""
         rows = [*volume_rows(self), *extent_rows(self.extents_mm, self.extents_true_mm, self.extents_error), *surface_rows(self.surface)]
         return table_of(f"{self.scene}, compared with a registered solid", rows)
 
 
 def score_volume(result: Result | Path | str, volume_mm3: float) -> VolumeScore:
-    """Compare the volume of a result with a measured one.
+    """Compare the volume of a result with a measured volume.
 
     Raises
     ------
@@ -66,22 +75,22 @@ def score_volume(result: Result | Path | str, volume_mm3: float) -> VolumeScore:
         If the volume is not positive, or the result folder cannot be read.
     """
     if not (np.isfinite(volume_mm3) and volume_mm3 > 0.0):
-        raise UserError(f"the reference volume is {volume_mm3:g} mm3, but must be positive")
+        raise UserError(f"the measured volume is {volume_mm3:g} mm3, but must be positive")
     found = result if isinstance(result, Result) else load_result(result)
     return VolumeScore(**volume_fields(found, volume_mm3))
 
 
 def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) -> SolidScore:
-    """Compare a result with the scanned solid, which is registered to the result first.
+    """Compare a result with the scanned solid, which is first registered to the result.
 
     Parameters
     ----------
     result : Result or path
-        Result, or its folder.
+        Result, or the result's folder.
     solid : Mesh
-        Closed mesh in mm, in any pose.
+        Closed mesh, mm, in any pose.
     volume_mm3 : float
-        Volume of the solid.
+        Volume of the solid, mm3.
 
     Raises
     ------
@@ -104,7 +113,7 @@ def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) 
 
 
 def volume_fields(found: Result, volume_mm3: float) -> Json:
-    """Return the fields of a `VolumeScore`."""
+    """Return the fields of a `VolumeScore` by name."""
     low, high = found.interval_mm3
     return {
         "scene": found.scene,
@@ -119,25 +128,25 @@ def volume_fields(found: Result, volume_mm3: float) -> Json:
 
 
 def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
-    """Return the table rows of the volume."""
+    """Return the rows (name, text) of a score's text table that show the volume."""
     low, high = score.volume_interval_mm3
-    verdict = "holds" if score.interval_holds_truth else "misses"
+    verdict = "contains" if score.interval_holds_truth else "does not contain"
     found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (score.volume_mm3, score.volume_true_mm3))
     return [
         ("volume", f"{found_ml} ml, true {true_ml} ml: {percent(score.volume_error)}"),
-        ("  90 % interval", f"{interval_ml(low, high)}, {verdict} the truth"),
+        ("  90 % interval", f"{interval_ml(low, high)}, {verdict} the true volume"),
         ("  trusted", "yes" if score.volume_trusted else f"no, {score.volume_verdict}"),
     ]
 
 
 def extent_rows(found_mm: Triple, true_mm: Triple, errors: Triple) -> list[tuple[str, str]]:
-    """Return the table rows of the bounding box."""
+    """Return the rows (name, text) of a score's text table that show the bounding box."""
     each = zip("xyz", found_mm, true_mm, errors, strict=True)
     return [(f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {percent(error)}") for axis, found, true, error in each]
 
 
 def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
-    """Return the table rows of the surface distances."""
+    """Return the rows (name, text) of a score's text table that show the surface distances."""
     return [
         ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
         ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),
@@ -146,11 +155,11 @@ def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
 
 
 def table_of(title: str, rows: Sequence[tuple[str, str]]) -> str:
-    """Format rows of names and texts below a title."""
+    """Format rows of names and texts as a text table below a title."""
     width = max(len(name) for name, _ in rows) + 2
     return "\n".join([title, "=" * len(title), *(f"{name:<{width}}{text}".rstrip() for name, text in rows)])
 
 
 def percent(fraction: float) -> str:
-    """Format a signed percentage."""
+    """Format a fraction as a signed percentage."""
     return f"{100.0 * fraction:+.2f} %"

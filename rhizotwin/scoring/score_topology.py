@@ -1,4 +1,4 @@
-"""Comparison of the branching of a result with the true one."""
+"""Comparison of the branching of a result with the true branching."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,25 +10,33 @@ from rhizotwin.scenes.rsml import Root, sample_centre_lines
 from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.25
-"""Distance of the sample points for matching roots: half of `NEAR_MM`."""
+"""Spacing of the sample points for matching roots, mm, half of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopologyScore:
-    """Agreement of the branching. Roots are matched by the length within `NEAR_MM` of each other."""
+    """Agreement of the branching with the true branching.
+
+    Roots are matched by the length over which they lie within `NEAR_MM` of each other.
+
+    Roots are matched by the length over which they lie within `NEAR_MM` of each other.
+    """
 
     roots: int
+    """Number of found roots."""
     roots_true: int
+    """Number of true roots."""
     matched: float
-    """Fraction of the true roots of which at least half of the length lies on one found root."""
+    """Fraction of the true roots that are matched, because at least half of their length lies on a single found
+    root."""
     parents: float
-    """Fraction of the matched true roots whose parent matches the true parent."""
+    """Fraction of the matched true roots whose found parent is the match of the true parent."""
     orders: float
     """Fraction of the matched true roots with the correct order."""
 
 
 def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologyScore:
-    """Compare parents and orders of two root systems that are not empty."""
+    """Compare parents and orders of two root systems, neither of which is empty."""
     match = _matches(found, true)
     known = [k for k, one in enumerate(match) if one >= 0]
     parents = [
@@ -47,7 +55,10 @@ def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologySco
 
 
 def _matches(found: Sequence[Root], true: Sequence[Root]) -> list[int]:
-    """Return the found root that covers most, and at least half, of each true root; -1 if there is none."""
+    """Return the index of the found root that matches each true root, because it covers at least half of the true root.
+
+    -1 without a match.
+    """
     on_found = sample_centre_lines(found, _STEP_MM)
     tree = cKDTree(on_found.points_mm)
     match = []

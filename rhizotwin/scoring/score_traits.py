@@ -1,4 +1,4 @@
-"""Comparison of the traits of a result with the truth, with the same definitions and code."""
+"""Comparison of the traits of a result with the true traits."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,27 +9,29 @@ from rhizotwin.scenes.traits import Traits
 
 @dataclass(frozen=True, kw_only=True)
 class TraitScore:
-    """Trait of the result and of the truth."""
+    """Error of a trait."""
 
     found: Any
-    """Number, list for a histogram, or None if unknown."""
+    """Value of the result: a number, a list for a histogram, or None if unknown."""
     true: Any
+    """True value, of the same type."""
     unit: str
+    """Unit of both values."""
     error: float | None
-    """Relative error found / true - 1; for angles the difference in degrees; for histograms the fraction of the true
-    length in wrong bins."""
+    """Relative error (found / true - 1), difference in degrees for an angle, or fraction of the true length in wrong
+    bins for a histogram. None if unknown."""
     error_unit: str
-    """Unit of the error: 1 or deg."""
+    """Unit of the error, ``1`` or ``deg``."""
 
     def text(self) -> str:
-        """Format the error."""
+        """Format the error with its unit."""
         if self.error is None:
             return "-"
         return f"{self.error:+.2f} deg" if self.error_unit == "deg" else f"{100.0 * self.error:+.2f} %"
 
 
 def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
-    """Return the score of each trait by name, without the traits that require a mass."""
+    """Return the errors of all traits by name, except for traits that need a mass."""
     scores = {}
     for d in DEFINITIONS:
         a, b = getattr(found, d.field), getattr(true, d.field)
@@ -40,12 +42,12 @@ def compare_traits(found: Traits, true: Traits) -> dict[str, TraitScore]:
         scores[d.name] = TraitScore(found=a, true=b, unit=d.unit, error=error, error_unit="deg" if angle else "1")
     for h in HISTOGRAMS:
         bins, right = list(getattr(found, h.field)), list(getattr(true, h.field))
-        scores[h.name] = TraitScore(found=bins, true=right, unit="mm", error=_misplaced(bins, right), error_unit="1")
+        scores[h.name] = TraitScore(found=bins, true=right, unit="mm", error=_wrong_bin_fraction(bins, right), error_unit="1")
     return scores
 
 
 def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
-    """Return a row for each trait that is known for result and truth."""
+    """Return the rows (name, text) of a score's text table for traits known in both result and truth."""
     lines = []
     for name, score in scores.items():
         if score.error is None:
@@ -58,10 +60,10 @@ def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
     return lines
 
 
-def _misplaced(found: list[float], true: list[float]) -> float | None:
-    """Return half the sum of the absolute differences of the bins over the true length.
+def _wrong_bin_fraction(found: list[float], true: list[float]) -> float | None:
+    """Return the fraction of a histogram's length in wrong bins.
 
-    It is 0 for equal histograms and 1 if no length of an equal total is in the correct bin.
+    The fraction is half the sum of the bins' absolute differences divided by the true length.
     """
     if not found or not true:
         return None

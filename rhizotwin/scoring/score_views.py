@@ -1,4 +1,4 @@
-"""Comparison of each view with the truth: camera pose and silhouette."""
+"""Comparison of camera poses and silhouettes with the truth, view by view."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ from rhizotwin.scenes.truth import Truth
 from rhizotwin.stored.result_files import read_grey
 
 HALF = 0.49
-"""Threshold slightly below one half: sampled coverage is often exactly one half, and rounding must not matter."""
+"""Coverage from which a pixel counts as covered, slightly below one half, because sampled coverage is often exactly one
+half and must not depend on rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,70 +25,75 @@ class PoseScore:
     """Errors of the camera poses of the used views in the canister frame."""
 
     used: int
+    """Number of used views."""
     left_out: int
+    """Number of unused views."""
     median_mm: float
-    """Median distance of the camera centres."""
+    """Median distance between found and true camera centres, mm."""
     max_mm: float
+    """Maximum distance between found and true camera centres, mm."""
     median_deg: float
-    """Median angle between the orientations."""
+    """Median angle between found and true camera orientations, deg."""
     max_deg: float
+    """Maximum angle between found and true camera orientations, deg."""
     common_mm: float
-    """Common shift of all views at the centre of the specimen: error of the canister frame."""
+    """Shift that is common to all views at the centre of the specimen, mm, equivalent to an error of the canister
+    frame."""
     common_deg: float
-    """Common rotation of all views: error of the canister frame."""
+    """Rotation that is common to all views, deg, equivalent to an error of the canister frame."""
     own_mm: float
-    """Median remaining shift of the views at the centre of the specimen, without the common part."""
+    """Median shift of a view at the centre of the specimen after subtraction of the common shift, mm."""
     per_view: dict[str, tuple[float, float]]
-    """(mm, degrees) by file."""
+    """Errors of position (mm) and orientation (deg) by file name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaskScore:
-    """Errors of the silhouettes within the valid region of each picture; medians over the used views."""
+    """Errors of the silhouettes in the usable pixels of each picture, as medians over the used views."""
 
     mean_abs: float
-    """Mean absolute error of the coverage relative to the mean true coverage."""
+    """Mean absolute error of the coverage, divided by the mean true coverage."""
     iou: float
-    """Intersection over union at half coverage."""
+    """Intersection over union of the pixels with at least half coverage."""
     area_error: float
-    """Relative error of the covered area, found / true - 1."""
+    """Relative error of the covered area (found / true - 1)."""
     unseen: float
-    """Fraction of the true covered area outside the valid region of the picture."""
+    """Fraction of the true covered area in unusable pixels."""
     per_view: dict[str, tuple[float, float, float, float]]
-    """The same four numbers by file."""
+    """Values of ``mean_abs``, ``iou``, ``area_error`` and ``unseen`` by file name."""
 
 
 def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *, centre_mm: frames.Array) -> PoseScore | None:
-    """Compute the pose errors of the used views of a result; None if no view was used.
+    """Compute the pose errors of the used views of a result, None if no view was used.
 
     Parameters
     ----------
     cameras : sequence of Camera
         Cameras of the result.
     truth : Truth
-        True poses of the same files.
+        Ground truth with the poses of the same pictures.
     lens : model.Camera
-        Lens, for representing a telecentric camera by a pinhole camera.
+        Camera model, which converts the pose of a telecentric camera to that of a pinhole camera.
     centre_mm : (3,) array
-        Centre of the specimen in the canister frame, at which shifts of the frame are evaluated.
+        Centre of the specimen, mm, canister frame, at which shifts are evaluated.
 
     Returns
     -------
     PoseScore or None
-        Shifts and rotations, common and per view.
+        Errors of positions and orientations.
     """
     true_poses = {view.file: lens.pinhole_pose(np.array(view.cam_from_canister)) for view in truth.views}
     poses = {view.file: view.cam_from_canister for view in cameras if view.used and view.cam_from_canister is not None}
     unknown = [file for file in poses if file not in true_poses]
     if unknown:
-        raise UserError(f"truth/truth.json has no camera for {unknown[0]}; simulate the dataset again")
+        raise UserError(f"truth/truth.json contains no camera of {unknown[0]}; repeat the simulation")
     if not poses:
         return None
     found, true = list(poses.values()), [true_poses[file] for file in poses]
     errors = {file: frames.pose_error(a, b) for file, a, b in zip(poses, found, true, strict=True)}
     mm, deg = np.array(list(errors.values())).T
 
-    # each view gives an estimate of the found canister frame in the true one; their mean is the common part
+    # each view is an estimate of the transform between found and true canister frame; the mean is the common part
     true_from_found = np.array([frames.invert(b) @ a for a, b in zip(found, true, strict=True)])
     shifts = np.array([frames.apply(pose, centre_mm) for pose in true_from_found]) - centre_mm
     turn = Rotation.from_matrix(true_from_found[:, :3, :3]).mean().magnitude()
@@ -106,7 +112,7 @@ def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *
 
 
 def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, image_wh: tuple[int, int]) -> MaskScore | None:
-    """Compute the silhouette errors of the used views; None if the result contains no silhouettes."""
+    """Compute the silhouette errors of the used views, None if the result contains no silhouettes."""
     errors: dict[str, tuple[float, float, float, float]] = {}
     for file, found in silhouettes.items():
         true = read_grey(picture_path(masks_folder, file), image_wh=image_wh)
@@ -118,7 +124,10 @@ def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, 
 
 
 def mask_errors(found: Image, true: Image, seen: Mask) -> tuple[float, float, float, float]:
-    """Return (mean_abs, iou, area_error, unseen) of one view; all pictures (H, W), coverage 0..1 and seen boolean."""
+    """Compare found and true coverage (H, W), 0 to 1, in the usable pixels ``seen`` (H, W) of a view.
+
+    Return the values of `MaskScore`: mean_abs, iou, area_error and unseen.
+    """
     area = float(true[seen].sum(dtype=np.float64))
     total = float(true.sum(dtype=np.float64))
     found_area = float(found[seen].sum(dtype=np.float64))
@@ -126,6 +135,6 @@ def mask_errors(found: Image, true: Image, seen: Mask) -> tuple[float, float, fl
     either = int(((found >= HALF) | (true >= HALF))[seen].sum())
     both = int(((found >= HALF) & (true >= HALF))[seen].sum())
     unseen = 1.0 - area / total if total > 0.0 else 0.0
-    if area == 0.0:  # the true silhouette is empty: the error is infinite if anything was found, else 0
+    if area == 0.0:  # for an empty true silhouette the error is zero if the found silhouette is empty, otherwise infinite
         return (0.0, 1.0, 0.0, unseen) if found_area == 0.0 else (float("inf"), 0.0, float("inf"), unseen)
     return difference / area, both / either if either else 1.0, found_area / area - 1.0, unseen

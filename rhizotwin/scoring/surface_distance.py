@@ -7,23 +7,23 @@ from scipy.spatial import cKDTree
 Floats = NDArray[np.float64]
 
 PAIRS_AT_ONCE = 1_000_000
-"""Number of point-triangle pairs held in memory at once."""
+"""Maximum number of point-triangle pairs in memory at once."""
 _SMALL_CLASS = 0.02
-"""Size classes with a smaller fraction of all triangles are merged with the next class."""
+"""Minimum fraction of all triangles in a size class. Smaller classes are merged with the next larger class."""
 
 
 def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Compute the distance of each point to its triangle, all (N, 3).
+    """Compute the distance of each point to the triangle of the same row.
 
-    Ericson, Real-Time Collision Detection (2005), 5.1.5. The distance is the smallest distance to the three edges, and
-    to the plane if the foot of the perpendicular lies inside the triangle.
+    Ericson, Real-Time Collision Detection (2005), 5.1.5. The distance is the minimum of the distances to the three
+    edges, and of the distance to the plane if the foot of the perpendicular lies inside the triangle.
 
     Parameters
     ----------
     p : (N, 3) array
         Points.
     a, b, c : (N, 3) array
-        Vertices of the triangles.
+        Vertices of the triangles, one triangle per row.
 
     Returns
     -------
@@ -51,30 +51,31 @@ def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Float
 
 
 def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]) -> Floats:
-    """Compute the distance (N,) in mm of each point (N, 3) to the nearest point of a mesh (V, 3), (F, 3).
+    """Compute the distance (N,), mm, of each point (N, 3) to a mesh with vertices (V, 3), mm, and faces (F, 3).
 
-    Triangles are sorted into classes of similar size, starting with the most frequent class. In each class the
-    candidates are the nearest centroids. The search for a point ends when the next centroid is farther than the current
-    distance plus the largest circumradius of the class, so that no nearer triangle can be missed.
+    Triangles are grouped into classes of similar size, sorted by decreasing number of triangles. In each class the
+    candidates are the triangles with the nearest centroids. The search for a point ends when the distance to the next
+    centroid exceeds the current minimum distance plus the largest circumradius of the class, because no triangle
+    farther away can be nearer.
     """
     points_mm = np.asarray(points_mm, np.float64)
     if not len(faces):
-        raise ValueError(f"{faces.shape=} but at least one triangle is required")
+        raise ValueError(f"{faces.shape=} but the mesh must have at least one triangle")
     corners = np.asarray(vertices_mm, np.float64)[faces]
     centroids = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
     classes = np.round(2.0 * np.log2(np.maximum(radii, 1e-6 * max(float(radii.max()), 1e-300)))).astype(int)
     best = np.full(len(points_mm), np.inf)
-    for members in _grouped(classes):
+    for members in _group_by_size(classes):
         tree = cKDTree(centroids[members])
-        _improve(best, points_mm, corners[members], tree, float(radii[members].max()))
+        _update_distances(best, points_mm, corners[members], tree, float(radii[members].max()))
     return best
 
 
-def _grouped(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Return the members of the classes (M,), the most frequent class first.
+def _group_by_size(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Group triangles by size class, and return the indices (M,) of each group, largest group first.
 
-    Small classes are merged with the class of the next larger size.
+    Classes with few triangles are merged with the class of the next larger size.
     """
     groups: list[NDArray[np.int64]] = []
     waiting = np.zeros(0, np.int64)
@@ -87,10 +88,10 @@ def _grouped(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     return sorted(groups, key=len, reverse=True)
 
 
-def _improve(best: Floats, points_mm: Floats, corners: Floats, tree: cKDTree, radius_mm: float) -> None:
-    """Update ``best`` in place with distances to triangles (M, 3, 3), all within radius_mm of their centroids."""
+def _update_distances(best: Floats, points_mm: Floats, corners: Floats, tree: cKDTree, radius_mm: float) -> None:
+    """Update the minimum distances ``best`` (N,) in place with triangles (M, 3, 3) of limited circumradius."""
     open_points = np.arange(len(points_mm))
-    k = 1 if np.isfinite(best).all() else min(8, len(corners))  # the nearest centroids suffice for most points
+    k = 1 if np.isfinite(best).all() else min(8, len(corners))  # a few nearest centroids are sufficient for most points
     while len(open_points):
         still_open = []
         for start in range(0, len(open_points), max(1, PAIRS_AT_ONCE // k)):

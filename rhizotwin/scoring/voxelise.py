@@ -1,14 +1,15 @@
-"""Test which voxel centres lie inside a closed triangle mesh.
+"""Find the voxel centres that lie inside a closed triangle mesh.
 
-Vertical rays through the columns of the grid are intersected with the mesh and the crossings are counted with sign.
+Vertical rays through the columns of the grid are intersected with the mesh, and the crossings are counted with sign.
 
 A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Each triangle is assigned to the columns
-(x, y) whose centre lies in its projection. The crossings of a column, sorted by height, change the winding number by
-the sign of the triangle's normal, and a centre is inside if the winding number is not zero. Columns that pass exactly
-through an edge or a vertex are assigned to one triangle by symbolic perturbation (Edelsbrunner and Muecke 1990), so
-that no crossing is lost or counted twice.
+(x, y) whose centre lies in the triangle's projection. The crossings of a column are sorted by height. Each crossing
+changes the winding number by the sign of the triangle's normal, and a voxel centre is inside if the winding number is
+not zero. Columns that pass exactly through an edge or a vertex are assigned to a single triangle by symbolic
+perturbation (Edelsbrunner and Muecke 1990), so that each crossing is counted exactly once.
 
-Time and memory are proportional to the surface (crossings) and to the number of queried voxels, not to the grid.
+Time and memory are proportional to the number of crossings and the number of queried voxels, not to the size of the
+grid.
 """
 
 from collections.abc import Iterator
@@ -22,39 +23,41 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PAIRS_AT_ONCE = 3_000_000
-"""Number of triangle-column pairs held in memory at once (about 100 bytes each)."""
+"""Maximum number of triangle-column pairs in memory at once, about 100 bytes each."""
 
 NUDGES_VOXEL = ((0.0, 0.0), (1.1e-7, 1.7e-7), (-2.3e-7, 1.3e-7), (3.1e-6, -2.9e-6))
-"""Offsets in voxels at which a column is tried again if rounding left its crossings unbalanced."""
+"""Offsets (x, y) of a column, in voxels, with which the intersection is repeated if rounding makes its crossings
+unbalanced."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Sorted crossings of the columns ``x_range[0] <= i_x < x_range[1]`` of a grid with a closed surface."""
+    """Sorted crossings of a closed surface with the grid columns ``x_range[0] <= i_x < x_range[1]``."""
 
     low: Ints
-    """(3,) smallest voxel index of the surface's bounding box."""
+    """Lowest voxel index of the surface's bounding box (3,)."""
     shape: Ints
-    """(3,) size of the bounding box in voxels; the last has one more, so that the topmost crossing of a column has an
+    """Size of the bounding box in voxels (3,), increased by one along z so that the topmost crossing of a column has an
     index."""
     x_range: tuple[int, int]
+    """Range of column indices along x (first, last + 1)."""
     keys: Ints
-    """(M,) flat index of the first voxel centre above each crossing, ascending."""
+    """Flat index of the first voxel centre above each crossing (M,), in ascending order."""
     inside: NDArray[np.bool_]
-    """(M,) whether the centres from this crossing up to the next are inside."""
+    """Whether the voxel centres between this crossing and the next crossing are inside (M,)."""
     below: Ints
-    """(M,) number of inside centres with a flat index below ``keys``."""
+    """Number of voxel centres inside the surface with a flat index below ``keys`` (M,)."""
 
     @property
     def count(self) -> int:
-        """Number of voxel centres inside."""
+        """Number of voxel centres inside the surface."""
         return int(self.below[-1]) if len(self.below) else 0
 
     def _flat(self, x: Ints, y: Ints, z: Ints) -> Ints:
         return (x * self.shape[1] + y) * self.shape[2] + z
 
     def count_below(self, flat: Ints) -> Ints:
-        """Count the inside centres whose flat index is smaller than each of ``flat`` (N,)."""
+        """Count the voxel centres inside the surface whose flat index is smaller than ``flat`` (N,)."""
         if not len(self.keys):
             return np.zeros(len(flat), np.int64)
         at = np.searchsorted(self.keys, flat, side="right") - 1
@@ -62,7 +65,7 @@ class Crossings:
         return np.where(at < 0, 0, found)
 
     def count_in_columns(self, indices_xy: Ints, z_low: Ints, z_high: Ints) -> Ints:
-        """Count the inside centres with ``z_low <= i_z < z_high`` (N,) in columns (N, 2)."""
+        """Count the voxel centres inside the surface with ``z_low <= i_z < z_high`` (N,) in columns (N, 2)."""
         x, y = indices_xy[:, 0] - self.low[0], indices_xy[:, 1] - self.low[1]
         known = (x >= 0) & (x < self.shape[0]) & (y >= 0) & (y < self.shape[1])
         known &= (indices_xy[:, 0] >= self.x_range[0]) & (indices_xy[:, 0] < self.x_range[1])
@@ -72,17 +75,17 @@ class Crossings:
         return np.where(known, self.count_below(self._flat(x, y, stop)) - self.count_below(self._flat(x, y, start)), 0)
 
 
-def _ramp(lengths: Ints) -> Ints:
-    """Return 0, 1, .. n-1 for each n in lengths, concatenated."""
+def _concatenated_ranges(lengths: Ints) -> Ints:
+    """Return the integers 0, 1, .., n - 1 for each n in ``lengths``, concatenated."""
     ends = np.cumsum(lengths)
     return np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - lengths, lengths)
 
 
 def _edge_side(p_xy: Floats, a_xy: Floats, b_xy: Floats) -> NDArray[np.int8]:
-    """Return +1 if p lies left of the edge a -> b, -1 if right; ties as if p were moved by (eps, eps^2).
+    """Return +1 if the point p lies left of the edge a -> b, and -1 if right.
 
-    The edge is evaluated from its lexicographically smaller end, so that its two triangles give exactly opposite
-    results.
+    Ties are resolved as if p were moved by (eps, eps^2). The edge is evaluated from its lexicographically smaller end,
+    so that both adjacent triangles have exactly opposite results.
     """
     swap = (b_xy[:, 0] < a_xy[:, 0]) | ((b_xy[:, 0] == a_xy[:, 0]) & (b_xy[:, 1] < a_xy[:, 1]))
     first = np.where(swap[:, None], b_xy, a_xy)
@@ -94,15 +97,20 @@ def _edge_side(p_xy: Floats, a_xy: Floats, b_xy: Floats) -> NDArray[np.int8]:
 
 
 def _chunks(cost: Ints) -> Iterator[slice]:
-    """Yield consecutive slices whose cost is below PAIRS_AT_ONCE (or that contain one item)."""
+    """Yield consecutive slices with a total cost below `PAIRS_AT_ONCE`, or with a single item."""
     block = (np.cumsum(cost) - 1) // PAIRS_AT_ONCE
     edges = np.concatenate([[0], np.flatnonzero(np.diff(block)) + 1, [len(cost)]])
     for start, stop in pairwise(edges):
         yield slice(int(start), int(stop))
 
 
-def _cross(corners: Floats, low: Ints, shape: Ints, x_range: tuple[int, int], nudge: tuple[float, float]) -> tuple[Ints, Ints, Ints]:
-    """Return (column, i_z, sign) of every crossing; corners (F, 3, 3) in voxels, centres of voxels at integers."""
+def _find_crossings(
+    corners: Floats, low: Ints, shape: Ints, x_range: tuple[int, int], nudge: tuple[float, float]
+) -> tuple[Ints, Ints, Ints]:
+    """Return (column, i_z, sign) of every crossing.
+
+    The corners (F, 3, 3) are in voxels, with voxel centres at integers.
+    """
     x_low, y_low = (np.ceil(corners[:, :, i].min(axis=1) - nudge[i]).astype(np.int64) for i in (0, 1))
     x_high, y_high = (np.floor(corners[:, :, i].max(axis=1) - nudge[i]).astype(np.int64) + 1 for i in (0, 1))
     x_low, x_high = np.maximum(x_low, x_range[0]), np.minimum(x_high, x_range[1])
@@ -113,7 +121,7 @@ def _cross(corners: Floats, low: Ints, shape: Ints, x_range: tuple[int, int], nu
     for part in _chunks(wide * deep):
         pairs = wide[part] * deep[part]
         triangle = np.repeat(np.arange(part.start, part.stop), pairs)
-        step_x, step_y = np.divmod(_ramp(pairs), np.maximum(deep[triangle], 1))
+        step_x, step_y = np.divmod(_concatenated_ranges(pairs), np.maximum(deep[triangle], 1))
         i_x, i_y = x_low[triangle] + step_x, y_low[triangle] + step_y
         p = np.stack([i_x + nudge[0], i_y + nudge[1]], axis=1)
         a, b, c = (corners[triangle, k] for k in range(3))
@@ -131,8 +139,8 @@ def _cross(corners: Floats, low: Ints, shape: Ints, x_range: tuple[int, int], nu
     return np.concatenate(columns), np.concatenate(heights), np.concatenate(signs)
 
 
-def _balanced(columns: Ints, signs: Ints, size: int) -> NDArray[np.bool_]:
-    """Return for each column whether it has as many entries as exits."""
+def _are_balanced(columns: Ints, signs: Ints, size: int) -> NDArray[np.bool_]:
+    """Return for each column whether its crossings contain as many entries as exits."""
     return np.bincount(columns, weights=signs, minlength=size) == 0.0
 
 
@@ -144,11 +152,11 @@ def cross_columns(
     Parameters
     ----------
     vertices_mm, faces : float64 array, integer array
-        Mesh, (V, 3) in mm and (F, 3), consistently oriented and closed (vertices need not be shared).
+        Vertices (V, 3), mm, and faces (F, 3) of a closed, consistently oriented mesh. Vertices need not be shared.
     origin_mm, voxel_mm : float64 array, float
-        Grid: voxel i covers ``origin_mm + voxel_mm * [i, i + 1]``.
+        Origin (3,), mm, and voxel edge, mm, of the grid. Voxel i covers ``origin_mm + voxel_mm * [i, i + 1]``.
     x_range : tuple of int or None
-        Columns ``x_range[0] <= i_x < x_range[1]`` only; None: all columns of the mesh.
+        Range of the columns, ``x_range[0] <= i_x < x_range[1]``. None: all columns of the mesh.
 
     Raises
     ------
@@ -156,7 +164,7 @@ def cross_columns(
         If the mesh is not closed.
     """
     if not len(faces):
-        raise ValueError(f"{faces.shape=} but a closed mesh has at least four faces")
+        raise ValueError(f"{faces.shape=} but a closed mesh must have at least four faces")
     points = (np.asarray(vertices_mm, np.float64) - np.asarray(origin_mm, np.float64)) / voxel_mm - 0.5
     low = np.floor(points.min(axis=0)).astype(np.int64) - 1
     shape = np.ceil(points.max(axis=0)).astype(np.int64) + 2 - low
@@ -167,36 +175,36 @@ def cross_columns(
     corners = corners[near]
     size = int(shape[0] * shape[1])
 
-    columns, heights, signs = _cross(corners, low, shape, x_range, NUDGES_VOXEL[0])
-    balanced = _balanced(columns, signs, size)
+    columns, heights, signs = _find_crossings(corners, low, shape, x_range, NUDGES_VOXEL[0])
+    balanced = _are_balanced(columns, signs, size)
     for nudge in NUDGES_VOXEL[1:]:
         if balanced.all():
             break
         bad = ~balanced
         keep = balanced[columns]
         again = _near_columns(corners, bad, low, shape)
-        more = _cross(corners[again], low, shape, x_range, nudge)
+        more = _find_crossings(corners[again], low, shape, x_range, nudge)
         wanted = bad[more[0]]
         columns, heights, signs = (
             np.concatenate([old[keep], new[wanted]]) for old, new in zip((columns, heights, signs), more, strict=True)
         )
-        balanced = _balanced(columns, signs, size)
+        balanced = _are_balanced(columns, signs, size)
     if not balanced.all():
         raise ValueError(
-            f"the mesh is not closed: {int((~balanced).sum())} of {size} grid columns have different numbers of entries and exits"
+            f"the mesh is not closed: {int((~balanced).sum())} of {size} vertical test lines enter and leave the mesh unequally often"
         )
 
     keys = columns * shape[2] + heights
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     inside = np.cumsum(signs[order]) != 0
-    # of crossings with the same key only the last state counts; the intervals between them are empty
+    # crossings with equal keys enclose empty intervals, so that only the state after the last crossing matters
     below = np.concatenate([[0], np.cumsum(np.where(inside[:-1], np.diff(keys), 0))]) if len(keys) else keys
     return Crossings(low=low, shape=shape, x_range=x_range, keys=keys, inside=inside, below=below)
 
 
 def _near_columns(corners: Floats, bad: NDArray[np.bool_], low: Ints, shape: Ints) -> NDArray[np.bool_]:
-    """Return the triangles whose bounding box may contain one of the unbalanced columns."""
+    """Return which triangles (F,) may cross an unbalanced column, according to their bounding boxes."""
     table = np.zeros((int(shape[0]) + 1, int(shape[1]) + 1), np.int64)
     table[1:, 1:] = bad.reshape(int(shape[0]), int(shape[1])).cumsum(axis=0).cumsum(axis=1)
     x0, y0 = (np.clip(np.floor(corners[:, :, i].min(axis=1)).astype(np.int64) - 1 - low[i], 0, shape[i]) for i in (0, 1))
@@ -204,8 +212,8 @@ def _near_columns(corners: Floats, bad: NDArray[np.bool_], low: Ints, shape: Int
     return (table[x1, y1] - table[x0, y1] - table[x1, y0] + table[x0, y0]) > 0
 
 
-def _slabs(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: Floats, voxel_mm: float) -> list[tuple[int, int]]:
-    """Return consecutive ranges of i_x with about PAIRS_AT_ONCE triangle-column pairs each that cover the mesh."""
+def _split_columns(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: Floats, voxel_mm: float) -> list[tuple[int, int]]:
+    """Return consecutive ranges of i_x that cover the mesh, with about `PAIRS_AT_ONCE` triangle-column pairs each."""
     points = (vertices_mm - origin_mm) / voxel_mm
     spans = np.ptp(points[faces][:, :, :2], axis=1)
     parts = max(1, int(np.ceil(((spans[:, 0] + 1.0) * (spans[:, 1] + 1.0)).sum() / PAIRS_AT_ONCE)))
@@ -215,23 +223,23 @@ def _slabs(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: Floats, v
 
 
 def count_inside(vertices_mm: Floats, faces: NDArray[np.integer], *, origin_mm: Floats, voxel_mm: float) -> int:
-    """Count the voxel centres of the (unbounded) grid inside a closed mesh.
+    """Count the voxel centres of an unbounded grid inside a closed mesh.
 
     Parameters
     ----------
     vertices_mm, faces : (V, 3), (F, 3) array
-        Closed mesh.
+        Vertices, mm, and faces of a closed mesh.
     origin_mm : (3,) array
-        Lowest corner of voxel 0.
+        Lowest corner of voxel (0, 0, 0), mm.
     voxel_mm : float
-        Edge length of a voxel.
+        Edge of a voxel, mm.
 
     Returns
     -------
     int
-        Number of voxels.
+        Number of voxel centres.
     """
-    slabs = _slabs(vertices_mm, faces, origin_mm, voxel_mm)
+    slabs = _split_columns(vertices_mm, faces, origin_mm, voxel_mm)
     return sum(cross_columns(vertices_mm, faces, origin_mm=origin_mm, voxel_mm=voxel_mm, x_range=slab).count for slab in slabs)
 
 
@@ -244,17 +252,17 @@ def count_in_boxes(
     origin_mm: Floats,
     voxel_mm: float,
 ) -> Ints:
-    """Count the voxel centres of each box of voxels inside a closed mesh.
+    """Count the voxel centres inside a closed mesh for each of several cubic boxes of voxels.
 
     Parameters
     ----------
     low, size : (N, 3) and (N,) integer array
-        Lowest voxel and edge in voxels of each box, in any order.
+        Lowest voxel and edge, in voxels, of each box, in any order.
 
     Returns
     -------
     numpy.ndarray
-        (N,) int64, at most ``size``^3.
+        Number of voxel centres in each box (N,), at most ``size``^3.
     """
     found = np.zeros(len(low), np.int64)
     if not len(low):
@@ -262,7 +270,7 @@ def count_in_boxes(
     order = np.argsort(low[:, 0], kind="stable")
     i_x = np.asarray(low)[order, 0].astype(np.int64)
     largest = int(size.max())
-    for slab in _slabs(vertices_mm, faces, origin_mm, voxel_mm):
+    for slab in _split_columns(vertices_mm, faces, origin_mm, voxel_mm):
         start, stop = (int(at) for at in np.searchsorted(i_x, [slab[0] - largest + 1, slab[1]]))
         if start == stop:
             continue
@@ -287,25 +295,25 @@ def fraction(
     voxel_mm: float,
     samples: int = 2,
 ) -> NDArray[np.float32]:
-    """Compute the fraction of each box of voxels inside a closed mesh, with ``samples``^3 regular points per voxel.
+    """Compute the fraction of each cubic box of voxels inside a closed mesh from ``samples``^3 points per voxel.
 
     Parameters
     ----------
     vertices_mm, faces : (V, 3), (F, 3) array
-        Closed mesh.
+        Vertices, mm, and faces of a closed mesh.
     low, size : (N, 3), (N,) int array
-        Lowest voxel and edge of each box, in voxels.
+        Lowest voxel and edge, in voxels, of each box.
     origin_mm : (3,) array
-        Lowest corner of voxel 0.
+        Lowest corner of voxel (0, 0, 0), mm.
     voxel_mm : float
-        Edge length of a voxel.
+        Edge of a voxel, mm.
     samples : int
-        Points along the edge of a voxel.
+        Number of points along the edge of a voxel.
 
     Returns
     -------
     numpy.ndarray
-        (N,) float32 in 0..1.
+        Fraction of each box (N,), 0 to 1.
     """
     if samples < 1:
         raise ValueError(f"{samples=} but must be at least 1")

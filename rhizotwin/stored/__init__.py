@@ -1,1 +1,1 @@
-"""Reading of result folders: checks, values and tables."""
+"""Read, check and tabulate result folders."""

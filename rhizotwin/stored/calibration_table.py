@@ -1,4 +1,4 @@
-"""Table of the self-calibration of a result."""
+"""Table of the parameters that a result calibrated from the pictures."""
 
 from dataclasses import dataclass
 
@@ -11,35 +11,40 @@ from rhizotwin.scenes import frames
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A quantity that was calibrated from the pictures."""
+    """Parameter that was calibrated from the pictures."""
 
     quantity: str
+    """Name of the calibrated rig parameter."""
     given: float
-    """Value before calibration."""
+    """Value of the parameter before calibration."""
     found: float
+    """Calibrated value of the parameter."""
     sigma: float | None
-    """Standard deviation."""
+    """Standard deviation of the calibrated value. None if unknown."""
     unit: str
+    """Unit of the parameter. Empty for a dimensionless parameter."""
     taken: bool
     """Whether the reconstruction used the calibrated value."""
 
     def text(self) -> str:
-        """Return one line for the terminal."""
+        """Return a line of text with the given and the calibrated value."""
         sigma = "" if self.sigma is None else f" +- {self.sigma:.2g}"
-        kept = "" if self.taken else " (too uncertain: given value used)"
+        kept = "" if self.taken else " (too uncertain, the given value was used)"
         return f"{self.quantity}: given {self.given:.6g}, found {self.found:.6g}{sigma} {self.unit}".rstrip() + kept
 
 
 def rows(rig: Json) -> list[Row]:
-    """Return the rows of a result's ``rig``; empty if the cameras were given."""
+    """Return the calibrated parameters in the entry ``rig`` of a result. Empty if the cameras were given."""
     found: list[Row] = []
     if rig.get("n_water_found") is not None:
         taken = rig["n_water"] != rig["n_water_given"]
-        found.append(_row("index of the water", rig["n_water_given"], rig["n_water_found"], rig["n_water_sigma"], "", taken=taken))
+        found.append(
+            _row("refractive index of the water", rig["n_water_given"], rig["n_water_found"], rig["n_water_sigma"], "", taken=taken)
+        )
     if rig.get("focal_scale_sigma") is not None and rig.get("focal_scale_found") is not None:
         taken = rig["focal_scale"] != 1.0
         scale = rig["focal_scale"] if taken else rig["focal_scale_found"]
-        found.append(_row("focal length over the given", 1.0, scale, rig["focal_scale_sigma"], "", taken=taken))
+        found.append(_row("focal length relative to the given value", 1.0, scale, rig["focal_scale_sigma"], "", taken=taken))
     for name, key in (
         ("canister relative to the marker strip", "canister_from_strip"),
         ("canister relative to the turntable", "table_from_canister"),
@@ -58,7 +63,7 @@ def rows(rig: Json) -> list[Row]:
 
 
 def reprojection(rig: Json) -> list[tuple[str, float, float, str]]:
-    """Return residuals before and after calibration: (name, before, after, unit)."""
+    """Return the residuals before and after calibration as (name, before, after, unit)."""
     edges, roots = rig.get("canister_edges"), rig.get("roots")
     found = []
     if rig.get("reprojection_before_px") is not None and rig.get("reprojection_after_px") is not None:
@@ -66,17 +71,17 @@ def reprojection(rig: Json) -> list[tuple[str, float, float, str]]:
     if edges:
         found.append(("canister edges", edges["before_mm"], edges["after_mm"], "mm"))
     if roots:
-        found.append(("roots, sideways", roots["before_px"], roots["after_px"], "px"))
+        found.append(("roots, perpendicular to their axes", roots["before_px"], roots["after_px"], "px"))
     return found
 
 
 def table(rig: Json) -> list[str]:
-    """Return both tables as lines for the terminal."""
+    """Return the calibrated parameters and the residuals as lines of text."""
     lines = [f"  {row.text()}" for row in rows(rig)]
     if rig.get("n_water_given") is not None and rig.get("n_water_found") is None:
-        lines.append(f"  index of the water: {rig['n_water_given']:.6g} as given: cannot be calibrated without thin roots")
+        lines.append(f"  refractive index of the water: given {rig['n_water_given']:.6g}, not calibrated, because this needs thin roots")
     lines += [f"  {name}: residual {before:.3f} {unit} before, {after:.3f} {unit} after" for name, before, after, unit in reprojection(rig)]
-    return ["calibrated from the pictures:", *lines] if lines else []
+    return ["parameters calibrated from the pictures:", *lines] if lines else []
 
 
 def _row(quantity: str, given: float, found: float, sigma: float | None, unit: str, *, taken: bool = True) -> Row:

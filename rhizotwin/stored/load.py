@@ -1,4 +1,4 @@
-"""Loading of a result folder as a `Result`."""
+"""Load a result folder as a `Result`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rhizotwin.stored import result_files
 
 
 def load_result(folder: Path | str) -> Result:
-    """Load a result folder; its silhouettes are read on first use.
+    """Load a result folder. The silhouettes are read on first use.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def load_result(folder: Path | str) -> Result:
 
 
 def _solid(folder: Path, summary: Json) -> Solid:
-    """Read the shape."""
+    """Read the reconstructed shape."""
     mesh = result_files.read_mesh(folder / "shape.ply")
     low, high = summary["volume_interval_mm3"]
     least, most = summary["volume_bounds_mm3"]
@@ -95,7 +95,7 @@ def _solid(folder: Path, summary: Json) -> Solid:
 
 
 def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
-    """Read the shoot, if there is one."""
+    """Read the shoot, None if the result has no shoot."""
     if summary is None:
         return None
     mesh = result_files.read_mesh(folder / "shoot.ply")
@@ -116,7 +116,7 @@ def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
 
 
 def _camera(view: Json) -> Camera:
-    """Return the camera of a view of ``result.json``."""
+    """Convert a view of ``result.json`` to a camera."""
     given = (view.get(name) for name in POSES)
     pose, tank = (None if matrix is None else np.array(matrix, np.float64) for matrix in given)
     return Camera(
@@ -137,17 +137,17 @@ def _camera(view: Json) -> Camera:
 
 
 def _term(term: Json) -> Term:
-    """Return a cause of uncertainty of ``result.json``."""
+    """Convert a cause of uncertainty of ``result.json`` to a `Term`."""
     return Term(name=term.get("name", ""), less_mm3=term["less_mm3"], more_mm3=term["more_mm3"], why=term["why"])
 
 
 def read_silhouette(folder: Path, file: str) -> Silhouette:
-    """Read the silhouette of a picture of the dataset from a result folder; all pixels are usable if none are stored.
+    """Read the silhouette of a picture from a result folder. All pixels are usable if no mask is stored.
 
     Raises
     ------
     UserError
-        If it is missing or damaged.
+        If the silhouette is missing or damaged.
     """
     coverage = result_files.read_grey(picture_path(folder / "silhouettes", file))
     seen = picture_path(folder / "seen", file)
@@ -157,10 +157,12 @@ def read_silhouette(folder: Path, file: str) -> Silhouette:
 
 @dataclass(frozen=True)
 class _Stored(Mapping[str, Silhouette]):
-    """Silhouettes in a result folder, by the file of the frame."""
+    """Silhouettes in a result folder by file name of the picture. A silhouette is read from its file on access."""
 
     folder: Path
+    """Result folder."""
     files: tuple[str, ...]
+    """File names of the pictures with silhouettes."""
 
     def __getitem__(self, file: str) -> Silhouette:
         if file not in self.files:

@@ -1,4 +1,4 @@
-"""Fast reader of the PLY files that results contain."""
+"""Fast reader for the PLY files of results."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ _HEADER = re.compile(
     rb"ply\nformat binary_little_endian 1\.0\n(?:comment [^\n]*\n)*element vertex (\d{1,9})\nproperty float x\nproperty float y\n"
     rb"property float z\nelement face (\d{1,9})\nproperty list uchar u?int vertex_ind(?:ices|ex)\nend_header\n"
 )
-"""Header that trimesh writes: single-precision vertices and triangles (PLY format, G. Turk 1994)."""
+"""Regular expression of the header that trimesh writes: single-precision vertices, and triangles (PLY, G. Turk
+1994)."""
 _LONGEST = 1000
-"""Largest length of a header, bytes; results have 250."""
+"""Maximum length of a header, bytes. Headers of results have 250 bytes."""
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
-"""A face: number of corners (3) and their indices."""
+"""Binary format of a face: number of corners (3) and vertex indices."""
 
 
 def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Return vertices (V, 3) and triangles (F, 3); None for a file with another header or size."""
+    """Return vertices (V, 3) and triangles (F, 3), None if the file has another header or size."""
     with path.open("rb") as stream:
         header = _HEADER.match(stream.read(_LONGEST))
         if header is None:

@@ -1,4 +1,4 @@
-"""Readers of the files of a result folder (`recon.results.result` lists them)."""
+"""Read the files of a result folder (listed in `recon.results.result`)."""
 
 import json
 import zipfile
@@ -26,41 +26,47 @@ if TYPE_CHECKING:
     from rhizotwin.scenes.neighbours import Neighbours
 
 MOST_SHAPE_MIB = 512
-"""Largest size of an unpacked shape (40 bytes per leaf, with the hull) and of a surface (25 bytes per triangle): 13
-million leaves, which need 2 GiB of memory."""
+"""Maximum size of an unpacked shape (40 bytes per leaf, including the hull) and of a surface file (25 bytes per
+triangle), MiB. A shape of this size has 13 million leaves, which need 2 GiB of memory."""
 RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
 )
-"""Names that may be in a result folder that a new result replaces; a log of corrections (edits.json) may not."""
+"""Names of files and folders in a result folder that a new result may replace. A folder with a log of corrections
+(edits.json) is not replaced."""
 
 
 def read_summary(folder: Path) -> Json:
-    """Read ``result.json`` of a result folder; UserError if it is missing, damaged or of another version."""
+    """Read ``result.json`` of a result folder.
+
+    Raise `UserError` if the file is missing, damaged or of an unsupported version.
+    """
     path = Path(folder) / "result.json"
     if not path.is_file():
         check_readable(Path(folder), deep=False)
-        raise UserError(f"{path} does not exist; give the folder that `rhizotwin reconstruct DATASET -o RESULT` wrote.")
+        raise UserError(f"{path} does not exist; specify a folder written by 'rhizotwin reconstruct DATASET -o RESULT'.")
     check_readable(Path(folder))
     try:
         summary = json.loads(read_file(path).decode())
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not readable JSON ({error}); reconstruct again.") from None
+        raise UserError(f"{path} could not be read as JSON ({error}); repeat the reconstruction.") from None
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
-        raise UserError(f"{path} has schema_version {version!r}, this program reads {SCHEMA_VERSION}; reconstruct again.")
+        raise UserError(
+            f"{path} has the format version (schema_version) {version!r}, but must have {SCHEMA_VERSION}; repeat the reconstruction."
+        )
     if fault := summary_checks.find_fault(summary):
-        raise UserError(f"{path} {fault}; reconstruct again.")
+        raise UserError(f"{path} {fault}; repeat the reconstruction.")
     return summary
 
 
 def results_in(folders: Sequence[Path]) -> list[Path]:
-    """Return the results among folders, and those that the other folders contain, such as those of a batch.
+    """Return all results among the folders and in their subfolders, such as the results of a batch.
 
     Raises
     ------
     UserError
-        If a folder contains no result. Other paths are returned unchecked.
+        If a folder contains no result. Paths that are not folders are returned unchecked.
     """
     found: list[Path] = []
     for folder in folders:
@@ -69,33 +75,39 @@ def results_in(folders: Sequence[Path]) -> list[Path]:
             check_readable(folder, deep=False)
             inside = sorted(path.parent for path in folder.glob("[!.]*/result.json"))
         if not inside:
-            raise UserError(f"{folder}: result.json does not exist; give a folder that `rhizotwin reconstruct` or `rhizotwin batch` wrote.")
+            raise UserError(f"{folder} contains no result.json; specify a folder written by 'rhizotwin reconstruct' or 'rhizotwin batch'.")
         found += inside
     return found
 
 
 def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:
-    """Read the figure of a result's shape, (H, W, 3) BGR; None if it is missing or cannot be decoded."""
+    """Read the figure of a result's shape (H, W, 3), BGR. None if the figure is missing or cannot be decoded."""
     import cv2  # loaded on first use
 
     file = folder / "pictures" / "shape.png"
     data = np.frombuffer(read_file(file, most_mib=MOST_PICTURE_MIB) if file.is_file() else b"", np.uint8)
-    # from bytes: OpenCV terminates the process for names that are not UTF-8
+    # decoded from memory, because OpenCV terminates the process if a file name is not UTF-8
     image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     return None if image is None else image.astype(np.uint8)
 
 
 def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
-    """Read the marker strip of a result; None in results of earlier versions, UserError if it is damaged."""
+    """Read the marker strip of a result.
+
+    None in results of earlier versions. Raise `UserError` if the entry is damaged.
+    """
     strip = summary.get("strip")
     return None if strip is None else from_plain(MarkerStrip, strip, Place(str(Path(folder) / "result.json")).at("strip"))
 
 
 def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
-    """Read the leaves of ``shape.npz``, or those of the untrimmed hull; UserError if missing, damaged or empty."""
+    """Read the leaves of the shape or of the untrimmed hull.
+
+    Raise `UserError` if the file is missing, damaged or empty.
+    """
     path, prefix = Path(folder) / "shape.npz", "hull_" if hull else ""
     if not path.is_file():
-        raise UserError(f"{path} does not exist; reconstruct again.")
+        raise UserError(f"{path} does not exist; repeat the reconstruction.")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             check_unpacked(path, stored.zip.infolist())
@@ -109,36 +121,39 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
     except UserError:
         raise
     except Exception as error:  # noqa: BLE001 - a damaged archive raises zipfile, zlib, key and value errors
-        raise UserError(f"{path} is damaged ({error}); reconstruct again.") from None
+        raise UserError(f"{path} is damaged ({error}); repeat the reconstruction.") from None
     count = len(leaves.low)
     if leaves.low.shape != (count, 3) or leaves.size.shape != (count,) or leaves.occupancy.shape != (count,):
         shapes = f"{leaves.low.shape}, {leaves.size.shape} and {leaves.occupancy.shape}"
-        raise UserError(f"{path} has leaves, size and occupancy of shapes {shapes}, not (N, 3), (N,) and (N,); reconstruct again.")
+        raise UserError(
+            f"{path} is damaged: the arrays have the shapes {shapes}, but must be (N, 3), (N,) and (N,); repeat the reconstruction."
+        )
     if not count:
-        raise UserError(f"{path} has no leaves: nothing was reconstructed.")
+        raise UserError(f"{path} contains an empty shape, because nothing was reconstructed.")
     return leaves
 
 
 def check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
-    """Reject an archive that is too large for the memory, before it is unpacked."""
+    """Raise `UserError` if an archive is too large for the memory. The archive is not unpacked."""
     size_mib = sum(part.file_size for part in parts) / 2**20
     if size_mib > MOST_SHAPE_MIB:
-        raise UserError(f"{path} has {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; use larger voxels.")
+        raise UserError(f"the unpacked size of {path} is {size_mib:.0f} MiB, but must be at most {MOST_SHAPE_MIB} MiB; use larger voxels.")
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Read vertices and faces of a mesh file; UserError if it is missing, damaged or without faces."""
+    """Read vertices and faces of a mesh file. Raise `UserError` if the file is missing or damaged, or has no faces."""
     if not Path(path).is_file():
-        raise UserError(f"{path} does not exist; it should contain a triangle mesh.")
+        raise UserError(f"the triangle mesh {path} does not exist.")
     check_size(path, Path(path).stat(), most_mib=MOST_SHAPE_MIB)
     plain = plain_ply.read(Path(path))
     mesh = _read_any_mesh(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
     vertices, faces = mesh.vertices_mm, mesh.faces
     if not len(faces) or not np.isfinite(vertices).all():
-        raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
+        raise UserError(f"{path} has {len(faces)} triangles; must have at least one triangle, and finite vertices.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(
-            f"{path} is damaged: triangles refer to vertices {faces.min()} to {faces.max()}, but there are only {len(vertices)} "
+            f"{path} is damaged: triangles refer to vertices {faces.min()} to {faces.max()}, "
+            f"but the file contains only {len(vertices)} vertices "
             f"(0 to {len(vertices) - 1})."
         )
     return mesh
@@ -147,71 +162,76 @@ def read_mesh(path: Path) -> Mesh:
 def _read_any_mesh(path: Path) -> Mesh:
     loaded = load_geometry(path, "mesh")
     if not hasattr(loaded, "faces"):  # points only
-        raise UserError(f"{path} has no triangles and must have some.")
+        raise UserError(f"{path} has no triangles; must have at least one triangle.")
     return Mesh.of(loaded)
 
 
 def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
-    """Load a mesh or points of any format that trimesh reads.
+    """Load a mesh or points from a file in any format that trimesh supports.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     kind : {"mesh", "points"}
-        Expected content.
+        Expected content of the file.
 
     Raises
     ------
     UserError
-        If it is damaged or has other content.
+        If the file is damaged or has other content.
     """
     import trimesh  # takes half a second to load
 
     try:
         return trimesh.load(path, process=False, force="mesh" if kind == "mesh" else None)
-    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
-        raise UserError(f"{path} is not readable as {kind} ({printable(str(error))[:200]}).") from None
+    except Exception as error:  # noqa: BLE001 - the parsers of trimesh raise various exceptions
+        raise UserError(f"{path} could not be read as {kind}: {printable(str(error))[:200]}.") from None
 
 
 def read_roots(folder: Path) -> tuple[Root, ...]:
-    """Read the roots of a result; empty for solid bodies."""
+    """Read the roots of a result. Empty for a solid without roots."""
     file = folder / "roots.rsml"
     return rsml.read_rsml(file) if file.is_file() else ()
 
 
 def finest_mm(summary: Json) -> float:
-    """Return the edge length of the voxels from which the surface of a result was extracted."""
+    """Return the edge length, mm, of the voxels from which the surface of a result was extracted."""
     return float(summary.get("settings", {}).get("finest_mm", summary["voxel_mm"]))
 
 
 def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":
-    """Return the distances between the plants of a result; empty for one plant or without roots."""
+    """Return the distances between the plants of a result. Empty for a single plant or without roots."""
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second to load
 
     return find_neighbours(read_roots(folder))
 
 
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:
-    """Read a grey picture (8 or 16 bit) as (H, W), 0..1; UserError if missing, damaged or of another size."""
+    """Read a grey picture (8 or 16 bit) as (H, W), 0 to 1.
+
+    Raise `UserError` if it is missing, damaged or of the wrong size.
+    """
     if not path.is_file():
-        raise UserError(f"{path} does not exist; make its folder again.")
+        raise UserError(f"{path} does not exist; create its folder again.")
     picture = decode_grey(read_file(path, most_mib=MOST_PICTURE_MIB), where=str(path))
     if image_wh is not None and picture.shape != image_wh[::-1]:
         height, width = picture.shape
-        raise UserError(f"{path} is {width}x{height} pixels, but the camera's pictures are {image_wh[0]}x{image_wh[1]}.")
+        raise UserError(f"{path} has {width}x{height} pixels, but the camera's pictures have {image_wh[0]}x{image_wh[1]} pixels.")
     return np.asarray(picture / np.float32(np.iinfo(picture.dtype).max), np.float32)
 
 
 def find_dataset(folder: Path, summary: Json, given: Dataset | Path | None) -> Dataset | None:
-    """Return the given dataset of a result, or the one that the result names; None if that no longer exists.
+    """Return the given dataset, or else the dataset recorded in the result.
+
+    None if the recorded dataset no longer exists.
 
     Parameters
     ----------
     folder, summary : Path, Json
-        Folder of the result, and its ``result.json``.
+        Result folder, and content of its ``result.json``.
     given : Dataset, path or None
-        Dataset of the result, or its folder.
+        Dataset of the result, or the dataset's folder. None: the recorded dataset.
 
     Raises
     ------
@@ -229,19 +249,19 @@ def find_dataset(folder: Path, summary: Json, given: Dataset | Path | None) -> D
 
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
-    """Raise a UserError if a result was not made from a dataset, by the hash of its manifest.
+    """Raise `UserError` if a result was not made from a dataset, judged by the hash of the dataset's manifest.
 
     Parameters
     ----------
     dataset_sha256, scene : str
-        Values of the result.
+        Hash of the dataset and name of the scene that are recorded in the result.
     where : Path or str
-        Location of the result, for the message.
+        Name of the result for the error message.
     dataset : Dataset
-        The dataset.
+        Dataset to compare with the result.
     """
     if dataset_sha256 != dataset.sha256:
         raise UserError(
-            f"{where} was not reconstructed from {dataset.folder} as it is now (its scene was {scene!r}); "
-            "give the dataset that the result was made from, or reconstruct again."
+            f"{where} was not reconstructed from the present content of {dataset.folder} (scene of the result: {scene!r}); "
+            "specify the dataset of the result, or repeat the reconstruction."
         )

@@ -1,4 +1,4 @@
-"""Traits of stored results, and a table of many results."""
+"""Measure the traits of stored results, and tabulate them for many results."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ from rhizotwin.stored import result_files
 
 
 def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a result folder; default mass: the one given to the reconstruction.
+    """Measure the traits of a result folder. The default mass is the mass recorded in the result.
 
     Raises
     ------
@@ -27,16 +27,16 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
 
 
 def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
-    """Measure the traits from ``result.json``, surface and roots.
+    """Measure the traits from ``result.json``, surface and roots of a result.
 
     Parameters
     ----------
     summary : Json
-        ``result.json``.
+        Content of ``result.json``.
     surface, roots : Mesh, sequence of Root
-        Surface and roots of the same result.
+        Surface and roots of the result.
     mass_g : float or None
-        Mass of the roots; None: that of the summary.
+        Mass of the roots, g. None: the mass in ``summary``.
 
     Returns
     -------
@@ -54,16 +54,16 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
 
 
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
-    """Return a CSV table with one row per result, or per plant if a result contains several.
+    """Return a CSV table with one row per result, or per plant if a result contains several plants.
 
-    A row contains name, scene, subject, ion concentrations of the nutrient solution if known, the traits with their
-    units in the column names, 90 % intervals, the verdict on each trait, reason codes of the verdict on the volume,
-    edits and warnings.
+    The columns are name, scene, subject, ion concentrations of the nutrient solution if known, traits with their units
+    in the column names, 90 % intervals, verdicts on the traits, reason codes of the verdict on the volume, edits and
+    warnings.
 
     Parameters
     ----------
     rows : sequence of tuple of str
-        (name, summary, traits) of each result.
+        Name, content of ``result.json`` and traits of each result.
     """
     shoots = [shoot for _, summary, _ in rows if (shoot := of_shoot(summary))]
     above = [*trait_table.SHOOT, *(d for d in trait_table.COLOUR if any(d.field in shoot for shoot in shoots))] if shoots else []
@@ -91,5 +91,8 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
 
 
 def of_shoot(summary: Json) -> Json | None:
-    """Return ``shoot`` of ``result.json``; None where there is none, or it is of several plants together."""
+    """Return the entry ``shoot`` of ``result.json``.
+
+    None without a shoot, or if the shoots of several plants are not separated.
+    """
     return None if summary.get("plants") else summary.get("shoot")

@@ -1,4 +1,4 @@
-"""Validation of ``result.json``: the type of each value."""
+"""Validate the types of the values in ``result.json``."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -10,21 +10,22 @@ from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import trait_table
 
 Fits: TypeAlias = Callable[[Any], bool]
+"""Type of a function that returns whether a value is valid."""
 LARGEST = 1e15
-"""Limit of all numbers of a result (cubic millimetres, seconds, mebibytes)."""
+"""Maximum absolute value of any number in a result (mm3, s, MiB)."""
 
 
 def find_fault(summary: Json) -> str:
-    """Return a description of the first fault in ``result.json``; empty if there is none."""
-    missing = [key for key in _THERE if key not in summary]
+    """Return a description of the first error in ``result.json``, empty if the content is valid."""
+    missing = [key for key in _REQUIRED if key not in summary]
     if missing:
-        return f"lacks the key {missing[0]!r}"
-    unfit = [key for key, fits in (_THERE | _MAYBE).items() if key in summary and not fits(summary[key])]
-    return f"has a value of the wrong kind for {unfit[0]!r}" if unfit else ""
+        return f"contains no value of {missing[0]!r}"
+    unfit = [key for key, fits in (_REQUIRED | _OPTIONAL).items() if key in summary and not fits(summary[key])]
+    return f"contains an invalid value of {unfit[0]!r}" if unfit else ""
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST  # NaN is not
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST  # false for NaN
 
 
 def _positive(value: Any) -> bool:
@@ -48,7 +49,7 @@ def _list(fits: Fits, count: int | None = None) -> Fits:
 
 
 def _with(there: dict[str, Fits], maybe: dict[str, Fits] | None = None) -> Fits:
-    """Return the check of an object with required and optional keys."""
+    """Return a function that validates an object with required and optional keys."""
 
     def fits(value: Any) -> bool:
         if not isinstance(value, dict) or any(key not in value for key in there):
@@ -67,9 +68,9 @@ def _numbers(count: int) -> Fits:
 
 
 _POSE = _list(_numbers(4), 4)
-"""A 4x4 matrix."""
+"""Validator of a 4x4 matrix."""
 _TERM = _with({"why": _text, "less_mm3": _number, "more_mm3": _number})
-"""A cause of uncertainty."""
+"""Validator of a cause of uncertainty."""
 _VIEW = _with(
     {"file": _text, "used": _truth},
     {
@@ -79,7 +80,7 @@ _VIEW = _with(
         ),
     },
 )
-"""A view."""
+"""Validator of a view."""
 _RING = _with(
     {
         "ring": _number,
@@ -90,11 +91,11 @@ _RING = _with(
     },
     {"placement": _or_none(_number)},
 )
-"""Pose of a ring's camera."""
+"""Validator of the pose of a ring's camera."""
 _EDGES = _with({}, dict.fromkeys(("count", "before_mm", "after_mm", "radius_excess_mm", "oval_mm", "oval_deg"), _or_none(_number)))
-"""Calibration from the canister's edges."""
+"""Validator of the calibration from the canister's edges."""
 _ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
-"""Calibration from the roots."""
+"""Validator of the calibration from the roots."""
 _RIG = _with(
     {},
     {
@@ -114,7 +115,7 @@ _RIG = _with(
         ),
     },
 )
-"""Self-calibration (`recon.results.calibration_summary`)."""
+"""Validator of the self-calibration (`recon.results.calibration_summary`)."""
 _CHECK = _only(
     _with(
         {"name": _text, "state": _text, "unit": _text, "found": _text, "advice": _text},
@@ -122,13 +123,13 @@ _CHECK = _only(
     ),
     {field.name for field in fields(Check)},
 )
-"""A check of the scan."""
+"""Validator of a check of the scan."""
 _ESTIMATE = _only(
     _with({"name": _text, "value": _number, "interval": _numbers(2), "trusted": _truth, "verdict": _text}),
     {field.name for field in fields(Estimate)},
 )
-"""An estimate with its interval."""
-_THERE: dict[str, Fits] = {
+"""Validator of an estimate with its interval."""
+_REQUIRED: dict[str, Fits] = {
     "scene": _text,
     "dataset_sha256": _text,
     "voxel_mm": _number,
@@ -147,8 +148,8 @@ _THERE: dict[str, Fits] = {
     "warnings": lambda value: isinstance(value, list),
     "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
 }
-"""Keys that every result has."""
-_MAYBE: dict[str, Fits] = {
+"""Validators of the required keys."""
+_OPTIONAL: dict[str, Fits] = {
     "rig": _or_none(_RIG),
     "settings": _with({}, {"finest_mm": _positive}),
     "versions": _with({}),
@@ -173,4 +174,4 @@ _MAYBE: dict[str, Fits] = {
     "mass_g": _or_none(_positive),
     **dict.fromkeys(("root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
 }
-"""Keys that some results have."""
+"""Validators of the optional keys."""

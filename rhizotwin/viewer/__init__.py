@@ -1,1 +1,1 @@
-"""The viewer of results and the live page of scans, for browsers that have the address with its token."""
+"""Viewer of results and live page of scans, for browsers that know the address with its token."""

@@ -1,6 +1,6 @@
-"""The viewer: results in 3D, pictures with the outline of the reconstruction, and corrections.
+"""Interactive viewer: results in 3D, pictures with the outline of the reconstruction, and corrections.
 
-All browsers share one state.
+All connected browsers show the same state.
 """
 
 from __future__ import annotations
@@ -25,23 +25,24 @@ from rhizotwin.viewer.picking import Ray, Screen
 Array = NDArray[np.float64]
 
 _PREPARE_AFTER_S = 3.0
-"""Delay of the preparation of corrections after the first browser connects: a day-30 plant is drawn by then."""
+"""Delay between the connection of the first browser and the preparation of corrections, s. A day-30 plant is drawn
+within this time."""
 
 
 class Viewer(Drawing):
-    """Results served to browsers: selection and corrections."""
+    """Results displayed in browsers, with selection and corrections."""
 
     # selection
 
     def clicked(self, ray: Ray, *, more: bool = False) -> None:
-        """Handle a click into the scene.
+        """Handle a click into the 3D scene according to the selected click mode.
 
         Parameters
         ----------
         ray : Ray
-            From the eye through the click.
+            Ray from the eye through the clicked point.
         more : bool
-            Add to the selection.
+            Whether the clicked object is added to the selection.
         """
         with self.lock:
             if self.picture is not None:
@@ -70,7 +71,7 @@ class Viewer(Drawing):
             self.show_selection()
 
     def _click_background(self, ray: Ray, *, more: bool) -> None:
-        """Handle a click beside all roots: measure on the shape itself, or clear the selection."""
+        """Handle a click next to all roots: measure on the shape itself, or clear the selection."""
         hit = self._voxel_at(ray) if self.look.click == CLICKS[2] else None
         if hit is not None:
             self._measure_at(hit[1])
@@ -82,7 +83,7 @@ class Viewer(Drawing):
         self.measured = [*self.measured, point_mm] if len(self.measured) < 2 else [point_mm]
 
     def _voxel_at(self, ray: Ray) -> tuple[int, Array] | None:
-        """Return the row of the first voxel on a ray, and the point there."""
+        """Return the row of the first voxel on a ray and the entry point (3,), mm, None if no voxel is hit."""
         solid, rows = self.shown.session.measure().solid, self.voxel_rows()
         hit = picking.voxel_at(solid.centre_mm[rows], np.asarray(0.5 * solid.size[rows] * solid.voxel_mm), ray)
         return None if hit is None else (int(rows[hit[0]]), hit[1])
@@ -97,7 +98,10 @@ class Viewer(Drawing):
         self.show_selection()
 
     def select_rectangle(self, screen: Screen, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Select inside a rectangle: voxels if they are displayed, else roots that are completely inside."""
+        """Select the objects in a screen rectangle.
+
+        These are voxels if voxels are displayed, otherwise roots that lie completely inside the rectangle.
+        """
         with self.lock:
             if self.look.click == CLICKS[1] or "voxels" in self.look.layers:
                 rows = self.voxel_rows()
@@ -109,7 +113,7 @@ class Viewer(Drawing):
             self.show_selection()
 
     def select_box(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> None:
-        """Select the voxels whose centres are in a box."""
+        """Select the voxels whose centres lie in a box, mm, canister frame."""
         with self.lock:
             measured = self.shown.session.measure()
             rows = measured.solid.leaves_in(low_mm, high_mm)
@@ -117,7 +121,7 @@ class Viewer(Drawing):
             self.show_selection()
 
     def select_root(self, number: int) -> None:
-        """Select one root."""
+        """Select a single root."""
         with self.lock:
             self.roots, self.voxels = [number], set()
             self.show_selection()
@@ -131,12 +135,12 @@ class Viewer(Drawing):
     # corrections
 
     def prepare(self) -> None:
-        """Load data that the first click and the first correction need."""
+        """Load the data that the first click and the first correction need."""
         self.nodes()
         _ = self.shown.session.solid
 
     def correct(self, kind: str, **fields: Any) -> None:
-        """Apply a correction (`corrections.log.Edit`) and display the result."""
+        """Apply a correction (see `corrections.log.Edit`) and display the result."""
         with self.lock:
             try:
                 self.shown.session.do(logs.edit(kind, **fields))
@@ -152,10 +156,10 @@ class Viewer(Drawing):
         with self.lock:
             rows, roots = sorted(self.voxels), list(self.roots)
             if not rows and not roots:
-                self.notify("nothing is selected")
+                self.notify("nothing was deleted, because nothing is selected")
                 return
             if roots:
-                if laterals:  # laterals of selected roots are deleted with them
+                if laterals:  # selected laterals of selected roots are deleted with these roots
                     lines = self.shown.session.state.lines
                     under = {one for k in roots for one in descendants(lines, k)[1:]}
                     roots = [k for k in roots if k not in under]
@@ -164,18 +168,18 @@ class Viewer(Drawing):
                 self.correct("delete voxels", runs=logs.runs(rows))
 
     def pair(self, kind: str) -> None:
-        """Apply a correction to two selected roots, in the order of selection."""
+        """Apply a correction to two selected roots in the order of their selection."""
         if len(self.roots) != 2:
-            self.notify("select two roots: click the first, then click the second while holding Shift")
+            self.notify("two roots must be selected; click the first root, then hold Shift and click the second root")
             return
         self.correct(kind, roots=self.roots)
 
     def restore(self) -> None:
-        """Restore the roots or voxels that were deleted last and are still deleted."""
+        """Restore the roots or voxels of the last deletion that are still deleted."""
         with self.lock:
             roots, rows = self.shown.session.last_deleted()
             if not roots and not len(rows):
-                self.notify("nothing was deleted")
+                self.notify("there are no deleted roots or voxels to restore")
                 return
             if len(rows):
                 self.correct("restore voxels", runs=logs.runs([int(row) for row in rows]))
@@ -188,9 +192,9 @@ class Viewer(Drawing):
 
         shown = self.shown
         if shown.dataset is None:
-            self.notify("refitting needs the pictures: start `rhizotwin view RESULT DATASET`")
+            self.notify("refitting needs the pictures; restart the viewer with 'rhizotwin view RESULT DATASET'")
             return
-        self.notify("refitting the roots to the pictures ...")
+        self.notify("the roots are being refitted to the pictures ...")
         shown.session.refit = fitter(shown.session.folder, shown.dataset)
         self.correct("fit")
 
@@ -201,14 +205,14 @@ class Viewer(Drawing):
             self.refresh()
 
     def undo_to(self, count: int) -> None:
-        """Undo corrections until ``count`` of them are left."""
+        """Undo corrections until ``count`` corrections remain."""
         with self.lock:
             while len(self.shown.session.log.edits) > count:
                 self.shown.session.undo()
             self.refresh()
 
     def look_from(self, client: viser.ClientHandle, view: str) -> None:
-        """Set the camera of a browser to a preset view (`scene3d.VIEWS`)."""
+        """Set the camera of a browser to a preset view (see `scene3d.VIEWS`)."""
         if self.picture is not None:
             self.enter_picture(None, client)
         with client.atomic():
@@ -227,13 +231,13 @@ class Viewer(Drawing):
         try:
             path = self.shown.session.save()
         except UserError as error:
-            self.notify(f"the corrections were not saved: {error}")
+            self.notify(f"the corrections could not be saved: {error}")
             return
-        self.notify(f"wrote {path}; next: rhizotwin edit {path.parent} --apply {path} -o NEW_RESULT")
+        self.notify(f"the corrections were saved to {path}; apply them with: rhizotwin edit {path.parent} --apply {path} -o NEW_RESULT")
 
 
 def ray_of(origin: Sequence[float], direction: Sequence[float]) -> Ray:
-    """Return a ray with a unit direction."""
+    """Return a ray with a normalized direction."""
     way = np.asarray(direction, np.float64)
     return Ray(np.asarray(origin, np.float64), way / np.linalg.norm(way))
 
@@ -248,18 +252,18 @@ def screen_of(client: viser.ClientHandle) -> Screen:
 
 
 def start(folders: Sequence[Path], dataset: Path | None, *, host: str = guard.LOCAL, port: int = 8080) -> Viewer:
-    """Serve results.
+    """Start a server that displays results in browsers.
 
     Raises
     ------
     UserError
-        If a result cannot be read, or the port cannot be used.
+        If a result cannot be read, or the address cannot be used.
     """
     return show(guard.serve(host=host, port=port), folders, dataset)
 
 
 def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) -> Viewer:
-    """Show results to browsers, which may be connected already.
+    """Display results on a running server. Browsers may already be connected.
 
     Raises
     ------
@@ -281,7 +285,7 @@ def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) ->
 
     @served.server.on_client_connect
     def _(_: viser.ClientHandle) -> None:
-        if begin.acquire(blocking=False):  # once
+        if begin.acquire(blocking=False):  # only for the first browser
             prepare.start()
 
     return viewer

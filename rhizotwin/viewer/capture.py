@@ -1,4 +1,4 @@
-"""Screenshots and turntable movies of the 3D view, rendered by the browser that asks for them."""
+"""Screenshots and turntable movies of the 3D view, rendered by the browser that requests them."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from numpy.typing import NDArray
 from PIL import Image
 
 FRAMES, FRAME_MS = 60, 70
-"""A turntable movie: one rotation in 4.2 s."""
+"""Number of frames in a turntable movie, and duration of a frame, ms. One revolution takes 4.2 s."""
 WIDEST_PX = 640
-"""Width of a movie."""
+"""Maximum width of a movie, pixels."""
 TIMEOUT_S = 60.0
-"""For one frame; software rendering on a busy computer takes seconds."""
+"""Timeout for rendering a frame, s. Software rendering on a busy computer takes seconds."""
 
 
 def screenshot(client: viser.ClientHandle) -> bytes:
-    """Return the current view of a browser as a PNG file with a transparent background."""
+    """Render the current view of a browser as a PNG image with transparent background."""
     camera = client.camera
     image = client.get_render(camera.image_height, camera.image_width, transport_format="png", timeout=TIMEOUT_S)
-    return _encoded(Image.fromarray(image), "PNG")
+    return _encode(Image.fromarray(image), "PNG")
 
 
 def turntable(client: viser.ClientHandle, *, frames: int = FRAMES, progress: Callable[[float], object] = lambda _: None) -> bytes:
-    """Return a movie (GIF) in which the camera of a browser rotates once about the vertical axis.
+    """Render a movie (GIF) in which the camera of a browser rotates once about the vertical axis.
 
     Parameters
     ----------
     client : viser.ClientHandle
-        The browser, whose camera gives distance, height and direction of view.
+        Browser whose camera defines distance, height and viewing direction.
     frames : int
-        Frames of the rotation.
+        Number of frames.
     progress : callable
-        Called with the finished share after each frame.
+        Function that is called after each frame with the completed fraction.
     """
     camera = client.camera
     width = min(WIDEST_PX, camera.image_width)
@@ -45,20 +45,20 @@ def turntable(client: viser.ClientHandle, *, frames: int = FRAMES, progress: Cal
         image = client.get_render(height, width, wxyz=wxyz, position=position, fov=camera.fov, timeout=TIMEOUT_S)
         images.append(Image.fromarray(image[..., :3]).quantize(256))
         progress((number + 1) / frames)
-    return _encoded(images[0], "GIF", save_all=True, append_images=images[1:], duration=FRAME_MS, loop=0)
+    return _encode(images[0], "GIF", save_all=True, append_images=images[1:], duration=FRAME_MS, loop=0)
 
 
 def orbit(
     wxyz: NDArray[np.float64], position: NDArray[np.float64], centre: NDArray[np.float64], frames: int
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield camera orientations (w, x, y, z) and positions of one rotation about the vertical axis through a point."""
+    """Yield camera orientations (w, x, y, z) and positions (3,) of one revolution about a vertical axis."""
     start = viser.transforms.SO3(wxyz)
     for angle in np.arange(frames) * 2.0 * np.pi / frames:
         turn = viser.transforms.SO3.from_z_radians(angle)
         yield np.asarray((turn @ start).wxyz), np.asarray(turn.as_matrix() @ (position - centre) + centre)
 
 
-def _encoded(image: Image.Image, kind: str, **options: object) -> bytes:
+def _encode(image: Image.Image, kind: str, **options: object) -> bytes:
     stream = io.BytesIO()
     image.save(stream, kind, **options)
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""The state of the viewer and how it is drawn: layers, colours, clipping, selection, and the displayed picture."""
+"""State of the viewer and its display: layers, colours, clipping, selection and displayed picture."""
 
 from __future__ import annotations
 
@@ -32,40 +32,49 @@ Triple = tuple[float, float, float]
 Parts = Mapping[int, tuple[Line, ...]]
 
 LAYERS = ("surface", "centre lines", "tubes", "voxels", "canister", "cameras", "truth", "scale bar")
+"""Layers of the 3D view that can be displayed."""
 CLICKS = ("select a root", "select a voxel", "measure a distance", "cut the root here", "end the root here", "set the base of the plant")
+"""Click modes of the 3D view."""
 TRUTH = ("overlaid", "beside", "as colours of distance")
+"""Display modes of the true shape."""
 _ASIDE_MM = 60.0
+"""Distance between the reconstructed and the true shape if they are displayed side by side, mm."""
 _APART_S = 0.02
-"""Longer than the interval in which viser collects messages (1/60 s), so that two messages arrive separately."""
+"""Delay that separates two messages to browsers, s, longer than the interval in which viser collects messages (1/60
+s)."""
 _FAR_MM = 1e9
-"""Beyond everything."""
+"""Coordinate of a clipping plane that clips nothing, mm."""
 
 
 @dataclass
 class Look:
-    """How the result is displayed."""
+    """Display settings of a result."""
 
     layers: set[str] = field(default_factory=lambda: {"surface", "canister", "scale bar"})
-    """Without cameras: their pictures would delay the first frame and each one after it."""
+    """Displayed layers. Cameras are not displayed by default, because their pictures would delay every frame."""
     colour: str = "order"
+    """Root property that is shown by the colour."""
     truth: str = TRUTH[0]
+    """Display mode of the true shape, one of `TRUTH`."""
     low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
+    """Lowest corner of the clipping box, mm, canister frame."""
     high_mm: Triple = (_FAR_MM, _FAR_MM, _FAR_MM)
-    """Corners of the clipping box, canister frame."""
+    """Highest corner of the clipping box, mm, canister frame."""
     click: str = CLICKS[0]
+    """Effect of a click into the 3D view, one of `CLICKS`."""
 
     @property
     def is_unclipped(self) -> bool:
-        """Return whether everything is inside the clipping box."""
+        """Return whether the clipping box has no limits."""
         return max(self.low_mm) <= -_FAR_MM and min(self.high_mm) >= _FAR_MM
 
     def inside(self, points_mm: Array) -> NDArray[np.bool_]:
-        """Return which points (N, 3) are inside the clipping box."""
+        """Return which points (N, 3) lie inside the clipping box."""
         return np.asarray(((points_mm >= self.low_mm) & (points_mm <= self.high_mm)).all(axis=1))
 
 
 class Drawing:
-    """Results drawn for browsers according to the state."""
+    """Display of results in browsers according to the viewer's state."""
 
     def __init__(self, served: Served, folders: Sequence[Path], dataset: Path | None = None) -> None:
         self.served, self.look = served, Look()
@@ -75,38 +84,39 @@ class Drawing:
         self._place = 0
         self.lock = threading.RLock()
         self.roots: list[int] = []
-        """Selected roots, in the order of selection."""
+        """Numbers of the selected roots in the order of selection."""
         self.voxels: set[int] = set()
-        """Selected voxels."""
+        """Rows of the selected voxels."""
         self.measured: list[Array] = []
+        """Points (3,) of the distance measurement, mm."""
         self.picture: int | None = None
-        """Number of the displayed picture; None: 3D view."""
+        """Index of the displayed picture. None: 3D view."""
         self._visible: tuple[object, Parts] | None = None
         self._nodes: tuple[Parts, Nodes] | None = None
         self._keys: dict[str, object] = {}
-        """State in which each layer was drawn last."""
+        """State in which each layer was last drawn."""
         self.on_change: list[Callable[[], None]] = []
-        """Called when the panels may have to change."""
+        """Functions that are called when the panels may have to be updated."""
         self.on_measured: list[Callable[[], None]] = []
-        """Called in the background when traits may have changed."""
+        """Functions that are called in the background when traits may have changed."""
         self._background = ThreadPoolExecutor(max_workers=1, thread_name_prefix="surface")
-        """Draws surfaces: no correction waits for them, since the next one may replace them."""
+        """Executor that draws surfaces in the background, so that corrections need not wait for them."""
         self.message = ""
-        """The last message to the user."""
+        """Last message to the user."""
         self.load(0)
 
     @property
     def shown(self) -> Shown:
-        """Return the displayed result."""
+        """Return the result that is currently displayed."""
         return self._loaded[self._place]
 
     @property
     def names(self) -> list[str]:
-        """Return the names of all results."""
+        """Return the names of all results that can be selected."""
         return [folder.name or str(folder) for folder in self._folders]
 
     def load(self, place: int) -> None:
-        """Display another result."""
+        """Display the result with index ``place``."""
         with self.lock:
             if place not in self._loaded:
                 self._loaded[place] = Shown(self._folders[place], self._dataset)
@@ -125,12 +135,12 @@ class Drawing:
 
     @property
     def has_gaps(self) -> bool:
-        """Return whether most roots are so thin that the surface has gaps, which centre lines fill."""
+        """Return whether most roots are so thin that the surface has gaps, which must be filled by centre lines."""
         lines = self.shown.session.state.lines.values()
         return bool(lines) and float(np.median(np.concatenate([line.diameters_mm for line in lines]))) < THIN_MM
 
     def changed(self) -> None:
-        """Update the panels."""
+        """Update the panels of all browsers."""
         for follow in self.on_change:
             follow()
 
@@ -140,19 +150,19 @@ class Drawing:
         self.changed()
 
     def unsaved(self) -> int:
-        """Return the number of corrections that were not saved."""
+        """Return the number of unsaved corrections in all results."""
         return sum(shown.session.unsaved for shown in self._loaded.values())
 
     # drawing
 
     def show_selection(self) -> None:
-        """Update the panels, then highlight the selection."""
+        """Update the panels and highlight the selection."""
         with self.lock:
             self._update_panels()
             self._draw_selection()
 
     def _update_panels(self) -> None:
-        """Update the panels in a message of their own: browsers apply it before they draw the next frame."""
+        """Update the panels in a separate message, which browsers apply before they draw the next frame."""
         lines = self.shown.session.state.lines
         self.roots = [number for number in self.roots if number in lines]
         self.changed()
@@ -160,14 +170,14 @@ class Drawing:
         time.sleep(_APART_S)
 
     def refresh(self) -> None:
-        """Update the panels and draw everything that changed; surfaces follow in the background."""
+        """Update the panels and draw everything that changed. Surfaces are drawn in the background."""
         with self.lock:
             self._update_panels()
             self._draw()
         self._background.submit(self._finish)
 
     def _finish(self) -> None:
-        """Draw surfaces and measure traits in the background, where errors become messages."""
+        """Draw surfaces and measure traits in the background. Errors are shown as messages."""
         try:
             self._draw_surface()
             for follow in self.on_measured:
@@ -176,7 +186,7 @@ class Drawing:
             self.notify(error_sentence(error))
 
     def wait(self) -> None:
-        """Wait until surfaces are drawn and traits measured."""
+        """Wait until surfaces are drawn and traits are measured."""
         self._background.submit(lambda: None).result()
 
     @property
@@ -184,7 +194,7 @@ class Drawing:
         return id(self.shown), self.shown.session.log.edits
 
     def _draw(self) -> None:
-        """Draw everything but surfaces; tubes replace a surface until it is ready."""
+        """Draw everything except surfaces. Tubes replace a surface until it is drawn."""
         with self.served.server.atomic():
             session, look, shown = self.shown.session, self.look, self.shown
             here = self.picture is None
@@ -210,14 +220,14 @@ class Drawing:
             self._draw_selection()
 
     def _is_new(self, layer: str, state: object) -> bool:
-        """Return whether the state of a layer differs from that in which it was drawn, and remember it."""
+        """Remember the state of a layer and return whether the state differs from that of the last drawing."""
         if self._keys.get(layer) == state:
             return False
         self._keys[layer] = state
         return True
 
     def clip(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
-        """Display only what is between two coordinates along an axis; None: no limit."""
+        """Clip the display to a range of coordinates along an axis, mm. None: no limit."""
         for name, value, none in (("low_mm", low_mm, -_FAR_MM), ("high_mm", high_mm, _FAR_MM)):
             corner = list(getattr(self.look, name))
             corner[axis] = none if value is None else value
@@ -225,16 +235,18 @@ class Drawing:
         self.refresh()
 
     def visible(self) -> Parts:
-        """Return the parts of roots inside the clipping box."""
+        """Return the parts of each root inside the clipping box."""
         lines, look = self.shown.session.state.lines, self.look
         key = (id(lines), look.low_mm, look.high_mm)
         if self._visible is None or self._visible[0] != key:
-            found = {number: (line,) if look.is_unclipped else _parts(line, look.inside(line.points_mm)) for number, line in lines.items()}
+            found = {
+                number: (line,) if look.is_unclipped else _clip_line(line, look.inside(line.points_mm)) for number, line in lines.items()
+            }
             self._visible = key, {number: parts for number, parts in found.items() if parts}
         return self._visible[1]
 
     def nodes(self) -> Nodes:
-        """Return the nodes of the roots that can be picked."""
+        """Return the nodes of the visible roots for picking."""
         parts = self.visible()
         if self._nodes is None or self._nodes[0] is not parts:
             self._nodes = parts, Nodes.of((number, line) for number, lines in parts.items() for line in lines)
@@ -249,25 +261,25 @@ class Drawing:
         translucent = "centre lines" in look.layers and not self.has_gaps
         how = "distance" if by_distance else look.colour
         if self._is_new("surface", (wanted, how, translucent, look.low_mm, look.high_mm, edited)):
-            mesh = self._clipped(shown.surface()) if wanted else None
+            mesh = self._clip_mesh(shown.surface()) if wanted else None
             colours = None if mesh is None else shown.distance_colours(mesh) if by_distance else self._surface_colours(mesh)
-            if self._edited == edited:  # else a later correction draws it
+            if self._edited == edited:  # otherwise a later correction draws the surface
                 self.scene.show_surface(mesh, colours, translucent=translucent)
                 self._keys["edits of surface"] = edited if wanted else None
                 with self.lock:
                     self._draw()
         if self._is_new("truth", (compared and not by_distance, look.truth, id(shown), look.low_mm, look.high_mm)):
-            truth = self._clipped(shown.truth) if compared and not by_distance and shown.truth is not None else None
+            truth = self._clip_mesh(shown.truth) if compared and not by_distance and shown.truth is not None else None
             self.scene.show_truth(truth, aside_mm=_ASIDE_MM if look.truth == TRUTH[1] else 0.0)
 
     def _surface_colours(self, mesh: Mesh) -> Bytes | None:
-        """Return the colours of vertices (V, 3) from the nearest point of a centre line; None without roots."""
+        """Return the colour of each vertex (V, 3) from the nearest point of a centre line. None without roots."""
         lines = self.shown.session.state.lines
         shade, _ = root_colours.colour_roots(self.look.colour, lines)
         return root_colours.colour_surface(mesh.vertices_mm, lines, shade) if lines else None
 
-    def _clipped(self, mesh: Mesh) -> Mesh | None:
-        """Return the part of a surface inside the clipping box; None if there is none."""
+    def _clip_mesh(self, mesh: Mesh) -> Mesh | None:
+        """Return the part of a mesh inside the clipping box, None if no face is inside."""
         if self.look.is_unclipped:
             return mesh
         faces = mesh.faces[self.look.inside(mesh.vertices_mm)[mesh.faces].all(axis=1)]
@@ -297,21 +309,24 @@ class Drawing:
         solid = session.measure().solid
         rows = np.array(sorted(self.voxels), np.int64)
         here = self.picture is None
-        centre_mm = solid.centre_mm[rows] if len(rows) else np.zeros((0, 3))  # all centres take a tenth of a second
+        centre_mm = solid.centre_mm[rows] if len(rows) else np.zeros((0, 3))  # computing all centres takes 0.1 s
         self.scene.show_selected([session.state.lines[k] for k in self.roots] if here else [], centre_mm, solid.voxel_mm)
         self.scene.show_measure(self.measured if here else [])
 
     # pictures
 
     def enter_picture(self, place: int | None, client: viser.ClientHandle | None = None) -> None:
-        """Display a picture with the outline of the reconstruction, from its camera; None returns to the 3D view."""
+        """Display a picture with the outline of the reconstruction, as seen by its camera.
+
+        None: return to the 3D view.
+        """
         pictures, server = self.shown.pictures, self.served.server
         with self.lock:
             if pictures is None or (place is None and self.picture is None):
                 return
             self.picture = None if place is None else place % len(pictures.views)
         if self.picture is not None:
-            self.shown.surface()  # may take seconds, without the lock
+            self.shown.surface()  # may take seconds, therefore computed without the lock
         with self.lock:
             self._draw_picture()
             self.refresh()
@@ -335,8 +350,8 @@ class Drawing:
         server.scene.set_background_image(image, format="jpeg", jpeg_quality=90)
 
 
-def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
-    """Return the stretches of a root whose nodes are inside the clipping box."""
+def _clip_line(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
+    """Return the parts of a root whose nodes lie inside the clipping box."""
     if inside.all():
         return (line,)
     way = line.way_mm
@@ -344,5 +359,5 @@ def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
 
 
 def set_value(handle: Any, value: object) -> None:
-    """Set the value of an element of the panel; viser's annotations call it read-only."""
+    """Set the value of a panel element, which viser annotates as read-only."""
     handle.value = value

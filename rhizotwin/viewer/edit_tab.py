@@ -1,4 +1,4 @@
-"""The tab "Edit" of the panel: the effect of a click, corrections, and their history."""
+"""Panel tab "Edit": click mode, corrections and their history."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NOW = "now"
 
 
 def add(viewer: Viewer) -> None:
-    """Add the mode of clicks, the corrections, and their history."""
+    """Add the click mode, the buttons for corrections, and the history of corrections."""
     gui = viewer.served.server.gui
     mode = gui.add_dropdown("A click will", CLICKS)
 
@@ -29,19 +29,26 @@ def add(viewer: Viewer) -> None:
 
 @dataclass(frozen=True)
 class _Button:
-    """A button of a correction, with its keyboard shortcut."""
+    """Button that applies a correction, with its keyboard shortcut."""
 
     label: str
+    """Text on the button."""
     act: Callable[[], object]
+    """Function that is called when a user presses the button."""
     enabled: Callable[[], bool]
+    """Function that returns whether the button is enabled."""
     hint: str = ""
+    """Tooltip of the button."""
     red: bool = False
+    """Whether the button is red, because it deletes something."""
     key: Literal["delete", "escape", "Z", "Y", "S"] | None = None
+    """Key of the keyboard shortcut."""
     modifier: Literal["cmd/ctrl"] | None = None
+    """Modifier key of the keyboard shortcut."""
 
 
 def _add_buttons(viewer: Viewer) -> None:
-    """Add a button for each correction of the selection; it is disabled where it does not apply."""
+    """Add the buttons that correct the selection. A button is disabled if it does not apply to the selection."""
 
     def some() -> bool:
         return bool(viewer.roots or viewer.voxels)
@@ -56,7 +63,7 @@ def _add_buttons(viewer: Viewer) -> None:
         here, rows = viewer.shown.session.last_deleted()
         return bool(here) or len(rows) > 0
 
-    lateral, join = "make the first selected root a lateral of the second", "make the second selected root the continuation of the first"
+    lateral, join = "make the first selected root a lateral of the second", "append the second selected root to the end of the first"
     clear = "clear the selection and the measurement"
     listed = [
         _Button("Delete (Del)", viewer.delete, some, "delete the selection", red=True, key="delete"),
@@ -95,13 +102,13 @@ def _add_all(viewer: Viewer, listed: list[_Button]) -> None:
 
 
 def _add_box(viewer: Viewer) -> None:
-    """Add selection and deletion of everything in a box."""
+    """Add the controls that select or delete everything in a box."""
     gui = viewer.served.server.gui
     with gui.add_folder("Box", expand_by_default=False):
         low = gui.add_vector3("From (mm)", initial_value=(-10.0, -10.0, -60.0), step=0.1)
         high = gui.add_vector3("To (mm)", initial_value=(10.0, 10.0, -50.0), step=0.1)
         select = gui.add_button("Select voxels in the box")
-        clear = gui.add_button("Delete everything in the box", color="red")
+        clear = gui.add_button("Delete all roots and voxels in the box", color="red")
 
     @select.on_click
     def _(_: object) -> None:
@@ -113,7 +120,7 @@ def _add_box(viewer: Viewer) -> None:
 
 
 def _add_history(viewer: Viewer) -> None:
-    """Add undo, redo, save, and the list of corrections."""
+    """Add undo, redo, save and the list of corrections."""
     gui = viewer.served.server.gui
 
     _add_all(
@@ -124,7 +131,7 @@ def _add_history(viewer: Viewer) -> None:
             _Button("Save corrections (Ctrl+S)", viewer.save, lambda: viewer.shown.session.unsaved > 0, key="S", modifier="cmd/ctrl"),
         ],
     )
-    back = gui.add_dropdown("Undo to", (_NOW,), hint="undo all corrections after this one")
+    back = gui.add_dropdown("Undo to", (_NOW,), hint="undo this correction and all later corrections")
     history = gui.add_html("")
 
     @back.on_update

@@ -1,7 +1,8 @@
-"""Coloured triangles as binary glTF 2.0, which browsers draw at once.
+"""Write coloured triangle meshes as binary glTF 2.0, which browsers display without conversion.
 
-A writer of its own, because the smallest file is the fastest to draw: one mesh, rough and not metallic, with normals,
-visible from the front only. https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.7 and 4.4.
+The file contains a single mesh with normals and a rough, non-metallic material that is visible from the front only. A
+separate writer is used because small files are drawn fastest. Specification:
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.7 and 4.4.
 """
 
 from __future__ import annotations
@@ -22,32 +23,32 @@ Bytes = NDArray[np.uint8]
 Index = NDArray[np.int64]
 
 _MAGIC, _VERSION, _JSON, _BINARY = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
-"""Section 4.4.2 and 4.4.3."""
+"""Constants of the binary container (glTF sections 4.4.2 and 4.4.3)."""
 _FLOAT, _BYTE, _UNSIGNED = 5126, 5121, 5125
 _VERTICES, _FACES = 34962, 34963
-"""Section 3.6.2: component types and buffer targets."""
+"""Component types and buffer targets (glTF section 3.6.2)."""
 _MATTE = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
 _TRANSLUCENT = _MATTE | {"alphaMode": "BLEND"}
 _UNLIT = {"alphaMode": "BLEND", "extensions": {"KHR_materials_unlit": {}}}
-"""For large transparent surfaces: software renders them in a fifth of the time if they are not lit."""
+"""Material of large transparent surfaces. Software renders unlit surfaces in a fifth of the time of lit surfaces."""
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """A triangle mesh with normals and colours."""
+    """Triangle mesh with normals and colours."""
 
     vertices_mm: Array
-    """(N, 3)"""
+    """Vertices (N, 3), mm."""
     normals: Array
-    """(N, 3) outward unit vectors."""
+    """Outward unit normals at the vertices (N, 3)."""
     faces: Index
-    """(F, 3) counter-clockwise from outside."""
+    """Vertex indices of the faces (F, 3), counter-clockwise as seen from outside."""
     colours: Bytes
-    """(N, 3) sRGB, or (N, 4) with opacity."""
+    """Colours of the vertices, sRGB, 0 to 255: (N, 3), or (N, 4) with opacity."""
 
 
 def concatenate(parts: Sequence[Triangles]) -> Triangles:
-    """Concatenate meshes."""
+    """Concatenate several meshes into a single mesh."""
     first = np.cumsum([0, *(len(part.vertices_mm) for part in parts[:-1])])
     return Triangles(
         np.concatenate([part.vertices_mm for part in parts]),
@@ -58,19 +59,19 @@ def concatenate(parts: Sequence[Triangles]) -> Triangles:
 
 
 def glb(triangles: Triangles, *, lit: bool = True) -> bytes:
-    """Return triangles as a binary glTF file.
+    """Convert triangles to a binary glTF file.
 
     Parameters
     ----------
     triangles : Triangles
-        At least one triangle. Colours with opacity are blended with what is behind.
+        Mesh with at least one triangle. Colours with opacity are blended with the background.
     lit : bool
-        Whether the surface is lit; one that is not lit is blended.
+        Whether the surface is lit. Unlit surfaces are always blended with the background.
 
     Returns
     -------
     bytes
-        The file.
+        Content of the file.
     """
     points, colours = np.ascontiguousarray(triangles.vertices_mm, "<f4"), triangles.colours
     opacity = colours[:, 3:] if colours.shape[1] == 4 else np.full((len(colours), 1), 255, np.uint8)
@@ -104,6 +105,6 @@ def glb(triangles: Triangles, *, lit: bool = True) -> bytes:
         }
     ).encode()
     text += b" " * (-len(text) % 4)
-    data = b"".join(part.tobytes() for part, *_ in parts)  # the length of each is a multiple of four bytes
+    data = b"".join(part.tobytes() for part, *_ in parts)  # the length of each part is a multiple of four bytes
     body = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(data), _BINARY) + data
     return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body

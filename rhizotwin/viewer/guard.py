@@ -1,7 +1,8 @@
-"""A viser server with token authentication.
+"""Viser server with token authentication.
 
-The printed address contains the token. The first response stores it in a cookie, which the browser sends with the page
-and the websocket. A websocket must also have the origin of the page, because pages of other ports share the cookies.
+The printed address contains the token. The first response stores the token in a cookie, which the browser sends with
+each request for a page or websocket. A websocket must also have the same origin as the page, because pages on other
+ports of the same host share the cookies.
 """
 
 from __future__ import annotations
@@ -28,26 +29,33 @@ from websockets.http11 import Request, Response
 from rhizotwin.scenes.errors import UserError
 
 LOCAL = "127.0.0.1"
-REFUSED = b"This page needs the complete address that `rhizotwin` printed, with its token.\n"
+"""Address that only accepts connections from the same computer."""
+REFUSED = b"This page can only be opened with the complete address that rhizotwin printed, including the token.\n"
+"""Response to requests without a valid token."""
 _LOOK_S = 0.01
-"""Interval in which waiting websockets check `Served.open`."""
+"""Polling interval of waiting websockets for `Served.open`, s."""
 Answer = Callable[[Any, Request], Response | None]
+"""Type of a function that returns the response to a request, None for a websocket."""
 
 
 @dataclass(frozen=True)
 class Served:
-    """A running server and its address."""
+    """Running server with its address."""
 
     server: viser.ViserServer
+    """Server with the 3D scene and the panel."""
     host: str
+    """Address on which the server listens."""
     port: int
+    """Port on which the server listens."""
     token: str
+    """Token that browsers must send."""
     open: threading.Event
-    """Set when the content is ready; until then pages load and wait."""
+    """Event that is set when the content is ready. Browsers that connect earlier load the page and wait."""
 
     @property
     def address(self) -> str:
-        """Return the address to open in a browser."""
+        """Return the address to open in a browser, including the token."""
         return f"http://{self.host}:{self.port}/?token={self.token}"
 
     def stop(self) -> None:
@@ -57,33 +65,33 @@ class Served:
 
 
 def serve(*, host: str = LOCAL, port: int = 8080, title: str = "rhizotwin") -> Served:
-    """Start a server at a port, or at the next free one.
+    """Start a server on a port, or on the next free port.
 
-    Browsers can load the page at once; its content follows when `Served.open` is set.
+    Browsers can load the page immediately. The content is sent after `Served.open` is set.
 
     Raises
     ------
     UserError
-        If the address is not of this machine, or no port is free.
+        If the address is not an address of this computer, or no port is free.
     """
     token, is_open = secrets.token_urlsafe(24), threading.Event()
     try:
-        with _guarded(token, is_open), redirect_stdout(io.StringIO()):  # viser prints an address without the token
+        with _token_check(token, is_open), redirect_stdout(io.StringIO()):  # viser prints an address without the token
             server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     except OSError as error:
-        raise UserError(f"cannot serve at {host}:{port} ({error}); choose another --host or --port") from None
+        raise UserError(f"the server could not be started at {host}:{port} ({error}); choose a different --host or --port") from None
     return Served(server, host, server.get_port(), token, is_open)
 
 
 @contextmanager
-def _guarded(token: str, is_open: threading.Event) -> Iterator[None]:
-    """Make servers that start in this context check the token; viser has no hook for it."""
+def _token_check(token: str, is_open: threading.Event) -> Iterator[None]:
+    """Add the token check to servers that start in this context, which viser does not support itself."""
     started = websockets.asyncio.server.serve
 
     def start_guarded(*arguments: Any, process_request: Answer, **more: Any) -> Any:
         async def check(connection: Any, request: Request) -> Response | None:
             found = answer(token, process_request, connection, request)
-            while found is None and not is_open.is_set():  # a websocket
+            while found is None and not is_open.is_set():  # only for a websocket
                 await asyncio.sleep(_LOOK_S)
             return found
 
@@ -94,17 +102,17 @@ def _guarded(token: str, is_open: threading.Event) -> Iterator[None]:
 
 
 def answer(token: str, inner: Answer, connection: Any, request: Request) -> Response | None:
-    """Reject requests without the token, store a token in the address as a cookie, and forward the rest."""
-    host = _only(request, "Host")
+    """Reject requests without a valid token, store the token in a cookie, and forward all other requests."""
+    host = _single_header(request, "Host")
     name = f"rhizotwin_{host.rpartition(':')[2]}"
     given = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-    is_socket = _only(request, "Upgrade").lower() == "websocket"
-    if not host or (is_socket and _netloc(_only(request, "Origin")) != host):
-        return _refused()
-    if not (_same(given, token) or _same(_cookie(request, name), token)):
-        return _refused()
+    is_socket = _single_header(request, "Upgrade").lower() == "websocket"
+    if not host or (is_socket and _netloc(_single_header(request, "Origin")) != host):
+        return _refusal()
+    if not (_are_equal(given, token) or _are_equal(_cookie(request, name), token)):
+        return _refusal()
     found = inner(connection, request)
-    if found is not None and _same(given, token):
+    if found is not None and _are_equal(given, token):
         found.headers["Set-Cookie"] = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
     if found is not None:
         found.headers["Referrer-Policy"] = "no-referrer"
@@ -114,8 +122,8 @@ def answer(token: str, inner: Answer, connection: Any, request: Request) -> Resp
     return found
 
 
-def _only(request: Request, name: str) -> str:
-    """Return the value of a header; empty if it is missing or repeated, which no browser does."""
+def _single_header(request: Request, name: str) -> str:
+    """Return the value of a header, empty if the header is missing or occurs several times."""
     values = request.headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 
@@ -127,18 +135,18 @@ def _netloc(address: str) -> str:
         return ""
 
 
-def _same(given: str, token: str) -> bool:
+def _are_equal(given: str, token: str) -> bool:
     return hmac.compare_digest(given.encode(), token.encode())
 
 
 def _cookie(request: Request, name: str) -> str:
     try:
-        found = SimpleCookie(_only(request, "Cookie")).get(name)
+        found = SimpleCookie(_single_header(request, "Cookie")).get(name)
     except CookieError:
         return ""
     return "" if found is None else found.value
 
 
-def _refused() -> Response:
+def _refusal() -> Response:
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(REFUSED))})
     return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, REFUSED)

@@ -1,4 +1,4 @@
-"""The panel of the viewer: head, list of results, selection, and the tabs "Pictures" and "Traits"."""
+"""Panel of the viewer: volume, list of results, selection, and the tabs "Pictures" and "Traits"."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rhizotwin.viewer.app import Viewer, ray_of, screen_of
 from rhizotwin.viewer.drawing import set_value
 
 BEST_PICTURES = 3
-"""Pictures offered for a selected root."""
+"""Number of pictures that are offered for a selected root."""
 _NO_ROOT = "none"
 
 
 def build(viewer: Viewer) -> None:
-    """Build the panel and handle clicks into the scene."""
+    """Build the panel and register the handlers of clicks into the 3D scene."""
     server = viewer.served.server
     gui = server.gui
     gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False, control_width="medium")
@@ -57,7 +57,7 @@ def build(viewer: Viewer) -> None:
 
 
 def _add_results(viewer: Viewer) -> None:
-    """Add the slider through several results, in the given order."""
+    """Add the slider that switches between several results."""
     gui = viewer.served.server.gui
     number = gui.add_slider("Result", min=1, max=len(viewer.names), step=1, initial_value=1)
     name = gui.add_html(words.note(viewer.names[0]))
@@ -72,12 +72,12 @@ def _add_results(viewer: Viewer) -> None:
 
 
 def _add_selection(viewer: Viewer) -> None:
-    """Add the list of roots, the description of the selection, and the pictures that show a selected root best."""
+    """Add the list of roots, the description of the selection, and buttons for the best pictures of a root."""
     gui = viewer.served.server.gui
     roots = gui.add_dropdown("Root", (_NO_ROOT,), hint="select a root from the list, or click it in the 3D view")
     selection = gui.add_html("")
     root = gui.add_html("", visible=False)
-    best = [gui.add_button("", visible=False, hint="show this picture, with the root outlined in blue") for _ in range(BEST_PICTURES)]
+    best = [gui.add_button("", visible=False, hint="show this picture with the root outlined in blue") for _ in range(BEST_PICTURES)]
     back = gui.add_button("Back to 3D", visible=False)
     places: list[int] = []
 
@@ -130,10 +130,10 @@ def _add_selection(viewer: Viewer) -> None:
 
 
 def _add_pictures(viewer: Viewer) -> None:
-    """Add the buttons that step through the pictures."""
+    """Add the buttons that switch between the pictures."""
     gui = viewer.served.server.gui
     if viewer.shown.pictures is None:
-        gui.add_html(words.note("The dataset was not found: start rhizotwin view RESULT DATASET."))
+        gui.add_html(words.note("The dataset was not found. Restart the viewer with 'rhizotwin view RESULT DATASET'."))
         return
     gui.add_html(words.note("The outline of the reconstruction is projected through the water into each picture."))
     step = gui.add_button_group("Picture", ("Previous", "Next", "Back to 3D"))
@@ -161,7 +161,7 @@ def _add_pictures(viewer: Viewer) -> None:
 
 
 def _add_traits(viewer: Viewer) -> None:
-    """Add the table of traits of the edited result."""
+    """Add the table of traits of the corrected result."""
     table = viewer.served.server.gui.add_html(words.note("Measuring ..."))
 
     def follow() -> None:

@@ -1,4 +1,4 @@
-"""Picking: the root or voxel under a click, and points inside a rectangle on the screen."""
+"""Find the root or voxel under a click, and points inside a screen rectangle."""
 
 from __future__ import annotations
 
@@ -14,35 +14,40 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _REACH = 0.006
-"""Largest distance between a click and a root that is picked, over the distance from the eye (4 of 900 pixels)."""
+"""Maximum ratio between the distance of a picked root from the clicked ray and its distance from the eye (4 of 900
+pixels)."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """The nodes of all roots, concatenated."""
+    """Nodes of all roots, concatenated for picking."""
 
     point_mm: Array
-    """(N, 3)"""
+    """Positions of the nodes (N, 3), mm."""
     radius_mm: Array
+    """Radius of the root at each node (N,), mm."""
     root: Index
+    """Number of the root on which each node lies (N,)."""
 
     @classmethod
     def of(cls, lines: Iterable[tuple[int, Line]]) -> Nodes:
-        """Return the nodes of numbered roots or parts of roots."""
+        """Collect the nodes of roots, or parts of roots, with their numbers."""
         none = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
-        parts = [_with_midpoints(number, line.points_mm, line.diameters_mm) for number, line in lines]
+        parts = [_add_midpoints(number, line.points_mm, line.diameters_mm) for number, line in lines]
         return cls(*(np.concatenate(part) for part in zip(none, *parts, strict=True)))
 
 
 @dataclass(frozen=True)
 class Ray:
-    """A ray from the eye."""
+    """Ray from the eye of the viewer."""
 
     origin_mm: Array
+    """Position of the eye (3,), mm."""
     direction: Array
+    """Unit direction (3,)."""
 
     def nearness(self, point_mm: Array) -> tuple[Array, Array]:
-        """Return the distances (N,) of points (N, 3) along the ray and from it."""
+        """Return the distances (N,), mm, of points (N, 3) along the ray and perpendicular to the ray."""
         away = point_mm - self.origin_mm
         along = away @ self.direction
         return along, np.sqrt(np.maximum(np.einsum("ij,ij->i", away, away) - along**2, 0.0))
@@ -50,16 +55,17 @@ class Ray:
 
 @dataclass(frozen=True)
 class Screen:
-    """The camera of a browser."""
+    """Camera of a browser."""
 
     camera_from_world: Array
-    """4x4, OpenCV's axes."""
+    """Homogeneous transform (4, 4) to the camera frame, with the axes of OpenCV."""
     fov: float
-    """Vertical, radians."""
+    """Vertical field of view of the camera, rad."""
     aspect: float
+    """Ratio of the picture's width to its height."""
 
     def inside(self, point_mm: Array, low: tuple[float, float], high: tuple[float, float]) -> NDArray[np.bool_]:
-        """Return which points (N, 3) are inside a rectangle; corners are from 0 to 1, from the upper left."""
+        """Return which points (N, 3) lie inside a screen rectangle, whose corners are 0 to 1 from the upper left."""
         seen = point_mm @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             half = np.tan(self.fov / 2.0) * seen[:, 2]
@@ -68,7 +74,10 @@ class Screen:
 
 
 def root_at(nodes: Nodes, ray: Ray) -> tuple[int, Array] | None:
-    """Return the first root on a ray and the point there, else the root nearest to the ray; None if none is near."""
+    """Return the number of the first root on a ray and the point there, otherwise of the root nearest to the ray.
+
+    None if no root is near.
+    """
     along, beside = ray.nearness(nodes.point_mm)
     gap = beside - nodes.radius_mm
     hit = (along > 0.0) & (gap < 0.0)
@@ -83,7 +92,10 @@ def root_at(nodes: Nodes, ray: Ray) -> tuple[int, Array] | None:
 
 
 def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> tuple[int, Array] | None:
-    """Return the row of the first voxel on a ray and the point where the ray enters it, by the slab test; or None."""
+    """Return the row of the first voxel on a ray and the entry point (3,), mm, found with the slab test.
+
+    None if no voxel is hit.
+    """
     along, beside = ray.nearness(centre_mm)
     near = np.flatnonzero((along > 0.0) & (beside < np.sqrt(3.0) * half_mm))
     if not len(near):
@@ -99,8 +111,8 @@ def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> tuple[int, Array] | 
     return int(near[first_in]), ray.origin_mm + enters[first_in] * ray.direction
 
 
-def _with_midpoints(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index]:
-    """Return the nodes of a root, with one in the middle of each segment."""
+def _add_midpoints(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index]:
+    """Return the nodes of a root and the midpoints between them, with their radii and root numbers."""
     middle = (points_mm[1:] + points_mm[:-1]) / 2.0
     radius = np.concatenate([diameters_mm, (diameters_mm[1:] + diameters_mm[:-1]) / 2.0]) / 2.0
     return np.concatenate([points_mm, middle]), radius, np.full(len(radius), number)

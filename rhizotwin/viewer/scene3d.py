@@ -1,4 +1,4 @@
-"""The 3D scene of the viewer: surface, centre lines, tubes, voxels, canister, cameras, truth and scale bar."""
+"""3D scene of the viewer: surface, centre lines, tubes, voxels, canister, cameras, truth and scale bar."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 CHUNK = 64
-"""Roots per mesh: after a correction only the meshes that changed are sent."""
+"""Maximum number of roots per mesh. After a correction only the meshes that changed are sent to browsers."""
 MOST_TRIANGLES = 400_000
-"""With more triangles than this, tubes have fewer corners."""
+"""Maximum number of triangles of all tubes. The number of corners around a tube is reduced to stay below it."""
 CANISTER = "/rig/canister"
+"""Name of the canister in the scene."""
 _CORNERS = (tubes.MOST, 8, 6, 5, 4, 3)
 _TRUTH_RGB = (108, 158, 205)
 _SELECTED_RGB = (255, 210, 0)
@@ -35,37 +36,38 @@ _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
 _AMBIENT = 1.6
-"""Added to viser's lights (3.0 from above, 0.4 from below), so that the sides of roots keep their colours."""
+"""Intensity of the ambient light, added to viser's lights (3.0 from above, 0.4 from below) so that the sides of roots
+keep their colours."""
 _LIGHT = np.array([0.5, -0.45, 0.74])
 _OPACITY = 110
-"""Of 255: a surface with centre lines inside."""
+"""Opacity of a surface with centre lines inside, 0 to 255."""
 VIEWS: dict[str, tuple[float, float, float]] = {
     "Reset": (1.15, -0.75, 0.35),
     "Front": (1.0, 0.0, 0.0),
     "Side": (0.0, -1.0, 0.0),
     "Top": (1e-3, 0.0, 1.0),
 }
-"""Preset views: direction from the shape to the camera."""
+"""Preset views, each with the direction from the shape to the camera."""
 
 
 class Scene3d:
-    """The 3D scene of one result."""
+    """3D scene of a displayed result."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._chunks: dict[int, tuple[list[Line], str]] = {}
         self._handles: dict[str, viser.SceneNodeHandle] = {}
         self.home: tuple[Array, Array] = np.zeros(3), np.ones(3)
-        """Centre and half extents of the shape."""
+        """Centre (3,) and half extents (3,) of the shape, mm."""
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
-        # Shadows and viser's environment map add no information and halve the frame rate of a laptop.
+        # Shadows and viser's environment map contain no information and halve the frame rate on a laptop.
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.configure_environment_map(None)
         server.scene.add_light_ambient("/light", intensity=_AMBIENT)
 
     def set_home(self, points_mm: Array) -> None:
-        """Set the initial camera of new browsers so that all points are in view."""
+        """Set the initial camera for new browsers so that all points are visible."""
         low, high = points_mm.min(axis=0), points_mm.max(axis=0)
         self.home = (low + high) / 2.0, np.maximum((high - low) / 2.0, 2.0)
         start = self._server.initial_camera
@@ -73,7 +75,7 @@ class Scene3d:
         start.look_at, start.position = self.home[0], self.camera_position("Reset")
 
     def camera_position(self, view: str, *, aspect: float = 1.0) -> Array:
-        """Return the camera position of a preset view at which the whole shape fits into the picture."""
+        """Return the camera position (3,), mm, of a preset view in which the whole shape is visible."""
         middle, half = self.home
         toward = np.array(VIEWS[view]) / np.linalg.norm(VIEWS[view])
         right = np.cross([0.0, 0.0, 1.0], toward)
@@ -82,16 +84,16 @@ class Scene3d:
         return np.asarray(middle + toward * (deep + 1.15 * max(high, wide / min(aspect, 1.0)) / np.tan(np.deg2rad(20.0))))
 
     def show_roots(self, lines: Mapping[int, Sequence[Line]], colours: Colouring, *, key: str) -> None:
-        """Draw roots as tubes; unchanged chunks are kept.
+        """Draw roots as tubes. Meshes whose roots and colours have not changed are kept.
 
         Parameters
         ----------
         lines : mapping of int to sequence of Line
-            The visible parts of each root.
+            Visible parts of each root, by number.
         colours : callable
-            Returns the colours of the points of a root.
+            Function that returns the colours of the points of a root.
         key : str
-            Identifies the colours; a change redraws all roots.
+            Identifier of the colours. All roots are redrawn if it changes.
         """
         nodes = sum(len(line.points_mm) for parts in lines.values() for line in parts)
         most = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])
@@ -122,15 +124,15 @@ class Scene3d:
             self._keep("/selected/voxels", self._points("/selected/voxels", voxels_mm, np.array(_SELECTED_RGB, np.uint8), 1.1 * voxel_mm))
 
     def show_voxels(self, centre_mm: Array, share: Array, voxel_mm: float) -> None:
-        """Draw voxels as squares: more saturated with a larger occupancy, shaded by the slope of the surface."""
+        """Draw voxels as shaded squares with a saturation that increases with occupancy."""
         self.drop("/voxels")
         if len(centre_mm):
-            light = 0.45 + 0.55 * np.maximum(_outward(centre_mm, share) @ _LIGHT, 0.0)
+            light = 0.45 + 0.55 * np.maximum(_outward_directions(centre_mm, share) @ _LIGHT, 0.0)
             colours = np.asarray(light[:, None] * (255 - np.clip(share, 0.15, 1.0)[:, None] * (255 - _VOXEL_RGB)), np.uint8)
             self._keep("/voxels", self._points("/voxels", centre_mm, colours, voxel_mm))
 
     def show_surface(self, mesh: Mesh | None, colours: Bytes | None = None, *, name: str = "/surface", translucent: bool = False) -> None:
-        """Draw a surface with colours of its vertices (V, 3); None removes it."""
+        """Draw a surface with the colours of its vertices (V, 3). None: remove the surface."""
         self.drop(name)
         if mesh is None or not len(mesh.faces):
             return
@@ -140,14 +142,14 @@ class Scene3d:
         self._add_triangles(name, Triangles(mesh.vertices_mm, shading.unit_normals(mesh), mesh.faces, shades))
 
     def show_truth(self, mesh: Mesh | None, *, aside_mm: float) -> None:
-        """Draw the true surface, translucent, shifted along y; None removes it."""
+        """Draw the true surface, translucent and shifted along y. None: remove the true surface."""
         if mesh is not None:
             mesh = Mesh(vertices_mm=mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), faces=mesh.faces)
         colours = None if mesh is None else np.tile(np.array(_TRUTH_RGB, np.uint8), (len(mesh.vertices_mm), 1))
         self.show_surface(mesh, colours, name="/truth", translucent=True)
 
     def show_centre_lines(self, lines: Mapping[int, Sequence[Line]], colours: Colouring) -> None:
-        """Draw centre lines, darker than the surface, two pixels wide; an empty mapping removes them."""
+        """Draw centre lines two pixels wide and darker than the surface. An empty mapping removes them."""
         self.drop("/lines")
         parts = [(number, line) for number, several in lines.items() for line in several]
         if parts:
@@ -157,7 +159,7 @@ class Scene3d:
             self._keep("/lines", self._server.scene.add_line_segments("/lines", points, dark, thickness=2.0, thickness_units="screen"))
 
     def show_scale_bar(self, *, visible: bool) -> None:
-        """Draw a vertical scale bar of 1, 2 or 5 times a power of ten beside the shape."""
+        """Draw a vertical scale bar of 1, 2 or 5 times a power of ten next to the shape."""
         self.drop("/scale/bar")
         self.drop("/scale/label")
         if not visible:
@@ -196,7 +198,7 @@ class Scene3d:
         self._add_triangles(CANISTER, concatenate(parts), lit=False)
 
     def show_cameras(self, pictures: Pictures, clicked: Callable[[int, viser.ClientHandle], None]) -> None:
-        """Draw the cameras with their pictures; a click calls ``clicked``."""
+        """Draw the cameras with their pictures. A click on a camera calls ``clicked``."""
         for place, view in enumerate(pictures.views):
             high = view.camera.image_wh[1]
             handle = self.show_camera(str(place), view, pictures.picture(place)[:: max(1, high // 90), :: max(1, high // 90)])
@@ -237,7 +239,7 @@ class Scene3d:
             self._keep("/measure/line", line)
 
     def set_visible(self, prefix: str, *, visible: bool) -> None:
-        """Show or hide everything whose name has a prefix."""
+        """Show or hide all objects whose names have a prefix."""
         for name, handle in self._handles.items():
             if name.startswith(prefix) and handle.visible != visible:
                 handle.visible = visible
@@ -246,7 +248,7 @@ class Scene3d:
         return name in self._handles
 
     def clear(self) -> None:
-        """Remove everything."""
+        """Remove all objects."""
         for name in list(self._handles):
             self.drop(name)
         self._chunks.clear()
@@ -264,24 +266,24 @@ class Scene3d:
         self._handles[name] = handle
 
     def drop(self, name: str) -> None:
-        """Remove an object."""
+        """Remove an object, if it exists."""
         handle = self._handles.pop(name, None)
         if handle is not None:
             handle.remove()
 
 
 def field_of_view(view: View) -> float:
-    """Return a picture's vertical field of view (radians)."""
+    """Return the vertical field of view of a picture, rad."""
     return 2.0 * float(np.arctan(view.camera.image_wh[1] / 2.0 / view.camera.focal_px[1]))
 
 
 def quaternion(rotation: Array) -> Array:
-    """Return the quaternion (w, x, y, z) of a rotation matrix."""
+    """Return the quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     return np.asarray(viser.transforms.SO3.from_matrix(rotation).wxyz)
 
 
-def _outward(centre_mm: Array, share: Array, *, neighbours: int = 24) -> Array:
-    """Return outward unit directions (N, 3) of voxels: away from the mass of their neighbours."""
+def _outward_directions(centre_mm: Array, share: Array, *, neighbours: int = 24) -> Array:
+    """Return unit directions (N, 3) that point outwards from the shape, away from the mass of neighbouring voxels."""
     from scipy.spatial import cKDTree  # loaded on first use
 
     count = min(neighbours, len(centre_mm))
@@ -300,7 +302,7 @@ def _wall(
     end: float = 2.0 * np.pi,
     steps: int = 72,
 ) -> Triangles:
-    """Return part of a cylinder's wall about z, visible from inside only: the near half does not hide the roots."""
+    """Return part of a cylinder wall about z, visible from inside only so that its near half hides no roots."""
     angle = np.linspace(begin, end, steps + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices = np.concatenate([np.column_stack([radius * ring, np.full(len(ring), z)]) for z in (low, high)])
@@ -311,7 +313,7 @@ def _wall(
 
 
 def _disc(radius: float, z: float, colour: tuple[int, int, int, int], steps: int = 72) -> Triangles:
-    """Return a disc that is visible from above."""
+    """Return a horizontal disc that is visible from above."""
     angle = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(steps, z)], axis=1)])
     a = np.arange(steps)

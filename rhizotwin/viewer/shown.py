@@ -1,4 +1,4 @@
-"""A result in the viewer, with edits, pictures, surface and truth, each loaded on first use."""
+"""Result in the viewer with corrections, pictures, surface and truth, which are loaded on first use."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rhizotwin.stored import result_files
 from rhizotwin.through_water import Pictures
 
 TRIANGLES = 100_000
-"""Most triangles of a displayed surface."""
+"""Maximum number of triangles of a displayed surface."""
 FARTHEST_MM = 1.0
-"""End of the colour scale of distances to the truth."""
+"""Distance to the truth at the end of the colour scale, mm."""
 
 
 class Shown:
-    """A result with everything that the viewer can display of it."""
+    """Result with all data that the viewer can display."""
 
     def __init__(self, folder: Path, dataset_folder: Path | None) -> None:
         self.session = Session(folder)
@@ -37,40 +37,43 @@ class Shown:
 
     @property
     def name(self) -> str:
-        """Return the name of its folder."""
+        """Return the name of the result's folder."""
         return self.session.folder.name or str(self.session.folder)
 
     @cached_property
     def dataset(self) -> Dataset | None:
-        """Return the given dataset, or the one that the result names; None if that no longer exists."""
+        """Return the given dataset, or else the dataset recorded in the result.
+
+        None if the recorded dataset no longer exists.
+        """
         return result_files.find_dataset(self.session.folder, self.session.summary, self._given)
 
     @cached_property
     def pictures(self) -> Pictures | None:
-        """Return the pictures with cameras; None without the dataset."""
+        """Return the pictures with calibrated cameras. None without the dataset."""
         return None if self.dataset is None else Pictures.of(self.dataset, self.session.summary)
 
     @property
     def truth_file(self) -> Path | None:
-        """Return the file of the true solid of a simulated dataset."""
+        """Return the mesh file of the true solid, None unless the dataset was simulated."""
         file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
         return file if file is not None and file.is_file() else None
 
     @cached_property
     def truth(self) -> Mesh | None:
-        """Return the true solid of a simulated dataset, closed and with few triangles."""
-        return None if self.truth_file is None else _for_display(result_files.read_mesh(self.truth_file))
+        """Return the true solid of a simulated dataset, closed and simplified. None if unknown."""
+        return None if self.truth_file is None else _simplify_for_display(result_files.read_mesh(self.truth_file))
 
     def surface(self) -> Mesh:
-        """Return the edited surface, closed and with few triangles."""
+        """Return the surface after corrections, closed and simplified."""
         with self._loading:
             edits = self.session.log.edits
             if self._surface is None or self._surface[0] != edits:
-                self._surface = edits, _for_display(self._full_mesh())
+                self._surface = edits, _simplify_for_display(self._full_mesh())
             return self._surface[1]
 
     def traits(self) -> Traits:
-        """Measure the traits of the edited result, as the report of the corrected result does."""
+        """Measure the traits after corrections, in the same way as for the report of a corrected result."""
         from rhizotwin.corrections import corrected
         from rhizotwin.stored import stored_traits
 
@@ -83,7 +86,7 @@ class Shown:
             return self._traits[1]
 
     def _full_mesh(self) -> Mesh:
-        """Return the edited surface with all its triangles."""
+        """Return the surface after corrections with all its triangles."""
         from rhizotwin.corrections import corrected
 
         edits = self.session.log.edits
@@ -92,15 +95,15 @@ class Shown:
         return self._mesh[1]
 
     def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
-        """Return colours of vertices by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
+        """Return vertex colours (V, 3) by distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
         from rhizotwin import root_colours
         from rhizotwin.scoring import surface_distance
 
         if self.truth is None:
-            raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")
+            raise UserError(f"{self.name} cannot be compared with the truth, because the scan was not simulated")
         away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)
         return root_colours.scale_colours(away / FARTHEST_MM)
 
 
-def _for_display(mesh: Mesh) -> Mesh:
+def _simplify_for_display(mesh: Mesh) -> Mesh:
     return surface_mesh.simplify(surface_mesh.close(mesh), TRIANGLES)

@@ -1,4 +1,4 @@
-"""Roots as tubes for display, with as few nodes and corners as the screen resolves."""
+"""Meshes of roots as tubes for display, with the minimum number of nodes and corners that the screen resolves."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ Bytes = NDArray[np.uint8]
 Index = NDArray[np.int64]
 
 OFF_MM, OFF_SHARE = 0.05, 0.08
-"""Largest distance between a displayed tube and the exact one, absolute and relative to its radius: a third of a pixel
-for a plant of 130 mm on a screen of 1,000 pixels."""
+"""Maximum deviation of a displayed tube from the exact tube, mm and as a fraction of its radius. The larger of both
+applies. They are a third of a pixel for a plant of 130 mm on a screen of 1,000 pixels."""
 FEWEST, MOST = 4, 10
-"""Corners around a tube."""
+"""Minimum and maximum number of corners around a tube."""
 _COLOUR_STEP = 24.0
-"""Largest error (of 255) of colours interpolated between two displayed nodes."""
+"""Maximum error of an interpolated colour between two displayed nodes, 0 to 255."""
 _ROUNDS = 6
-"""Rounds in which every other node may be dropped: at most 63 of 64."""
+"""Number of rounds, in each of which every other node may be dropped. At most 63 of 64 nodes are dropped."""
 
 
 def mesh_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOST) -> Triangles:
-    """Return the tubes of roots or parts of roots.
+    """Return the mesh of the tubes of roots or parts of roots.
 
     Parameters
     ----------
     lines : sequence of Line
-        One or more.
+        At least one root or part of a root.
     colours : sequence of (P, 3) uint8 array
         Colours at the points of each line.
     most : int
-        Largest number of corners around a tube.
+        Maximum number of corners around a tube.
 
     Returns
     -------
     Triangles
-        Closed at all ends.
+        Mesh of all tubes, closed at their ends.
     """
     ends = np.cumsum([len(line.points_mm) for line in lines])
     shown = np.split(select_nodes(lines, np.concatenate(colours)), ends[:-1])
@@ -60,23 +60,24 @@ def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Triangles:
 
 
 def select_nodes(lines: Sequence[Line], colours: Bytes) -> NDArray[np.bool_]:
-    """Return which points of roots are displayed: position, radius and colour of the others can be interpolated.
+    """Select the displayed points of roots, between which positions, radii and colours are interpolated.
 
     Parameters
     ----------
     lines : sequence of Line
+        Roots or parts of roots.
     colours : (N, 3) uint8 array
         Colours of the points of all lines, concatenated.
 
     Returns
     -------
     (N,) bool array
-        True at both ends of each line.
+        Whether a point is displayed. The ends of each line are always displayed.
     """
     counts = np.array([len(line.points_mm) for line in lines])
     radii = np.concatenate([line.diameters_mm for line in lines]) / 2.0
     values = np.column_stack([np.concatenate([line.points_mm for line in lines]), radii, colours.astype(np.float64)])
-    off = _off_mm(radii)
+    off = _tolerance_mm(radii)
     last = np.cumsum(counts) - 1
     fixed = np.zeros(len(values), bool)
     fixed[last], fixed[last - counts + 1] = True, True
@@ -99,11 +100,11 @@ def select_nodes(lines: Sequence[Line], colours: Bytes) -> NDArray[np.bool_]:
     return keep
 
 
-def _off_mm(radius_mm: Array) -> Array:
+def _tolerance_mm(radius_mm: Array) -> Array:
     return np.maximum(OFF_MM, OFF_SHARE * radius_mm)
 
 
 def corners(radius_mm: float) -> int:
-    """Return the number of corners of a tube, from the largest distance between its flats and the circle."""
-    inside = 1.0 - float(_off_mm(np.array(radius_mm))) / max(radius_mm, OFF_MM)
+    """Return the number of corners around a tube at which its deviation from a circle is tolerable."""
+    inside = 1.0 - float(_tolerance_mm(np.array(radius_mm))) / max(radius_mm, OFF_MM)
     return int(np.clip(np.ceil(np.pi / np.arccos(inside)), FEWEST, MOST))

@@ -1,4 +1,4 @@
-"""The tab "View" of the panel: preset views, layers, colours, screenshot and movie, clipping."""
+"""Panel tab "View": preset views, layers, colours, screenshot, movie and clipping."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _AXES = ((2, "Height (mm)"), (0, "x (mm)"), (1, "y (mm)"))
 
 
 def add(viewer: Viewer) -> None:
-    """Add preset views, screenshot and movie, layers, colours and clipping."""
+    """Add preset views, layers, colours, screenshot, movie and clipping."""
     gui = viewer.served.server.gui
     preset = gui.add_button_group("View", tuple(VIEWS))
 
@@ -105,7 +105,7 @@ def _add_capture(viewer: Viewer) -> None:
         try:
             client.send_file_download(f"{viewer.shown.name}_{ending}", make(client), save_immediately=True)
         except (TimeoutError, RuntimeError) as error:
-            viewer.notify(f"the browser rendered no picture ({error}); keep its window visible and try again")
+            viewer.notify(f"the browser could not render the picture ({error}); keep the browser window visible and try again")
         finally:
             picture.disabled = movie.disabled = bar.visible = False
             recording.release()
@@ -124,7 +124,7 @@ def _add_capture(viewer: Viewer) -> None:
 
 
 def _add_clipping(viewer: Viewer) -> None:
-    """Add a slider for each axis that hides what is outside its range."""
+    """Add a slider per axis that clips the display to a range of coordinates."""
     gui = viewer.served.server.gui
     centre = viewer.shown.session.measure().solid.centre_mm
     low, high = np.floor(centre.min(axis=0)) - 1.0, np.ceil(centre.max(axis=0)) + 1.0

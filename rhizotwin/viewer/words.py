@@ -1,4 +1,4 @@
-"""Texts of the viewer's panel as HTML; everything from files is escaped."""
+"""HTML texts of the viewer's panel. Text from files is escaped."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PADDED = "<div style='padding:0.3em 0.8em'>"
 
 
 def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
-    """Return the volume with its interval and the length of the roots; after corrections also the new volume."""
+    """Return volume, interval and total root length, and the corrected volume if there are corrections."""
     found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
     headline, beside = words.headline(summary)
     text = f"<b>{headline.removeprefix('volume ')}</b>, {beside}"
@@ -35,20 +35,20 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
     roots = f"{measured.length_mm:.0f} mm in {measured.roots} root{'' if measured.roots == 1 else 's'}"
     if edits:
         moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
-        by = f"{moved:+.2f} %" if abs(moved) >= 0.005 else "unchanged to 0.01 %"
-        text += f"<br>as corrected: <b>{ml(measured.volume_mm3, half_mm3=0.5 * (high - low))} ml</b> ({by}), {roots}"
+        by = f"{moved:+.2f} %" if abs(moved) >= 0.005 else "changed by less than 0.01 %"
+        text += f"<br>after corrections: <b>{ml(measured.volume_mm3, half_mm3=0.5 * (high - low))} ml</b> ({by}), {roots}"
     elif measured.roots:
         text += f"<br>{roots}"
     return f"{_PADDED}{text}</div>"
 
 
 def root_name(number: int, line: Line, order: int) -> str:
-    """Return the entry of a root in a list."""
+    """Return the name of a root in the list of roots."""
     return f"root {number}: {order_name(order)}, {line.length_mm:.1f} mm"
 
 
 def root(number: int, lines: Lines, order: int) -> str:
-    """Return length, order, angles and diameter of a root."""
+    """Return length, order, angles and diameter of a root as an HTML table."""
     line = lines[number]
     parent = lines.get(line.parent)
     angles = f"{_to_vertical_deg(line):.0f}° to the vertical (mean)"
@@ -58,7 +58,7 @@ def root(number: int, lines: Lines, order: int) -> str:
         ("length", f"{line.length_mm:.1f} mm, tip {'visible' if line.tip_seen else 'hidden by other roots'}"),
         ("order", f"{order_name(order)}; {laterals} lateral{'' if laterals == 1 else 's'}"),
         ("angle", angles if to_parent is None else f"{angles}, {to_parent:.0f}° to its parent"),
-        ("diameter", _mean_diameter(line)),
+        ("diameter", _mean_diameter_text(line)),
     ]
     cell = "padding-right:0.8em;white-space:nowrap;vertical-align:top"
     table = "".join(f"<tr><td style='{cell}'>{name}</td><td>{value}</td></tr>" for name, value in rows)
@@ -66,9 +66,9 @@ def root(number: int, lines: Lines, order: int) -> str:
 
 
 def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
-    """Return the size of the selection."""
+    """Return a text with the number and size of the selected roots and voxels."""
     if not roots and not voxels:
-        return f"{_PADDED}Nothing is selected: click a root, or hold Shift and drag a rectangle.</div>"
+        return f"{_PADDED}Nothing is selected. Click a root, or hold Shift and drag a rectangle.</div>"
     parts = []
     if roots:
         parts.append(f"{roots} root{'' if roots == 1 else 's'}, {length_mm:.1f} mm")
@@ -78,14 +78,14 @@ def selection(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> s
 
 
 def edit(one: Edit) -> str:
-    """Return a correction in a few words."""
+    """Return a short description of a correction."""
     if one.roots:
         return f"{one.do} ({', '.join(str(number) for number in one.roots[:4])}{', ...' if len(one.roots) > 4 else ''})"
     return f"{one.do} ({sum(count for _, count in one.runs)})" if one.runs else one.do
 
 
 def history(edits: Sequence[Edit]) -> str:
-    """Return the list of corrections, the last one first."""
+    """Return the list of corrections, latest first."""
     if not edits:
         return note("No corrections yet.")
     last_first = list(enumerate(edits, start=1))[::-1]
@@ -95,7 +95,7 @@ def history(edits: Sequence[Edit]) -> str:
 
 
 def colour_key(key: Key) -> str:
-    """Return a colour key: swatches with labels, or a scale with the labels of its ends."""
+    """Return the colour key: swatches with labels, or a scale with labels at its ends."""
     box = "display:inline-block;height:0.8em;border-radius:3px;margin:0 0.4em 0 0;vertical-align:-0.05em"
     swatches = "".join(
         f"<div><span style='{box};width:0.9em;background:rgb{rgb}'></span>{html.escape(label)}</div>" for rgb, label in key.swatches
@@ -109,7 +109,7 @@ def colour_key(key: Key) -> str:
 
 
 def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
-    """Return the table of traits with their 90 % intervals, which are unknown after corrections."""
+    """Return the table of traits with 90 % intervals, which are not known after corrections."""
     rows = []
     assessed = assessments.assess(summary, found)
     for definition in DEFINITIONS:
@@ -122,17 +122,17 @@ def traits(found: Traits, *, edited: bool, summary: dict[str, Any]) -> str:
             f"<tr title='{html.escape(meaning)}'><td style='padding-right:0.8em'>{html.escape(name)}</td>"
             f"<td>{html.escape(shown)}{below}</td></tr>"
         )
-    head = "<b>As corrected</b>" if edited else "Point at a line for its definition."
+    head = "<b>After corrections</b>" if edited else "Move the mouse over a trait to see its definition."
     return f"{_PADDED}{head}<table>{''.join(rows)}</table></div>"
 
 
 def note(text: str) -> str:
-    """Return a sentence, escaped."""
+    """Return an escaped sentence as an HTML element."""
     return f"{_PADDED}{html.escape(text)}</div>"
 
 
 def profile(line: Line, *, width: int = 300, height: int = 76) -> str:
-    """Return a plot of the diameter along a root (SVG)."""
+    """Return a plot of the diameter along a root as SVG."""
     way, most = line.way_mm, max(float(line.diameters_mm.max()), 1e-6)
     x = 30 + (width - 40) * way / max(float(way[-1]), 1e-6)
     y = 8 + (height - 28) * (1.0 - line.diameters_mm / most)
@@ -151,14 +151,14 @@ def _to_vertical_deg(line: Line) -> float:
     return float(np.rad2deg(np.arccos(cosine)) @ size / max(size.sum(), 1e-12))
 
 
-def _mean_diameter(line: Line) -> str:
-    """Return the mean diameter with its 90 % half-width; errors along a root are assumed fully correlated."""
+def _mean_diameter_text(line: Line) -> str:
+    """Return the mean diameter with the half-width of its 90 % interval, for fully correlated errors along the root."""
     half_mm = half_widths(line)
-    text = f"{_mean(line, line.diameters_mm):.2f}"
-    return f"{text} mm on average" if half_mm is None else f"{text} ± {_mean(line, half_mm):.2f} mm on average (90 %)"
+    text = f"{_weighted_mean(line, line.diameters_mm):.2f}"
+    return f"{text} mm on average" if half_mm is None else f"{text} ± {_weighted_mean(line, half_mm):.2f} mm on average (90 %)"
 
 
-def _mean(line: Line, values: Array) -> float:
-    """Return the mean along a root of values (N,) at its points."""
+def _weighted_mean(line: Line, values: Array) -> float:
+    """Return the length-weighted mean of values (N,) at the points of a root."""
     size = polyline.steps_mm(line.points_mm)
     return float((values[1:] + values[:-1]) / 2.0 @ size / max(size.sum(), 1e-12))

@@ -88,7 +88,7 @@ def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, st
     command.fails("export", made, made, "-o", tmp_path / "x.ply", named=["one result"])
     command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["does not exist"])
     (tmp_path / "empty").mkdir()
-    command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["contains no dataset"])
+    command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["contains neither a dataset"])
     (tmp_path / "empty" / "elsewhere").symlink_to(made)
     command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["is a link"])
     copy = tmp_path / "copy"

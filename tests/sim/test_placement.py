@@ -35,7 +35,7 @@ def build(specimen: MeshSpecimen | RsmlSpecimen) -> SpecimenSolid:
 
 def test_a_root_with_its_collar_at_zero_is_hung_below_the_grid(tmp_path: Path) -> None:
     file = rsml(tmp_path / "a.rsml", [(50, 0, 0), (50, 0, -40), (70, 0, -80)])
-    with pytest.raises(UserError, match="--place auto moves it below the grid"):
+    with pytest.raises(UserError, match="Move it below the grid with --shift-mm"):
         build(RsmlSpecimen(file=file))
     solid = build(RsmlSpecimen(file=file, place="auto"))
     (root,) = solid.roots
@@ -91,6 +91,6 @@ def test_what_a_refusal_advises_is_accepted(tmp_path: Path, size: float) -> None
 def test_centimetres_that_look_like_dots_per_inch_are_told(tmp_path: Path) -> None:
     file = rsml(tmp_path / "a.rsml", [(0, 0), (0, 3000)], unit="cm", resolution="300", diameter=20)
     notes = build(RsmlSpecimen(file=file, place="auto")).notes
-    assert "one step of the file is 0.03333 mm" in notes[0]
+    assert "one unit of the coordinates in the file is 0.03333 mm" in notes[0]
     assert "'0.08467 mm'" in notes[1]
     assert len(build(RsmlSpecimen(file=file, place="auto", unit="0.03 mm")).notes) == 1

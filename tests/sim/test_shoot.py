@@ -45,7 +45,7 @@ def test_a_flat_blade_has_the_area_of_its_outline_and_that_times_its_thickness()
 
 
 def test_leaves_in_the_pot_are_refused() -> None:
-    with pytest.raises(UserError, match=r"below the net pot's top .* increase shoot\.elevation_deg"):
+    with pytest.raises(UserError, match=r"below the top of the net pot .* Increase shoot\.elevation_deg"):
         build(elevation_deg=-40.0)
 
 

@@ -79,11 +79,11 @@ def test_the_manifest_tells_nothing_of_the_specimen(tmp_path: Path) -> None:
     truth = load_truth(tmp_path / "set")
     notes = truth.drawn["notes"]
     assert len(notes) == 2
-    assert "inside out" in notes[0]
+    assert "pointed inwards" in notes[0]
     assert truth.drawn["specimen"]["file"] == scene.specimen.file
     # A checksum may hold any four digits in a row by chance.
     text = re.sub(r'"[0-9a-f]{40,64}"', '""', (tmp_path / "set" / "dataset.json").read_text())
-    for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", *notes, "inside out"):
+    for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", *notes, "pointed inwards"):
         assert secret not in text
     assert made.scene.specimen is None
     assert not made.scene.description
@@ -133,7 +133,7 @@ def test_another_setting_or_a_foreign_folder_is_refused(copy: Path, tmp_path: Pa
         make(copy, tiny(views=2))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("important")
-    with pytest.raises(UserError, match="not empty"):
+    with pytest.raises(UserError, match="contains files that are not"):
         make(tmp_path / "other", tiny())
     (copy / rhizotwin.sim.simulate.PROGRESS_FILE).write_text("{")
     with pytest.raises(UserError, match="damaged"):
@@ -146,7 +146,7 @@ def test_another_setting_or_a_foreign_folder_is_refused(copy: Path, tmp_path: Pa
 def test_a_set_begun_with_another_program_is_refused(whole: Path, copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(rhizotwin.sim.simulate, "versions", lambda names: {"rhizotwin": "8.8"} | dict.fromkeys(names, "9.9"))
-        with pytest.raises(CannotContinueError, match=r"made with another rhizotwin \(.*, now 8\.8\), mitsuba \(3.*, now 9\.9\)"):
+        with pytest.raises(CannotContinueError, match=r"with different settings \(rhizotwin \(.*, now 8\.8\), mitsuba \(3.*, now 9\.9\)"):
             make(copy, tiny())
     assert contents(copy) == contents(whole)
     record = copy / rhizotwin.sim.simulate.PROGRESS_FILE

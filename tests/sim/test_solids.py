@@ -96,7 +96,7 @@ def test_many_tubes_are_united_by_twos_with_progress(monkeypatch: pytest.MonkeyP
 
 
 def test_nothing_to_unite_is_refused() -> None:
-    with pytest.raises(UserError, match="no root with a length"):
+    with pytest.raises(UserError, match="no root has a length"):
         solids.unite_roots([tube(np.zeros((1, 3)), 1.0)])
 
 

@@ -226,7 +226,7 @@ def test_result_folder_with_other_content(scan: Path, command: Command) -> None:
     command.fails("simulate", "sphere_20mm", "-o", result, "--device", "cpu", named=[result, "not empty", "choose a new folder"])
     command.fails("simulate", "sphere_20mm", "-o", result / "notes.txt", "--device", "cpu", named=["notes.txt: is a file"])
     words = ("simulate", "printed_8ml", "-o", scan / "dataset", "--device", "cpu")
-    command.fails(*words, named=[scan / "dataset", "made with another", "scene", "choose a new folder"])
+    command.fails(*words, named=[scan / "dataset", "different settings", "scene", "choose a new folder"])
     nothing_left(scan, "dataset", "result")
     assert (result / "notes.txt").read_text() == "years of work"
 
@@ -234,12 +234,12 @@ def test_result_folder_with_other_content(scan: Path, command: Command) -> None:
 def test_score(scan: Path, command: Command) -> None:
     words, dataset, truth = ("score", scan / "result", scan / "dataset", "--json"), scan / "dataset", scan / "dataset" / "truth"
     truth.rename(scan / "truth")
-    assert command.fails(*words, named=[dataset, "no ground truth", "only simulated"]).out == ""
+    assert command.fails(*words, named=[dataset, "no ground truth", "use a simulated dataset"]).out == ""
     (scan / "truth").rename(truth)
     replace_text(dataset / "dataset.json", '"name": "sphere_20mm"', '"name": "other"')
-    assert command.fails(*words, named=["was not reconstructed from", "sphere_20mm", "give the dataset"]).out == ""
+    assert command.fails(*words, named=["was not reconstructed from", "sphere_20mm", "specify the dataset"]).out == ""
     cut(scan / "result" / "shape.npz")
-    assert command.fails(*words, named=["shape.npz", "damaged", "reconstruct again"]).out == ""
+    assert command.fails(*words, named=["shape.npz", "damaged", "repeat the reconstruction"]).out == ""
 
 
 def test_no_llvm(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> None:

@@ -185,12 +185,12 @@ def edit(**changes: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"shape_sha256": "0" * 64}, "corrections of a different result"),
+        ({"shape_sha256": "0" * 64}, "corrections of another result"),
         (edit(do="explode"), "'explode'"),
         (edit(file="/etc/passwd"), "unknown key 'file'"),
         (edit(do="delete roots", roots=["x"]), "'x'"),
-        (edit(point_mm=[0, 0, float("nan")]), "not a point"),
-        (edit(do="delete box", box_mm=[]), "not a readable log"),
+        (edit(point_mm=[0, 0, float("nan")]), "not a valid point"),
+        (edit(do="delete box", box_mm=[]), "could not be read as a log"),
         ({"schema_version": 99}, "schema_version"),
     ],
 )
@@ -231,7 +231,7 @@ def test_faces_beside_cubes_are_found():
     rng = np.random.default_rng(0)
     points, centre, reach = rng.uniform(-5.0, 5.0, (40_000, 3)), rng.uniform(-3.0, 3.0, (30, 3)), rng.uniform(0.05, 0.4, 30)
     inside = (np.abs(points[:, None] - centre[None]) <= reach[None, :, None]).all(axis=2).any(axis=1)
-    found = surface._beside(points, centre, reach)
+    found = surface._may_be_inside(points, centre, reach)
     assert inside.sum() > 50
     assert found[inside].all()
     assert found.mean() < 0.3

@@ -115,16 +115,16 @@ def test_what_is_left_on_the_foil_is_added(tmp_path: Path) -> None:
 MISTAKES = {
     "twice": ("plant,root_fresh_g\nA,1\nA,2\n", "plant A is listed twice, first in"),
     "no plant": ("plant,root_fresh_g\nA,1\n,2\n", "line 3: the name of the plant is missing"),
-    "no column plant": ("name,root_fresh_g\nA,1\n", "the column plant is missing"),
+    "no column plant": ("name,root_fresh_g\nA,1\n", "the column 'plant' is missing"),
     "two units": ("plant,root_fresh_g,shoot_fresh_mg\nA,1,2\n", "root_fresh_g, shoot_fresh_mg have different units"),
-    "unit in the cell": ("plant,root_fresh_g\nA,34 mg\n", "'34 mg', which is not a number; units belong in the column name"),
-    "unknown unit": ("plant,root_fresh_oz\nA,1\n", "use g, mg or kg"),
-    "nothing weighed": ("plant,height_mm\nA,1\n", "contains no mass column"),
+    "unit in the cell": ("plant,root_fresh_g\nA,34 mg\n", "'34 mg', which is not a number; write the unit in the column name"),
+    "unknown unit": ("plant,root_fresh_oz\nA,1\n", "must be g, mg or kg"),
+    "nothing weighed": ("plant,height_mm\nA,1\n", "contains no column of masses"),
     "below zero": ("plant,root_fresh_g\nA,-1\n", "must be positive"),
     "exceeds its fresh mass": ("plant,root_fresh_g,root_dry_g\nA,1,34\n", "exceeds its fresh mass"),
     "torn foil": ("plant,root_dry_g,root_foil_g,root_foil_scraped_g\nA,1,5,4\n", "was torn"),
     "comma decimals": ("plant,root_fresh_g\nA,0,5\n", "use a point as decimal separator"),
-    "empty": ("plant,root_fresh_g\n", "has no rows"),
+    "empty": ("plant,root_fresh_g\n", "contains no rows"),
 }
 
 
@@ -152,7 +152,7 @@ def test_a_model_of_another_species_is_refused(
     model, table = tmp_path / "model.json", tmp_path / "masses_told.csv"
     model_file.save_model(biomass.Model(species="Raphanus sativus", relations=by_volume, tried=(), notes=()), model)
     lettuce = ball_result("lettuce", subject={"plant": "L1", "species": "Lactuca sativa"})
-    named = ["L1 belongs to the species Lactuca sativa, but the model was fitted to Raphanus sativus"]
+    named = ["L1 is of the species Lactuca sativa, but the model was fitted to Raphanus sativus"]
     command.fails("biomass", "predict", lettuce, "--model", model, named=named)
     radish = ball_result("radish", subject={"plant": "R1", "species": "Raphanus sativus"})
     command.works("biomass", "predict", radish, "--model", model, "-o", table)
@@ -169,7 +169,7 @@ def test_results_without_trust_and_without_partner_are_told(twins: list[Measured
     ]
     found, notes = biomass.pairs(doubted, read_masses(path, balance_g=1e-4))
     assert len(biomass.ratios(found)) == 19
-    assert any("no result of plant P99" in note for note in notes)
+    assert any("plant P99 has no result" in note for note in notes)
     assert "volume: 1 of 20 values are excluded, because they are not reliable: too few views" in notes
 
 

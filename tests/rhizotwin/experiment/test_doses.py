@@ -106,7 +106,7 @@ def table(folder: Path, *, change: bool = False) -> Path:
 def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Command) -> None:
     out = tmp_path / "growth"
     told = command.works("growth", table(tmp_path), "-o", out).out
-    assert "from 1.34 to 10.7 mmol/l K, together with H2PO4, NO3, on the mean day" in told
+    assert "from 1.34 to 10.7 mmol/l K (together with H2PO4, NO3) on the mean day" in told
     (row,) = csv.DictReader((out / "doses.csv").read_text(encoding="utf-8").splitlines())
     assert (row["trait"], row["ion"], row["together_with"], row["levels"]) == ("total_length_mm", "K", "H2PO4 NO3", "4")
     assert float(row["low"]) < SLOPE < float(row["high"])
@@ -115,9 +115,7 @@ def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Com
     assert "K (mmol/l)" in (out / "traits.csv").read_text(encoding="utf-8").splitlines()[0]
 
 
-@pytest.mark.parametrize(
-    ("cell", "named"), [("-1", "must not be negative"), ("5 mmol/l", "is not a number"), ("inf", "not a finite number")]
-)
+@pytest.mark.parametrize(("cell", "named"), [("-1", "must be at least 0"), ("5 mmol/l", "is not a number"), ("inf", "not a finite number")])
 def test_a_wrong_concentration_is_one_sentence(cell: str, named: str, tmp_path: Path) -> None:
     path = tmp_path / "traits.csv"
     path.write_text(f"plant,day,total_length (mm),K (mmol/l)\np1,5,10,{cell}\n", encoding="utf-8")
@@ -129,9 +127,10 @@ def test_a_trait_without_a_response_is_said(tmp_path: Path) -> None:
     path = tmp_path / "traits.csv"
     path.write_text("plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n", encoding="utf-8")
     notes = growth.measure(read_all([path])).notes
-    assert "total_length: no dose response: 2 plants are too few, or their concentrations are collinear" in notes
+    why = "2 plants are too few or their concentrations are collinear"
+    assert f"total_length: the dose response could not be fitted, because {why}" in notes
 
 
 def test_a_plant_in_two_solutions_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"plant p0 has two nutrient solutions: .* differ in"):
+    with pytest.raises(UserError, match=r"plant p0 has two nutrient solutions\. .* differ in"):
         growth.measure(read_all([table(tmp_path, change=True)]))

@@ -53,7 +53,7 @@ def test_effect_of_the_scale():
 def test_caution_only_beside_small_effects():
     charts = {"focal_left": chart_of(DAYS, [1.0 + 0.002 * day for day in DAYS])}
     (caution,) = drift_cautions(charts, "volume", 1.04)
-    assert "the focal length changed by 1.8 % over the experiment, which could change the volume by 5.4 %" in caution
+    assert "the focal length changed by 1.8 % during the experiment, which could change the volume by 5.4 %" in caution
     assert drift_cautions(charts, "volume", 0.8) == drift_cautions(charts, "tips", 1.001) == []
 
 
@@ -86,5 +86,5 @@ def test_growth_says_so_beside_a_small_effect(ball_result):
     growth = measure(read_all(folders))
     assert growth.drift["focal_left"].has_trend
     (caution,) = [one for one in sentences(growth) if "caution" in one]
-    assert "the focal length changed by 2 % over the experiment" in caution
-    assert "as much as this difference" in caution
+    assert "the focal length changed by 2 % during the experiment" in caution
+    assert "as much as the treatments differ" in caution

@@ -188,7 +188,7 @@ def test_mistakes_are_one_sentence(ball_result: Callable[..., Path], tmp_path: P
         ball_result(f"results/P{k}", **subject(f"P{k}", treatment, 8.0))
     strips = [subject("P0", "control", day) | {"strip": {"columns": columns}} for day, columns in ((20.0, 31), (25.0, 29))]
     for more, named in (
-        ([subject("P0", "control", None)], "plant P0 has no day"),
+        ([subject("P0", "control", None)], "the day of plant P0 is missing"),
         ([subject(None, None, 20.0)], "the name of the plant is missing"),
         ([subject("P0", "control", 8.0)], "plant P0 occurs twice on day 8"),
         ([subject("P0", "low N", 20.0)], "plant P0 has two treatments"),

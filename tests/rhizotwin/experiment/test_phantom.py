@@ -38,7 +38,7 @@ def test_sections_by_hand(tmp_path: Path):
         "measured within 3 %",
         "measured within 3 %",
         "not measurable within 3 %",
-        "not measurable: too little of it was found",
+        "not measurable: less than 10 mm of the wire were detected",
     ]
 
 
@@ -50,7 +50,7 @@ def test_diameter_from_mass():
 def test_mistakes_are_named(tmp_path: Path):
     with pytest.raises(UserError, match="too similar"):
         measure_wires(tmp_path, (0.4, 0.5))
-    with pytest.raises(UserError, match="no centre lines were found"):
+    with pytest.raises(UserError, match="found no centre lines"):
         measure_wires(tmp_path, WIRES)
 
 

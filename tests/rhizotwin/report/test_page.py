@@ -242,13 +242,13 @@ def test_counts_are_whole_and_numbers_have_the_digits_that_the_interval_leaves()
     def shown(field: str, value: float, interval: tuple[float, float] | None = None, verdict: Verdict = "reliable") -> tuple[str, ...]:
         return words.trait_text(definitions[field], value, Assessment(verdict=verdict, interval=interval))
 
-    assert shown("max_root_count", 9.0)[:2] == ("Most roots at one height", "9")
+    assert shown("max_root_count", 9.0)[:2] == ("Maximum number of roots at one height", "9")
     assert shown("tips", 32, (29.6, 34.2))[1:3] == ("32", "30 to 34")
     assert shown("total_length_mm", 806.93, (786.0, 824.0))[1:3] == ("807 mm", "786 to 824")
     assert shown("mean_diameter_mm", 3.4042, (3.29, 3.51))[1:3] == ("3.40 mm", "3.29 to 3.51")
     assert shown("convex_hull_mm3", 137070.0)[1] == "137 ml"
     assert shown("total_length_mm", 486.0, (399.0, 518.0), "not reliable")[2] == "not reliable; 399 to 518"
-    assert shown("bushiness", 1.5)[3] == "most roots at one height over roots at a typical height (GiA Roots)"
+    assert shown("bushiness", 1.5)[3] == "maximum number of roots at one height over median number of roots per height (GiA Roots)"
     assert shown("roots", 3)[3] == "number of roots, taproots and laterals of every order"
 
 

@@ -68,7 +68,7 @@ def test_a_dataset_that_changes_meanwhile_does_not_spoil_the_report(scan, caplog
     (made.dataset / loaded.frames[0].file).unlink()
     assert "inputs.png" in [path.name for path in result_pictures.write_pictures(made.result, loaded)]
     assert "view_000.png: the picture is missing" in caplog.text
-    assert "leaves this picture out" in caplog.text
+    assert "written without this picture" in caplog.text
     shutil.rmtree(made.result / "pictures")
     with pytest.raises(UserError, match="was not reconstructed from"):
         result_pictures.write_pictures(made.result, made.dataset)

@@ -203,10 +203,10 @@ def test_the_command_line_scores_a_file(command: Command, made: Path) -> None:
 
 
 def test_stated_needs_an_interval_to_be_judged() -> None:
-    assert score_file._stated("volume", Stated(value=2.0), 1.0).holds is None
+    assert score_file._score_stated("volume", Stated(value=2.0), 1.0).holds is None
 
 
 def test_a_dataset_without_centre_lines_refuses_rsml(made: Path, tmp_path: Path) -> None:
     rsml.write_rsml(tmp_path / "roots.rsml", small_system())
-    with pytest.raises(UserError, match="no centre lines"):
+    with pytest.raises(UserError, match="no true centre lines"):
         score_file.score_rsml(tmp_path / "roots.rsml", made)

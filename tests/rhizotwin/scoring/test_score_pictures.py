@@ -108,7 +108,7 @@ def test_only_pictures_that_were_not_used_count(tmp_path: Path) -> None:
     assert found.iou > 0.9
     assert found.edge_median_px < 0.3
     assert min(found.explained, found.seen) > 0.97
-    assert "6 unused, 6 used pictures are ignored" in found.table()
+    assert "6 unused pictures were compared; 6 used pictures were excluded" in found.table()
     with pytest.raises(UserError, match="is the dataset of the result"):
         score_pictures(result, part, monitor=Monitor.of(None))
     with pytest.raises(UserError, match="all pictures"):

@@ -28,25 +28,26 @@ def truth(**drawn: object) -> Truth:
 
 def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
     by_name = {row.quantity: row for row in calibration_table.rows(RIG)}
-    assert by_name["index of the water"].taken
-    assert not by_name["focal length over the given"].taken
+    assert by_name["refractive index of the water"].taken
+    assert not by_name["focal length relative to the given value"].taken
     assert by_name["canister relative to the marker strip: tilt x"].found == pytest.approx(0.1)
     assert by_name["canister relative to the marker strip: offset y"].sigma == 0.002
     text = "\n".join(calibration_table.table(RIG))
-    assert "index of the water: given 1.333, found 1.3341 +- 0.0002" in text
-    assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (too uncertain: given value used)" in text
-    assert "roots, sideways: residual 0.090 px before, 0.050 px after" in text
+    assert "refractive index of the water: given 1.333, found 1.3341 +- 0.0002" in text
+    assert "focal length relative to the given value: given 1, found 1.0002 +- 0.0001 (too uncertain, the given value was used)" in text
+    assert "roots, perpendicular to their axes: residual 0.090 px before, 0.050 px after" in text
     assert calibration_table.table({}) == [], "cameras that were given leave none"
 
 
 def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
     views = [Camera(file=f"v{k}.png", ring=0, used=True, table_deg=90.0 * k + 0.5 + (0.01 if k % 2 else -0.01)) for k in range(4)]
     errors = {error.quantity: error for error in compare_rig(RIG, views, truth(focal_error=0.0))}
-    assert errors["index of the water"].error == pytest.approx(1e-4)
-    assert "0.5 standard deviations" in errors["index of the water"].text
+    assert errors["refractive index of the water"].error == pytest.approx(1e-4)
+    assert "0.5 standard deviations" in errors["refractive index of the water"].text
     assert errors["canister relative to the marker strip: offset x"].error == pytest.approx(-0.004)
     assert "2.0 standard deviations" in errors["canister relative to the marker strip: offset x"].text
-    assert errors["focal length over the given"].true == 1.0
+    assert errors["focal length relative to the given value"].true == 1.0
     assert errors["table angles (rms)"].found == pytest.approx(0.01)
     assert "canister relative to the turntable: tilt x" not in errors
-    assert "focal length over the given" not in {error.quantity for error in compare_rig(RIG, [], truth())}, "the truth does not know it"
+    unknown = "focal length relative to the given value"
+    assert unknown not in {error.quantity for error in compare_rig(RIG, [], truth())}, "the truth does not know it"

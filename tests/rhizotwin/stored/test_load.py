@@ -39,5 +39,5 @@ def test_a_value_of_another_kind_is_named(scan) -> None:
         ("volume_interval_mm3", [1.0]),
     ):
         made.edit_summary(**(good | {key: value}))
-        with pytest.raises(UserError, match=f"result.json has a value of the wrong kind for '{key}'"):
+        with pytest.raises(UserError, match=f"result.json contains an invalid value of '{key}'"):
             load_result(made.result)

@@ -90,11 +90,11 @@ def test_voxels_are_chosen_in_a_box_and_deleted_quickly(viewer: Viewer):
 
 def test_what_cannot_be_done_is_said(viewer: Viewer):
     viewer.delete()
-    assert viewer.message == "nothing is selected"
+    assert viewer.message == "nothing was deleted, because nothing is selected"
     viewer.pair("join")
-    assert "select two roots" in viewer.message
+    assert "two roots must be selected" in viewer.message
     viewer.restore()
-    assert viewer.message == "nothing was deleted"
+    assert viewer.message == "there are no deleted roots or voxels to restore"
 
 
 def test_pixels_are_those_of_the_reference(plant: plants.Plant):
@@ -147,7 +147,7 @@ def test_what_is_cut_away_cannot_be_clicked_and_what_is_left_has_both_its_sides(
     viewer.look.low_mm, viewer.look.high_mm = (-1e9, -1e9, float(point[2]) - 1.0), (1e9, 1e9, float(point[2]) + 1.0)
     parts = viewer.visible()[1]
     assert 0.0 < sum(part.length_mm for part in parts) < viewer.shown.session.state.lines[1].length_mm
-    surface = viewer._clipped(viewer.shown.surface())
+    surface = viewer._clip_mesh(viewer.shown.surface())
     assert surface is not None
     for shown in (np.concatenate([part.points_mm for part in parts]), surface.vertices_mm):
         assert np.abs(shown[:, 2] - point[2]).max() <= 1.0
@@ -316,5 +316,5 @@ def test_corrections_that_cannot_be_saved_are_reported(viewer: Viewer, monkeypat
     viewer.correct("delete roots", roots=[2])
     monkeypatch.setattr(log, "write", full)
     viewer.save()
-    assert viewer.message == "the corrections were not saved: the disk is full"
+    assert viewer.message == "the corrections could not be saved: the disk is full"
     assert viewer.unsaved() == 1
