@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MU, BLUR, HAIRS, INDEX = range(len(LIGHT))
-FAINTEST, DARKEST = 0.5, 8.0
+FAINTEST, DARKEST = 0.1, 8.0
 """Limits of the attenuation, 1/mm. Roots above the upper limit are assumed opaque.
 
 Translucent roots of the twin have 1.0 to 2.2. Fits to the blurred edges of opaque roots gave 9 to 16 (for a bean, with

@@ -1,0 +1,97 @@
+"""Split conformal calibration gives its nominal coverage, and the committed factors follow from the committed table."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks import conformal, intervals_page, intervals_table
+from benchmarks.intervals_table import TRAITS
+from rhizotwin.recon.settings import TrustSettings
+from rhizotwin.recon.uncertainty import calibration
+
+COMMITTED = Path(intervals_table.__file__).with_name("intervals.csv")
+
+
+def scans(count: int, *, seed: int, true_sigma: float = 0.02, half: float = 0.1) -> pd.DataFrame:
+    """Return volumes of 100 with normal errors, and intervals of one half-width."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for number in range(count):
+        true = 100.0 * (1.0 + true_sigma * rng.standard_normal())
+        row = {
+            "number": number,
+            "profile": "clean",
+            "family": "sphere",
+            "troubles": "",
+            "views": "24",
+            "width_px": 400,
+            "regime": "clear",
+            "reasons": "",
+        }
+        for trait in TRAITS:
+            row |= {
+                f"{trait}.true": true,
+                f"{trait}.value": 100.0,
+                f"{trait}.low": 100.0 * (1.0 - half),
+                f"{trait}.high": 100.0 * (1.0 + half),
+            }
+            row[f"{trait}.reliable"] = True
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def test_factors_make_wide_and_narrow_intervals_nominal() -> None:
+    for half in (0.1, 0.005):
+        factors = conformal.calibrate(scans(2000, seed=1, half=half))
+        assert factors["clear"]["volume_mm3"] == pytest.approx(1.645 * 0.02 / half, rel=0.06)
+        fresh = conformal.apply(scans(4000, seed=2, half=half), factors, widest=0.25)
+        assert conformal.holds(fresh, "volume_mm3").mean() == pytest.approx(0.9, abs=0.02)
+
+
+def test_coverage_over_repeated_small_calibrations_is_nominal() -> None:
+    held = []
+    for seed in range(150):
+        factors = conformal.calibrate(scans(19, seed=seed))
+        held.append(conformal.holds(conformal.apply(scans(50, seed=1000 + seed), factors, widest=0.25), "tips").mean())
+    assert np.mean(held) == pytest.approx(0.9, abs=0.02)
+
+
+def test_rank_of_the_quantile_by_hand() -> None:
+    assert conformal.conformal_quantile(np.arange(1.0, 20.0)) == 18.0  # ceil(20 * 0.9)
+    assert conformal.conformal_quantile(np.arange(1.0, 6.0)) == 5.0  # too few: the largest
+
+
+def test_interval_score_by_hand() -> None:
+    some = scans(3, seed=0)
+    for trait in TRAITS:
+        some[f"{trait}.true"] = [100.0, 80.0, 112.0]
+    # widths of 20, and 2 / 0.1 times what is outside, relative to the truth
+    assert conformal.interval_score(some, "volume_mm3").tolist() == pytest.approx(
+        [0.2, (20.0 + 20.0 * 10.0) / 80.0, (20.0 + 20.0 * 2.0) / 112.0]
+    )
+
+
+def test_probability_integral_is_uniform_for_intervals_of_the_right_width() -> None:
+    found = conformal.probability_integral(scans(4000, seed=3, half=1.645 * 0.02), "tips")
+    assert np.histogram(found, bins=4, range=(0.0, 1.0))[0] / 4000 == pytest.approx(np.full(4, 0.25), abs=0.03)
+
+
+def test_scans_that_a_check_refuses_are_not_calibrated_on() -> None:
+    some = scans(40, seed=0)
+    some.loc[:19, "reasons"] = "dirty_canister"
+    some.loc[20:29, "reasons"] = "wide_interval high_occluded"
+    assert conformal.is_eligible(some).sum() == 20
+
+
+def test_the_committed_factors_follow_from_the_committed_table() -> None:
+    table = intervals_table.read(COMMITTED)
+    stored = json.loads(calibration.TABLE.read_text(encoding="utf-8"))
+    assert conformal.calibrate(table[conformal.is_calibration(table)]) == stored["factors"]
+    text = intervals_page.page(table, stored["factors"], widest=TrustSettings.widest)
+    documented = (Path(__file__).parents[2] / "docs" / "intervals.md").read_text(encoding="utf-8")
+    assert all(line in documented for line in text.strip().splitlines() if line), (
+        "run `./run bench intervals --table benchmarks/intervals.csv`"
+    )
