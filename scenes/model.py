@@ -141,9 +141,6 @@ FAR_MM = 1.5e5
 
 An object 50 mm nearer than the axis is magnified by an additional 1/3000, which is 0.08 px at 250 px from the axis. At
 much larger distances, single precision cannot resolve heights to 1e-4 mm for a camera that is tilted by a degree.
-
-An object 50 mm nearer than the axis is magnified by an additional 1/3000, which is 0.08 px at 250 px from the axis. At
-a much larger distance, single precision no longer resolves heights to 1e-4 mm for a camera that is tilted by a degree.
 """
 
 

@@ -49,7 +49,7 @@ class DamagedError(UnfitError):
     """Raised if a picture is incomplete or damaged."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"the picture is {what}; copy it again, take it again, or exclude it")
+        super().__init__(f"the picture is {what}; copy or take it again, or exclude it")
 
 
 def check_picture(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:

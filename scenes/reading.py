@@ -38,7 +38,7 @@ def read_file(path: Path | str, *, most_mib: int = MOST_TEXT_MIB) -> bytes:
             check_size(path, os.fstat(stream.fileno()), most_mib=most_mib)
             return stream.read()
     except FileNotFoundError as error:
-        raise UserError(f"{path}: the file does not exist") from error
+        raise UserError(f"{path}: there is no such file") from error
     except IsADirectoryError as error:
         raise UserError(f"{path}: the path is a folder, but a file is required") from error
     except (OSError, ValueError) as error:

@@ -100,8 +100,7 @@ def measure_traits(
     Parameters
     ----------
     roots : sequence of Root
-        Roots with parents before children and points from base to tip, canister frame (z up). Empty if centre lines are
-        unknown.
+        Parents before children, points from base to tip, canister frame (z up); empty if centre lines are unknown.
     vertices_mm : (V, 3) float64 array
         Vertices of the solid's surface.
     volume_mm3, surface_mm2 : float

@@ -131,8 +131,6 @@ class ServoArm:
 
         If the protocol does not report the torque, return whether the arm is still in its last position, since an arm
         without torque drops.
-
-        If the protocol does not report this, whether the arm is still in its last position, as it drops without torque.
         """
         return self._prepared and self._limp() is None
 

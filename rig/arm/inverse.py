@@ -205,8 +205,6 @@ def _azimuth(at: Array, ahead: Array) -> Array:
     """Return the azimuth (...,) of the vertical plane that contains the base's axis and the camera, rad.
 
     For a camera on the base's axis, the plane contains the optical axis instead.
-
-    For a camera on that axis, it is the plane of the optical axis.
     """
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])

@@ -47,8 +47,6 @@ def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
     """Yield the parameters of every complete frame with this command, newest first.
 
     Unsolicited frames and garbage are skipped.
-
-    Unsolicited frames and garbage are skipped.
     """
     at = heard.rfind(HEADER)
     while at >= 0:
@@ -74,8 +72,6 @@ class LscBoard:
     """Driver of the servo controller board, connected to its TTL serial header.
 
     Do not send requests while the arm moves, because they make the motion jerky.
-
-    Do not request anything while the arm moves, as this makes the motion jerky.
     """
 
     least_move_s = 2.0
@@ -85,8 +81,6 @@ class LscBoard:
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
         """Start the moves of all given servos with one frame, without waiting for their end.
-
-        The move cannot be verified before its end.
 
         The move cannot be verified before its end.
 

@@ -21,8 +21,6 @@ class ServoBus(Protocol):
     """Servos that are addressed by number, with positions in counts of 0.24 deg.
 
     All methods raise `NoAnswerError` when their retries are exhausted.
-
-    All methods raise `NoAnswerError` when their retries are exhausted.
     """
 
     least_move_s: float

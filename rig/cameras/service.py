@@ -82,7 +82,7 @@ class CameraService:
             self._refuse_closed()
             if not self._session or session != self._session:
                 raise LostError(
-                    "the camera server was restarted, or another computer has taken over the camera; continue the scan with --resume"
+                    "the camera server was restarted, or another computer has taken over the camera; finish the scan with --resume"
                 )
             picture = self._pictures.get(name)
             if picture is None:

@@ -177,7 +177,7 @@ class ArmStand:
             if not self._arm.holds():
                 raise LostError(
                     "arm: a servo has lost its torque because its supply voltage dropped or it became too warm; "
-                    "correct this, then continue the scan with --resume"
+                    "correct this, then finish the scan with --resume"
                 )
             read = self._arm.read_joints()
             if self._clock.now_s() >= self._health_due_s:
@@ -189,7 +189,7 @@ class ArmStand:
             self.failed = True
             raise UnsafeError(
                 f"arm: joint {k + 1} moved from {placed.joints_read_deg[k]:.1f} to {read[k]:.1f} deg although it should be at rest; "
-                "find out what pushed it, then continue the scan with --resume"
+                "find out what pushed it, then finish the scan with --resume"
             )
         return placed.joints_deg, read
 

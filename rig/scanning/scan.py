@@ -227,7 +227,7 @@ class _Scan:
             self._observer.on_drop([file])
         raise RigError(
             f"turntable: {why}, because the table slipped or does not move, or the camera was pushed or hangs. The picture was removed; "
-            "free the table, check the camera, then continue the scan with --resume"
+            "free the table, check the camera, then finish the scan with --resume"
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
@@ -371,7 +371,7 @@ class _Scan:
                 return shot
         raise RigError(
             f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, "
-            "their supply and that nothing hides the panel, then continue the scan with --resume"
+            "their supply and that nothing hides the panel, then finish the scan with --resume"
         )
 
     def _remove_slipped(self, pictures: list[Taken]) -> str:
@@ -407,7 +407,7 @@ class _Scan:
             done = len(self._session.save().frames)
             motor = "" if self._turntable.lost else "; the table's motor remains on, so that the angle is not lost"
             if done:
-                self._say(f"{done} pictures are kept{motor}. Continue the scan with --resume")
+                self._say(f"{done} pictures are kept{motor}; finish the scan with --resume")
 
     def _say(self, text: str) -> None:
         self._say_line(text)

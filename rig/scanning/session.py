@@ -172,7 +172,7 @@ def _load_stopped(folder: Path, resume: bool) -> Dataset:
         raise UserError(f"{folder} contains a dataset that was not created by a scan; choose a new folder for the scan")
     if not resume:
         state = "a finished scan" if before.origin.get("complete") else f"a scan that was interrupted after {len(before.frames)} pictures"
-        hint = "" if before.origin.get("complete") else "add --resume to continue it, or "
+        hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
         raise UserError(f"{folder} contains {state}; {hint}choose a new folder")
     return before
 

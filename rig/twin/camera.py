@@ -111,7 +111,7 @@ class TwinCamera:
         self._clock.sleep(min(waited_s, PATIENCE_S))
         if waited_s > PATIENCE_S:
             raise NoAnswerError(
-                f"camera: no picture was received within {PATIENCE_S:g} s; check its cable and supply, then continue the scan with --resume"
+                f"camera: no picture was received within {PATIENCE_S:g} s; check its cable and supply, then finish the scan with --resume"
             )
         if stale:
             return self._last or self._expose(exposure_s, began_s=-1.0)

@@ -80,7 +80,7 @@ def test_pictures_survive(tmp_path: Path, kind: type) -> None:
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2)), np.zeros((2, 2, 2), np.uint8), np.zeros(3, np.uint8), np.zeros((2, 2), bool)])
 def test_what_is_no_picture_is_refused(tmp_path: Path, image: Any) -> None:
-    with pytest.raises(ValueError, match="expected uint8 or uint16"):
+    with pytest.raises(ValueError, match="a uint8 or uint16 array"):
         atomic.write_image(tmp_path / "a.png", image)
 
 

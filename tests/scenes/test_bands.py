@@ -20,7 +20,7 @@ SCENE = Scene(camera=Camera(bands=(WHITE, RED, NIR)), plan=CapturePlan(rings=(Ri
 
 WRONG: dict[str, tuple[Scene, str]] = {
     "no word": (replace(SCENE, camera=Camera(bands=(Band(name="near infrared"),))), r"\[camera.bands 1\] name.*one lower-case word"),
-    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*different for each band"),
+    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*must be one lower-case word, and unique"),
     "unknown in a ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"\[plan.rings 1\].*it has white, red, nir"),
     "none in the camera": (Scene(plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"requires \[\[camera.bands\]\]"),
     "dark ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("red",)),))), "panel and front light are on"),

@@ -116,7 +116,7 @@ SPOILT: dict[str, tuple[Callable[[Path], Any], str]] = {
     "missing": (Path.unlink, "the picture is missing"),
     "truncated": (lambda path: path.write_bytes(path.read_bytes()[:-20]), "the picture is truncated"),
     "none": (lambda path: path.write_text("not here"), "is not a supported picture"),
-    "other size": (lambda path: write_image(path, np.zeros((20, 16), np.uint8)), "the picture is 16x20 pixels, but .* image_wh 20x16"),
+    "other size": (lambda path: write_image(path, np.zeros((20, 16), np.uint8)), "the picture has 16x20 pixels, but .* image_wh 20x16"),
     "exchanged": (lambda path: write_image(path, np.zeros((16, 20), np.uint8)), "differs from the recorded picture"),
     "folder": (folder_for_file, "is a folder"),
 }

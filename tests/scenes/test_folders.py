@@ -158,7 +158,7 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
 
 def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path: Path) -> None:
     whole, half = made(tmp_path / "whole" / folders.WHOLE, dataset_json="x").parent, made(tmp_path / "half" / folders.OLD, a="1").parent
-    with pytest.raises(UserError, match=r"contains .rhizotwin-whole: .* run that command again"):
+    with pytest.raises(UserError, match=r"contains .rhizotwin-whole, .* run the same command again"):
         folders.check_readable(whole)
     with pytest.raises(UserError, match="is complete, although the run that wrote it was stopped"), folders.new_folder(whole):
         pass

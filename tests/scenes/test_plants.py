@@ -29,7 +29,7 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is the name of another plant"),
+        ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is already the name of another plant"),
         ({"plants": [{"plant": "plant"}]}, "is reserved for plants without a name"),
         ({"plants": [{"plant": "A", "at_mm": [80, 0]}]}, "inside the canister's wall"),
         ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be at least 2 mm from A"),

@@ -207,7 +207,7 @@ WRONG_METADATA = [
     ("ColourGains", (2.0, 1.7), "ColourGains blue is 1.7 instead of 1.6"),
     ("ColourGains", None, "ColourGains red is missing"),
     ("SensorBlackLevels", None, "does not report its black level"),
-    ("SensorTimestamp", 1000 * 10000, "the same frame again"),  # that of the first frame
+    ("SensorTimestamp", 1000 * 10000, "the frame is the same as before"),  # that of the first frame
 ]
 
 
@@ -272,7 +272,7 @@ def test_the_finest_mode_of_the_hq_camera_is_taken() -> None:
         assert (mode.size, mode.block) == (size, block)
     with pytest.raises(RigError, match="cannot take pictures of 800x600, only of 2028x1520, 1014x760, 1014x540, 666x495 "):
         choose_mode(IMX477, (800, 600), name="camera 0")
-    with pytest.raises(RigError, match="nothing: it has no Bayer colour sensor"):
+    with pytest.raises(RigError, match="none, because the camera has no Bayer colour sensor"):
         choose_mode([{"unpacked": "R10", "bit_depth": 10, "size": (1456, 1088)}], (728, 544), name="camera 0")
 
 
@@ -280,7 +280,7 @@ def test_without_picamera2_or_with_one_for_another_numpy_or_no_number(monkeypatc
     def fail(name: str) -> ModuleType:
         raise ValueError(f"{name}: numpy.dtype size changed")
 
-    with pytest.raises(RigError, match="is not the number of a camera"):
+    with pytest.raises(RigError, match="is not a camera number"):
         PiCamera("/dev/video0", SETTINGS)
     assert not sensor.opened
     monkeypatch.setitem(sys.modules, "picamera2", None)
