@@ -67,7 +67,7 @@ def check(
     arm = None
     try:
         if rig.arm is None:
-            report.line("arm", "ok", "none in the rig file: the camera is on a tripod")
+            report.line("arm", "ok", "the rig file has no arm; the camera is on a tripod")
         else:
             arm = report.look("arm", lambda: _arm(rig, clock, recorder))
         camera = report.look("camera", lambda: _camera(open_camera))

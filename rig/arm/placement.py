@@ -256,8 +256,8 @@ def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branc
     left_deg = float(np.rad2deg(branches.left_over_rad))
     if not met.any():
         raise UnsafeError(
-            f"arm: {_describe_position(cam_from_rig)} is {left_deg:.2f} deg from the nearest orientation of five joints; "
-            "place the arm's base in front of the table, upright (position_mm and rotation_deg in the rig file)"
+            f"arm: {_describe_position(cam_from_rig)} is {left_deg:.2f} deg from the nearest orientation that five joints can reach; "
+            "place the arm's base upright in front of the table (position_mm and rotation_deg in the rig file)"
         )
     turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
     if turn_deg > MOST_AZIMUTH_DEG:

@@ -91,7 +91,7 @@ class HttpCamera:
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call."""
         if not self._session:
-            raise RigError(f"{self._name}: the camera is not open; call prepare() first")
+            raise RigError(f"{self._name}: the camera is not open; open it first")
         picture = uuid.uuid4().hex
         body = {"session": self._session, "picture": picture}
         timeout_s = self._settings.exposure_s + ANSWER_S

@@ -92,7 +92,7 @@ class PiCamera:
         Frames with different settings, and frames exposed before the call, are discarded.
         """
         if self._camera is None or self._mode is None:
-            raise RigError(f"{self._name}: the camera is not open; call prepare() first")
+            raise RigError(f"{self._name}: the camera is not open; open it first")
         faults: list[str] = []
         for _ in range(TRIES):
             raw, metadata = self._frame()

@@ -103,7 +103,7 @@ class V4l2Camera:
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call. Buffered frames are discarded."""
         if self._capture is None:
-            raise RigError(f"{self._name}: the camera is not open; call prepare() first")
+            raise RigError(f"{self._name}: the camera is not open; open it first")
         self._drop(STALE)
         image = self._read()
         self._check_controls()

@@ -105,7 +105,7 @@ def scan(
 
 
 class _Scan:
-    """Run of a scan."""
+    """Procedure of one run of a scan, with its devices, dataset and observers."""
 
     def __init__(self, devices: Devices, scene: Scene, session: Session, observers: Observers, *, table_angle_deg: float | None) -> None:
         self._devices = devices

@@ -76,7 +76,7 @@ class HatTurntable:
         """
         _check_angle(angle_deg)
         if not self._on:
-            raise LostError("turntable: the motor is off, so that the angle would be lost; call prepare() first")
+            raise LostError("turntable: the motor is off, so that the angle would be lost; switch it on first")
         self._steps, self._seated = round(angle_deg / self._step_deg), False
 
     def knows_zero(self) -> bool:

@@ -44,9 +44,9 @@ class Lamp:
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:
-        """Return the ratio between the present level and the level relative to a colour.
+        """Return the factor that converts the lamp's level to a level relative to a given colour.
 
-        The result is None if the lamp is dark or does not show this colour.
+        The result is None if the lamp is dark or shows a different colour.
         """
         shown = self._brightness > 0 and all(led == rgb for led in self._rgb) and sum(rgb) > 0
         return self._sum / sum(rgb) if shown else None

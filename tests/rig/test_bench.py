@@ -165,7 +165,7 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
     bench, seen, file = Bench(), list[tuple[float, ...]](), tmp_path / "look.png"
     lines = ("lights 1 1", "go 400 -20", "markers", "home", "pose", f"picture {file}", "joint 1 +3")
     said = bench.types(*lines, before_leaving=lambda: seen.append(bench.twin.world.joints_deg))
-    assert any("markers, " in line and "px error" in line for line in said), said
+    assert any("markers, " in line and "reprojection error" in line for line in said), said
     assert any("from the markers, the camera is 4" in line or "from the markers, the camera is 39" in line for line in said)
     assert decode_grey(file.read_bytes(), where="look").shape == (300, 400)
     assert seen[0][0] == pytest.approx(3.0, abs=0.3)

@@ -68,7 +68,7 @@ SHOWN = r"\[frames 1\] file.* must consist of printable characters"
 SAME_STEM = r"\[frames 2\] file = \"more/0.jpg\": .*images/0\.png.* rename"
 NO_POSE = r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has one"
 DAMAGES: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "newer version": (lambda d: d.update(schema_version=2), r"dataset\.json has version 2; this program reads 1"),
+    "newer version": (lambda d: d.update(schema_version=2), r"dataset\.json has version 2, but this program reads version 1"),
     "no version": (lambda d: d.pop("schema_version"), "has no schema_version"),
     "at least one frame": (lambda d: d.update(frames=[]), "at least one"),
     "unknown key": (lambda d: d.update(frams=[]), 'frams: unknown key.*"frames"'),
@@ -160,5 +160,5 @@ def test_damaged_truth_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"truth\.json: volume_mm3 = None: must be a number"):
         load_truth(tmp_path)
     edit(tmp_path, lambda d: d.update(schema_version=3), "truth/truth.json")
-    with pytest.raises(UserError, match=r"truth\.json has version 3; this program reads 1"):
+    with pytest.raises(UserError, match=r"truth\.json has version 3, but this program reads version 1"):
         load_truth(tmp_path)

@@ -204,5 +204,5 @@ def test_pulled_out_opened_anew_and_closed(device: _Device) -> None:
     camera.close()
     camera.close()
     assert device.released == released + 1
-    with pytest.raises(RigError, match="not open; call prepare\\(\\) first"):
+    with pytest.raises(RigError, match="not open; open it first"):
         camera.capture()

@@ -56,7 +56,7 @@ def test_angle_that_the_table_kept_is_used_again(tmp_path: Path) -> None:
 
 def test_without_markers_a_person_is_asked_for_the_angle_and_it_is_not_guessed(tmp_path: Path) -> None:
     world, asked, answers = World(scene=BLIND), [], iter(["north", "77"])
-    with pytest.raises(RigError, match=r"angle is not known, and no markers were found.*--table-angle"):
+    with pytest.raises(RigError, match=r"angle is unknown \(no markers were found.*--table-angle"):
         run(World(scene=BLIND), tmp_path / "d")
     assert not (tmp_path / "d" / "dataset.json").exists()
     run(world, tmp_path / "d", ask=lambda question: asked.append(question) or next(answers))

@@ -115,7 +115,7 @@ def test_every_other_order_is_a_difference(replay: ReplayPort, tmp_path: Path) -
     with pytest.raises(ReplayError, match=r"driver sent b'M17\\n' before it read b'X:1', which was received in line 4"):
         other.write(b"M114\nM17\n")
     exchange(replay, b"M114\n")
-    with pytest.raises(ReplayError, match=r"line 7 has b'M17.n' sent, but the driver stopped"):
+    with pytest.raises(ReplayError, match=r"the driver stopped before line 7, in which b'M17.n' was sent"):
         replay.finish()
     other = replay_port(tmp_path / "wire.jsonl", "turntable")
     exchange(other, b"M114\n", b"M17\n")

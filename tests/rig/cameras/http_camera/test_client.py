@@ -97,7 +97,7 @@ def test_each_capture_is_a_new_picture_even_if_requests_arrive_twice(server: Cam
         shot = remote.capture()
         assert (shot.exposure_s, shot.gain) == (None, None)
     remote.close()
-    with pytest.raises(RigError, match="not open; call prepare\\(\\) first"):
+    with pytest.raises(RigError, match="not open; open it first"):
         remote.capture()
 
 

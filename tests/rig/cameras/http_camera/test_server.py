@@ -135,6 +135,6 @@ def test_serve_camera_says_where_and_gives_the_camera_back(monkeypatch: pytest.M
     said: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         serve_camera(CameraPart(), image_wh=(32, 24), bits=12, host="0.0.0.0", port=0, say=said.append)
-    assert re.fullmatch(rf"camera of the test; serving it at http://{re.escape(socket.gethostname())}:\d+, Ctrl-C stops", said[0])
+    assert re.fullmatch(rf"camera of the test; available at http://{re.escape(socket.gethostname())}:\d+; press Ctrl-C to stop", said[0])
     assert said[1:] == ["every computer on this network can take pictures with this camera"]
     assert camera.closed == 1
