@@ -53,7 +53,7 @@ class Turntable(Protocol):
         """
 
     def release(self) -> None:
-        """Switch the motor off."""
+        """Switch the motor off. The table can then be rotated by hand."""
 
     def close(self) -> None:
         """Close the port."""
@@ -105,7 +105,7 @@ class Arm(Protocol):
     def prepare(self) -> None:
         """Connect, and switch the torque on in the present position without a jump.
 
-        Servos, voltage and temperature are checked first.
+        The servos, the supply voltage and the temperatures are checked first.
         """
 
     def read_joints(self) -> tuple[float, ...]:
@@ -124,7 +124,7 @@ class Arm(Protocol):
         """Raise an `UnsafeError` if a servo is too warm or the supply voltage is out of range."""
 
     def relax(self) -> None:
-        """Switch the torque off."""
+        """Switch the torque off. An arm that is not supported drops."""
 
     def close(self) -> None:
         """Close the port."""
@@ -137,7 +137,7 @@ class Carousel(Protocol):
         """Return a short description with firmware and number of places."""
 
     def prepare(self) -> None:
-        """Connect, and find the reference position."""
+        """Connect to the changer, and find its reference position."""
 
     def load(self, place: int) -> None:
         """Return the canister on the turntable to its place, then put the canister of the given place on the turntable.
@@ -165,4 +165,4 @@ class Camera(Protocol):
         """Take a picture whose exposure begins after this call, and verify its settings."""
 
     def close(self) -> None:
-        """Release the camera."""
+        """Release the camera for other programs."""

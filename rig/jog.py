@@ -117,7 +117,7 @@ class Jog:
             self.leave()
 
     def do(self, words: list[str]) -> None:
-        """Execute one command, given as its words.
+        """Execute a command that is given as a list of words.
 
         Raises
         ------

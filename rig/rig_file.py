@@ -234,7 +234,7 @@ class Pose:
 
 @dataclass(frozen=True, kw_only=True)
 class RigFile:
-    """Complete description of a rig."""
+    """Complete description of a rig and its devices."""
 
     name: str = "rig"
     description: str = ""

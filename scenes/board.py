@@ -34,7 +34,7 @@ class CharucoBoard:
     """
 
     squares_xy: tuple[int, int] = bounded((7, 5), 3, 60)
-    """Number of squares in x and y."""
+    """Number of squares of the chessboard in x and y."""
     square_mm: float = bounded(30.0, 1.0, 1000.0)
     marker_mm: float = bounded(22.0, 0.5, 1000.0)
     dictionary: str = "5X5_100"

@@ -104,7 +104,7 @@ class Dataset:
         }
 
     def __repr__(self) -> str:
-        """Return a summary of a few lines."""
+        """Return a summary of the dataset in a few lines."""
         return "\n".join([f"Dataset of {self.scene.name}", *(f"  {name:<14}{text}" for name, text in self.summary().items())])
 
     def _repr_html_(self) -> str:

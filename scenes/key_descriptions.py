@@ -45,7 +45,7 @@ class Key:
     """Default value; None if there is none."""
     unit: str
     limits: str
-    """Range or allowed values."""
+    """Permitted range or values."""
     why: str
 
     def line(self) -> str:

@@ -24,16 +24,16 @@ class Canister:
     """Round acrylic canister, 6 in wide and tall as in the thesis. Its rim is in the plane z = 0."""
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
-    """Outer radius of the wall, to be measured with callipers. Together with the refractive indices it determines the
+    """Outer radius of the canister, to be measured with callipers. Together with the refractive indices it determines the
     magnification by the water."""
     wall_mm: float = bounded(3.175, 0.2, 50.0)
-    """Thickness of the wall."""
+    """Thickness of the canister's wall."""
     height_mm: float = bounded(152.4, 10.0, 2000.0)
-    """Height from the underside of the base to the rim."""
+    """Height of the canister, from the underside of its base to the rim."""
     base_mm: float = bounded(6.0, 0.5, 100.0)
     """Thickness of the base. Its inner face, which is assumed opaque and matt, is the floor of the water."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
-    """Refractive index of the wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
+    """Refractive index of the canister's wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
 
     @property
     def inner_radius_mm(self) -> float:
@@ -354,7 +354,7 @@ class Disturbances:
     wall_error: float = bounded(0.0, -0.5, 0.5)
     """Relative error of the thickness of the canister's wall (true over nominal, minus 1)."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal refractive index of the wall."""
+    """True minus nominal refractive index of the canister's wall."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
     """Fraction of light absorbed by the seam of a rolled tube, which is 1 mm wide, in a random direction, and rotates
     with the canister."""

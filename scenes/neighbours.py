@@ -50,7 +50,7 @@ class Neighbours:
     """Volume `hulls_overlap_mm3` as a fraction of each plant's convex hull."""
 
     def lines(self, verdict: Verdict) -> list[str]:
-        """Return the values as lines of text.
+        """Format the comparison as lines of text.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ NAMELESS = "plant"
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """One of several plants in the canister."""
+    """Plant in a canister with several plants."""
 
     plant: str = ""
     """Name of the plant. It must be unique in the scene and the same on every day."""

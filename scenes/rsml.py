@@ -95,7 +95,7 @@ class Moment:
     """Time of a file in a series of files of a growing plant, in which a root keeps its id."""
 
     sequence: str
-    """Name of the time series."""
+    """Name of the time series to which the file belongs."""
     index: int
     """Time index, which is the day rounded to an integer."""
 

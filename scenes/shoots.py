@@ -32,7 +32,7 @@ class Shoot:
     seed: int = bounded(0, 0, 2**63 - 1)
     """Random seed of the shoot."""
     leaves: int = bounded(6, 1, 60)
-    """Number of leaves."""
+    """Number of leaves of the shoot."""
     divergence_deg: float = bounded(137.508, 0.0, 360.0)
     """Azimuth between successive leaves. The default is the golden angle of spiral phyllotaxis."""
     youngest: float = bounded(0.35, 0.05, 1.0)

@@ -65,7 +65,7 @@ class RootOrder:
     elongation_mm_per_day: float = bounded(3.0, 0.01, 200.0)
     """Elongation rate of a new root. It decreases as the root approaches its final length."""
     max_length_mm: float = bounded(60.0, 0.5, 2000.0)
-    """Mean final length of a root."""
+    """Mean final length of a root of this order."""
     length_sd: float = bounded(0.3, 0.0, 1.0)
     """Standard deviation of the final length between roots, as a fraction of the mean. Elongation rates vary in
     proportion."""
@@ -98,7 +98,7 @@ class BasalRoots(RootOrder):
     """
 
     count: int = bounded(6, 1, 200)
-    """Number of roots of this kind."""
+    """Number of basal roots of this kind."""
     at_mm: float = bounded(0.0, 0.0, 1000.0)
     """Distance along the taproot from its base to the first of these roots."""
     zone_mm: float = bounded(2.0, 0.0, 1000.0)

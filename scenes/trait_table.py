@@ -22,14 +22,14 @@ class Definition:
     field: str
     """Name of the field of `Traits`."""
     name: str
-    """Name for display, without the unit."""
+    """Name of the trait for display, without the unit."""
     unit: str
     """Unit of the trait; empty for ratios and counts."""
     meaning: str
 
     @property
     def heading(self) -> str:
-        """Name and unit for display."""
+        """Name and unit of the trait for display."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
     @property

@@ -32,7 +32,7 @@ _EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
 
 @dataclass(frozen=True)
 class Curve:
-    """Light as a function of the pixel value."""
+    """Transfer curve: light as a function of the pixel value."""
 
     name: str
     light: tuple[float, ...]

@@ -26,7 +26,7 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class TrueView:
-    """Camera with which a frame was actually taken."""
+    """True camera pose and table angle of a frame."""
 
     file: str
     cam_from_canister: tuple[tuple[float, ...], ...]

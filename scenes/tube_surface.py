@@ -25,7 +25,7 @@ _AT_ONCE = 10_000
 
 @dataclass(frozen=True)
 class Stations:
-    """Short pieces of tubes."""
+    """Tubes divided into N short pieces."""
 
     centre_mm: Array
     """Centres of the pieces, mm, shape (N, 3)."""

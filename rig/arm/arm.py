@@ -123,7 +123,7 @@ class ServoArm:
             raise
 
     def read_joints(self) -> tuple[float, ...]:
-        """Return the measured joint angles."""
+        """Return the measured joint angles, deg."""
         return self._joints_deg(self._bus.positions(self._ids))
 
     def holds(self) -> bool:

@@ -1,17 +1,20 @@
-"""Servo controller board (LSC, as in the xArm 1S): 9600 Bd, without checksums or acknowledgements.
+"""Driver of the LSC servo controller board (as in the xArm 1S), with 9600 Bd, no checksums and no acknowledgements.
 
 Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The
 board may send unsolicited frames at any time.
 
-Consequences of the missing checksum. *Readings*: a damaged reading may appear valid, so a reading is accepted only if a
-second one agrees, and if it contains exactly the requested servos. *Commands*: the board executes a damaged frame with
-a valid header and length, and the protocol offers no way to verify a command before the servos move; sending it twice
-does not help, since the second copy may be the damaged one. Countermeasures: a frame is sent in one piece immediately
-after a reading on the same line agreed with its repetition; no move is shorter than `LscBoard.least_move_s`, so that a
-wrong target is not reached at full speed; `rig.arm.arm` compares every position with the commanded one at the end of
-each move, and stops with an error if they differ. Remaining risks: motion toward a wrong position until then, and a
-damaged duration that makes the joints move faster. For unattended work prefer the servo bus (protocol "lx"), which has
-checksums.
+Because checksums are missing, a damaged reading may appear valid. Therefore a reading is accepted only if a second
+reading agrees, and if it contains exactly the requested servos.
+
+The board also executes a damaged command with a valid header and length, and the protocol offers no way to verify a
+command before the servos move. Sending a command twice does not help, because the second copy may be damaged. The
+countermeasures are as follows. A frame is sent in one piece immediately after two readings on the same line have
+agreed. No move is shorter than `LscBoard.least_move_s`, so that a wrong target is not reached at full speed.
+`rig.arm.arm` compares every position with the commanded position at the end of each move, and stops with an error if
+they differ.
+
+The remaining risks are motion toward a wrong position until the end of a move, and a damaged duration that makes the
+joints move faster. For unattended work the servo bus (protocol "lx"), which has checksums, is preferable.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping

@@ -1,8 +1,8 @@
-"""LX bus servos (LX-15D, LX-225, LX-16A ...) on a half-duplex line: 115200 Bd, with checksums, writes without reply.
+"""Driver of LX bus servos (LX-15D, LX-225, LX-16A ...) on a half-duplex line with 115200 Bd.
 
 Frame: ``55 55 | id | length | command | parameters | checksum``, length = parameters + 3, checksum = ~(sum from id on)
-& 0xFF (LewanSoul Bus Servo Communication Protocol). Receivers discard damaged frames, so that no wrong position can be
-commanded; lost writes are detected by reading all written values back.
+& 0xFF (LewanSoul Bus Servo Communication Protocol). Servos discard damaged frames, so that a wrong position cannot be
+commanded. Servos do not acknowledge writes, so that lost writes are detected by reading all written values back.
 """
 
 from collections.abc import Collection, Mapping

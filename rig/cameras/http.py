@@ -70,7 +70,7 @@ class HttpCamera:
         self._said = "not open"
 
     def describe(self) -> str:
-        """Return the server's description of its camera."""
+        """Return a description of the camera, as reported by the server."""
         return f"{self._said}, {self._name.removeprefix('camera ')}" if self._session else f"{self._name}, not open"
 
     def prepare(self) -> None:
@@ -143,7 +143,7 @@ class HttpCamera:
         return answer
 
     def _read(self, response: http.client.HTTPResponse, most: int) -> bytes:
-        """Read the announced number of bytes, up to a plausible maximum."""
+        """Read the number of bytes that a reply announces, up to a plausible maximum."""
         announced = response.getheader("Content-Length", "")
         if not (announced.isascii() and announced.isdigit()):
             raise _DamagedError("the reply does not state its length")

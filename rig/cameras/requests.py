@@ -103,7 +103,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._late.start()
 
     def finish(self) -> None:
-        """Release the connection."""
+        """Cancel the deadline of the request, and release the connection."""
         self._late.cancel()
         super().finish()
 

@@ -112,7 +112,7 @@ class V4l2Camera:
         return Shot(image=image, exposure_s=exposure_s, gain=None if gain == ABSENT else gain)
 
     def close(self) -> None:
-        """Release the camera."""
+        """Release the camera for other programs."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None

@@ -75,7 +75,7 @@ def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = Tr
 
 
 def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
-    """Move the arm to its parking position along a checked path.
+    """Move the arm to its parking position along a path that was checked for collisions.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ class ScanTurntable:
         self.band = ""
         """Band to which the lamps are set."""
         self.lost = False
-        """Whether the board was lost and has not been recovered."""
+        """Whether the connection to the board was lost and has not been restored."""
 
     @property
     def slip_deg(self) -> float:
@@ -177,7 +177,7 @@ class ScanTurntable:
         return read_deg
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves."""
+        """Set the acceleration of subsequent moves, deg/s2."""
         with convert_board_errors():
             self._devices.table.accelerate(deg_per_s2)
         self._acceleration = deg_per_s2

@@ -80,7 +80,7 @@ class Recorder:
         self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the recording's file."""
         with suppress(OSError):
             self._stream.close()
 
@@ -234,7 +234,7 @@ class ReplayPort:
 
 
 def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, session: int = -1) -> ReplayPort:
-    """Open one device of a recording for replay.
+    """Open the recording of a device for replay.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class Kind(Enum):
     UNKNOWN = auto()
     """Report that the firmware does not support a command. An ``ok`` follows nevertheless."""
     RESET = auto()
-    """Part of the greeting after a reset."""
+    """Line of the greeting that the board sends after a reset."""
     HALTED = auto()
     """Report that the firmware was killed or halted."""
     OTHER = auto()

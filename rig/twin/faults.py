@@ -38,7 +38,7 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class FaultKind:
-    """Description of a kind of fault."""
+    """Kind of fault that the twin can simulate, with its parameters."""
 
     name: str
     what: str

@@ -40,7 +40,7 @@ class Lamp:
 
     @property
     def goal(self) -> float:
-        """Level that the lamp has or approaches."""
+        """Level at which the light settles, as a fraction of the maximum."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:

@@ -131,7 +131,7 @@ class Line:
         insort(self._arrivals, (at_s, data), key=lambda arrival: arrival[0])
 
     def _send(self, reply: Reply, now_s: float) -> None:
-        """Transmit a reply, with the faults that affect it."""
+        """Transmit a reply, and apply the faults that are due."""
         self._reply_count += 1
         for fault in self._pending.due(self.device, "device", self._reply_count, now_s):
             self._break_device(fault)

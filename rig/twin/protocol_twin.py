@@ -83,7 +83,7 @@ class Serial(SerialBase):
 
     @property
     def in_waiting(self) -> int:
-        """Number of bytes that have arrived."""
+        """Number of bytes that have arrived and were not read yet."""
         socket = self._there()
         if self._dead(socket):
             raise OSError(errno.EIO, "Input/output error")
@@ -137,13 +137,13 @@ class Serial(SerialBase):
         return not socket.line.plugged or socket.line.plugs != self._plugs
 
     def _reconfigure_port(self) -> None:
-        """Accept any setting, as a USB port does."""
+        """Accept any setting of the port, as a USB port does."""
 
     def _update_dtr_state(self) -> None:
-        """Ignore the state of DTR."""
+        """Ignore the state of the modem line DTR."""
 
     def _update_rts_state(self) -> None:
-        """Ignore the state of RTS."""
+        """Ignore the state of the modem line RTS."""
 
     def _update_break_state(self) -> None:
         """Ignore the break condition."""

@@ -180,7 +180,7 @@ class Twin:
         return True
 
     def inject(self, fault: Fault) -> None:
-        """Add a fault."""
+        """Add a fault to be simulated."""
         self.pending.add(fault)
 
     def break_device(self, fault: Fault) -> None:
@@ -284,4 +284,4 @@ def _with_ports(rig: RigFile, base: str) -> RigFile:
 
 
 def _do_nothing() -> None:
-    """Do nothing."""
+    """Do nothing when a port is opened."""

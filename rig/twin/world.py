@@ -52,7 +52,7 @@ class Sight:
 
     @property
     def key(self) -> bytes:
-        """Digest of the complete state."""
+        """Digest of all values that determine the picture."""
         band = np.frombuffer(self.band.encode(), np.uint8).astype(np.float64)
         return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]), *self._twist, band)
 
