@@ -24,8 +24,8 @@ class Canister:
     """Round acrylic canister, 6 in wide and tall as in the thesis. Its rim is in the plane z = 0."""
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
-    """Outer radius of the canister, to be measured with callipers. Together with the refractive indices it determines the
-    magnification by the water."""
+    """Outer radius of the canister, to be measured with callipers. Together with the refractive indices it determines
+    the magnification by the water."""
     wall_mm: float = bounded(3.175, 0.2, 50.0)
     """Thickness of the canister's wall."""
     height_mm: float = bounded(152.4, 10.0, 2000.0)
