@@ -168,7 +168,7 @@ def write_error(error: OSError, path: Path | str) -> UserError:
     if is_full(error):
         return UserError(f"{path}: the disk is full, and nothing was written under this name; free some space and run the command again")
     reason = error.strerror or str(error)
-    return UserError(f"{path}: the file cannot be written ({reason}); choose a folder with write permission")
+    return UserError(f"{path}: this path cannot be written ({reason}); choose a folder with write permission")
 
 
 def _open_beside(path: Path) -> tuple[Path, int]:

@@ -287,7 +287,7 @@ def _check_specimen(specimen: Specimen | None, scene: Scene, here: Place) -> Non
         reach = math.hypot(x, y) + radius
         if reach >= canister.inner_radius_mm or z - radius <= canister.floor_z_mm or z + radius >= top_mm:
             must = (
-                f"must, with diameter_mm {specimen.diameter_mm:g}, be within the water: within {canister.inner_radius_mm:g} mm of the "
+                f"must be within the water, with diameter_mm {specimen.diameter_mm:g}: within {canister.inner_radius_mm:g} mm of the "
                 "axis, "
                 f"between z = {canister.floor_z_mm:g} (floor) and {top_mm:g} (grid or water level)"
             )

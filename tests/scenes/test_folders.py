@@ -83,7 +83,7 @@ def test_folder_that_is_there(tmp_path: Path) -> None:
 def test_folder_in_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     begun = False
-    with pytest.raises(UserError, match="out: cannot be written"), folders.new_folder(tmp_path / "file" / "deep" / "out"):
+    with pytest.raises(UserError, match="out: this path cannot be written"), folders.new_folder(tmp_path / "file" / "deep" / "out"):
         begun = True
     assert not begun
 
@@ -100,7 +100,7 @@ def test_what_others_put_there_meanwhile_stays(tmp_path: Path, caplog: pytest.Lo
         "result.json": "new",
         "work.txt": "years",
     }
-    assert "work.txt was added or changed by others during the run, and is kept" in caplog.text
+    assert "work.txt was added or changed by another program during the run, and is kept" in caplog.text
     assert names(out) == ["pictures", "result.json", "work.txt"]
 
 

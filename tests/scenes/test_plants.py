@@ -22,7 +22,7 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
     path = tmp_path / "two.toml"
     save_scene(scene, path)
     assert load_scene(path) == scene
-    assert "# Attachment point in the net pot's grid" in path.read_text()
+    assert "# Attachment point (x, y) in the net pot's grid" in path.read_text()
     assert path.read_text().count("# Mean diameter at the base of the root") == 6  # of the plants' own specimens, too
 
 

@@ -221,7 +221,7 @@ def test_what_is_no_rsml(tmp_path: Path) -> None:
         b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
     ):
         path.write_bytes(content)
-        with pytest.raises(UserError, match=r"wild\.rsml: is not an RSML file"):
+        with pytest.raises(UserError, match=r"wild\.rsml: the file is not an RSML file"):
             read_rsml(path)
 
 

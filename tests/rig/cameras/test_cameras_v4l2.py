@@ -180,7 +180,7 @@ def test_a_camera_that_does_not_suit_is_refused(device: _Device) -> None:
     with pytest.raises(RigError, match="neither a number nor a device file"):
         V4l2Camera("http://pi:8471", SETTINGS)
     camera = open_camera(CameraPart(kind="v4l2"), image_wh=(32, 24), bits=12, clock=SystemClock())
-    with pytest.raises(RigError, match="give 8 bits, not 12; set bits = 8 of the scene's camera"):
+    with pytest.raises(RigError, match="has 8 bits, not 12; set bits = 8 in the scene's"):
         camera.prepare()
     assert not device.opened_with
     device.sizes = ((16, 12),)

@@ -178,7 +178,7 @@ def test_poses_that_determine_no_lens_are_refused() -> None:
     for camera, poses, says in (
         (Camera(), held([1.0, 2.0, 3.0, 2.0, 1.0, 3.0], sixths, aside_mm=10.0), r"tilted by at most|not consistent with any focal length"),
         (Camera(), held([30.0], [20.0]) * 6, "only 1 different orientations"),
-        (large, held([25.0, 30.0, 35.0, 20.0, 30.0], [0.0, 72.0, 144.0, 216.0, 288.0], depth_mm=700.0), "of the field"),
+        (large, held([25.0, 30.0, 35.0, 20.0, 30.0], [0.0, 72.0, 144.0, 216.0, 288.0], depth_mm=700.0), "of the picture"),
     ):
         with pytest.raises(RigError, match=says):
             calibrate_views(seen_views(camera, poses=poses), BOARD, camera.image_wh)

@@ -55,7 +55,7 @@ def test_frames_are_listed_with_the_hash_of_what_is_on_the_disk(tmp_path: Path) 
     assert all(np.array_equal(read_image(dataset, frame), picture(k)) for k, frame in enumerate(dataset.frames))
     assert not dataset.origin["complete"]
     (tmp_path / "d" / "images" / "view_000.png").write_bytes(encode_png(picture(9)))
-    with pytest.raises(UserError, match=r"view_000\.png: differs from the recorded picture; remove it"):
+    with pytest.raises(UserError, match=r"view_000\.png differs from the recorded picture; remove it"):
         begin(tmp_path / "d", resume=True)
 
 

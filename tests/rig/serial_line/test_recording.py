@@ -95,7 +95,9 @@ def test_a_replay_answers_as_it_was(replay: ReplayPort) -> None:
 
 def test_the_first_difference_is_named_and_stays(replay: ReplayPort) -> None:
     exchange(replay, b"M114\n")
-    with pytest.raises(ReplayError, match=r"turntable, replay of .*wire.jsonl: line 7 has b'M17\\n' sent, .* from byte 2 on: b'8\\n'"):
+    with pytest.raises(
+        ReplayError, match=r"turntable, replay of .*wire.jsonl: b'M17\\n' was sent in line 7, .* from byte 2 onwards: b'8\\n'"
+    ):
         replay.write(b"M18\n")
     for action in (lambda: replay.read(0.0), lambda: replay.write(b"M17\n"), replay.finish):
         with pytest.raises(ReplayError, match="line 7"):

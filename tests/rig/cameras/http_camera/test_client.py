@@ -108,7 +108,7 @@ def flipped(answer: bytes) -> bytes:
 
 FAULTS: dict[str, tuple[Callable[[bytes], bytes | None], str]] = {
     "lost": (lambda _: None, "closed connection without response"),
-    "cut in the picture": (lambda answer: answer[:-7], "of [0-9]+ bytes arrived"),
+    "cut in the picture": (lambda answer: answer[:-7], "of [0-9]+ bytes were received"),
     "damaged": (flipped, "the picture was damaged during transmission"),
     "of another": (lambda answer: re.sub(rb"(?<=Picture: ).{32}", A.encode(), answer), "the reply is for a different request"),
     "without length": (lambda answer: answer.replace(b"Content-Length", b"X"), "does not state its length"),
@@ -165,7 +165,7 @@ def test_a_camera_that_fails_is_named_at_once(server: CameraServer, camera: Numb
 
 OTHER_SETTINGS = [
     ({"shape": (12, 32)}, "the pictures have 32x12 pixels instead of 32x24"),
-    ({"shape": (600, 800)}, r"announces an answer of [0-9]+ bytes, more than the maximum of [0-9]+"),
+    ({"shape": (600, 800)}, r"the reply has [0-9]+ bytes, more than the maximum of [0-9]+"),
     ({"dtype": np.uint8}, "the pictures have 8 bits instead of 12"),
     ({"exposure_s": 0.02}, "the exposure was 20 ms instead of 10 ms"),
     ({"gain": 4.0}, "the gain was 4 instead of 2"),

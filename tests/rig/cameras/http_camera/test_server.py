@@ -94,7 +94,7 @@ REFUSED = [
     Refused("name that ends like ours", 403, "not a name of this computer", headers={"Host": f"{socket.gethostname()}.evil.example"}),
     Refused("broken host", 403, "not a name of this computer", headers={"Host": "[::1"}),
     Refused("form of another site", 415, "application/json", headers={"Content-Type": "text/plain"}),
-    Refused("no length", 411, "length", headers={"Content-Length": ""}, body=b""),
+    Refused("no length", 411, "Content-Length", headers={"Content-Length": ""}, body=b""),
     Refused("too long", 413, "4096 bytes", body=b" " * 5000 + PREPARE),
     Refused("no JSON", 400, "not JSON", body=b"{"),
     Refused("nested too deeply", 400, "not JSON|must be a table", body=b"[" * 4000),
