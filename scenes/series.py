@@ -34,9 +34,7 @@ def require_grown(scene: Scene) -> GrownSpecimen:
         If the scene has no grown plant.
     """
     if not isinstance(scene.specimen, GrownSpecimen):
-        raise UserError(
-            f"scene {scene.name} has no specimen of kind grown, which is required for different days, replicates and treatments"
-        )
+        raise UserError(f"scene {scene.name} has no grown plant, which is required for different days, replicates and treatments")
     return scene.specimen
 
 

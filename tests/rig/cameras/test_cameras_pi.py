@@ -247,7 +247,7 @@ def test_a_camera_that_cannot_be_had_and_compressed_pixels_are_refused(sensor: _
     with pytest.raises(RigError, match="delivers raw pixels as RGGB_PISP_COMP1 64x48, but only SRGGB12 64x48"):
         opened()
     sensor.cameras = 0
-    with pytest.raises(RigError, match=r"did not complete: Device or resource busy\); search for it with rpicam-hello"):
+    with pytest.raises(RigError, match=r"did not complete: Device or resource busy\); look for it with rpicam-hello"):
         opened()
 
 
