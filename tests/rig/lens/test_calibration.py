@@ -50,7 +50,7 @@ def test_a_board_file_comes_back_and_its_mistakes_are_named(tmp_path: Path) -> N
     (tmp_path / "bad.toml").write_text("[board]\nsquare_mm = 20.0\nmarker_mm = 19.5\n", encoding="utf-8")
     with pytest.raises(UserError, match=r"line 3: \[board\] marker_mm = 19.5: must be at most 18"):
         load_board(tmp_path / "bad.toml")
-    with pytest.raises(UserError, match="requires 60 markers, but 4X4_50 has 50"):
+    with pytest.raises(UserError, match="requires 60 markers, but 4X4_50 has only 50"):
         check_board(CharucoBoard(squares_xy=(12, 10), dictionary="4X4_50"))
 
 
