@@ -347,14 +347,15 @@ class Disturbances:
     """Standard deviation of the displacement of the lowest tip between views, in each horizontal direction. The
     displacement decreases towards the top, which does not move."""
     canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
-    """True minus nominal outer radius of the canister; unknown to the reconstruction, as are the next three values."""
+    """True minus nominal outer radius of the canister; unknown to the reconstruction."""
     canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
     """Half the difference between the largest and smallest outer radius of the canister, whose cross-section is an oval
-    that rotates with it."""
+    that rotates with it; unknown to the reconstruction."""
     wall_error: float = bounded(0.0, -0.5, 0.5)
-    """Relative error of the thickness of the canister's wall (true over nominal, minus 1)."""
+    """Relative error of the thickness of the canister's wall (true over nominal, minus 1); unknown to the
+    reconstruction."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal refractive index of the canister's wall."""
+    """True minus nominal refractive index of the canister's wall; unknown to the reconstruction."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
     """Fraction of light absorbed by the seam of a rolled tube, which is 1 mm wide, in a random direction, and rotates
     with the canister."""

@@ -239,7 +239,7 @@ class Exchange:
         self._send()
 
     def _unknown(self, quoted: str) -> None:
-        """Handle a command reported as unknown, which is either a command of ours or was damaged in transmission."""
+        """Handle a command reported as unknown, which was either sent by this program or damaged in transmission."""
         name = quoted.split()[0] if quoted.split() else ""
         if name in self._journal.optional:
             return
