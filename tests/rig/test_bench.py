@@ -174,7 +174,7 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
 
 
 REFUSED = {
-    "dance": "there is no command 'dance'; there are table, home",
+    "dance": "there is no command 'dance'; available commands are table, home",
     "table fast": "'table fast' is invalid; usage: table +9 | table 90",
     "lights 2": "'lights 2' is invalid; usage: lights",
     "lights nan": "'lights nan' is invalid; usage: lights",
