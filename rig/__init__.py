@@ -1,1 +1,1 @@
-"""The rig: drivers of its devices, the scan that uses them, and an emulated twin of the whole rig."""
+"""Drivers of the rig's devices, the scan procedure that uses them, and an emulated twin of the complete rig."""

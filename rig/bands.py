@@ -1,4 +1,4 @@
-"""Lamp and filter settings for the bands of the camera."""
+"""Lamp and filter settings for the spectral bands of the camera."""
 
 from rhizotwin.rig.devices import Lights
 from rhizotwin.rig.rig_file import BandPart, RigFile
@@ -7,12 +7,12 @@ from rhizotwin.scenes.model import Scene
 
 
 def band_part(rig: RigFile, band: str) -> BandPart | None:
-    """Return the settings of a band; None for an empty name, which is white light."""
+    """Return the settings of a band; None if the rig file has none, or if the name is empty (white light)."""
     return next((part for part in rig.camera.bands if part.name == band), None)
 
 
 def band_levels(rig: RigFile, part: BandPart | None) -> tuple[float, float]:
-    """Return the levels of panel and front light in a band."""
+    """Return the brightness of panel and front light in a band, each from 0 to 1."""
     lights, part = rig.lights, part or BandPart()
     panel = lights.panel_level if part.panel_level is None else part.panel_level
     return panel, lights.front_level if part.front_level is None else part.front_level
@@ -41,7 +41,7 @@ def check_bands(rig: RigFile, scene: Scene) -> None:
     Raises
     ------
     UserError
-        With the missing section.
+        If the settings of a band are missing; the message states the section to add.
     """
     for band in scene.camera.bands:
         if band_part(rig, band.name) is None:

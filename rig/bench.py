@@ -1,6 +1,6 @@
-"""Check of every device of a rig, for use at the bench.
+"""Functional check of every device of a rig.
 
-It reports the state of each device, or the problem and a remedy.
+For each device, the check reports its state, or the problem and a remedy.
 """
 
 from collections.abc import Callable
@@ -20,9 +20,9 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 AT_REST_DEG = 5.0
-"""Maximum angle from the parking position at which the arm's torque may be switched off."""
+"""Maximum angle of a joint from the parking position at which the arm's torque may be switched off, deg."""
 LIT, LEAST_LIGHT = 1.3, 0.02
-"""Minimum brightening of the picture by the lamps, as a factor and as a fraction of full scale."""
+"""Minimum brightening of the picture when the lamps are switched on: as a factor, and as a fraction of full scale."""
 
 T = TypeVar("T")
 
@@ -37,37 +37,37 @@ def check(
     folder: Path,
     recorder: Recorder | None = None,
 ) -> int:
-    """Check every device of a rig and report one line for each; nothing moves. The lamps are off at the end.
+    """Check every device of a rig and report one line per device, without moving any of them.
 
-    The table's motor remains on only if the board knows its angle; the arm's torque is switched off only in its parking
-    position.
+    The lamps are off at the end. The table's motor remains on only if the board knows its angle. The arm's torque is
+    switched off only in the parking position.
 
     Parameters
     ----------
     rig, scene : RigFile, Scene
-        Devices of the rig; strip and camera of the scene.
+        Descriptions of the rig's devices, and of the strip and the camera.
     clock : Clock
         Clock for waiting times.
     open_camera : callable
         Function that opens the camera of the rig, or of the twin.
     say : Say
-        Receives the lines.
+        Function that receives each line of the report.
     folder : path
         Folder in which scans would be written.
     recorder : Recorder or None
-        Records every transmitted byte.
+        Recorder of all transmitted bytes, if any.
 
     Returns
     -------
     int
-        Number of problems.
+        Number of problems found.
     """
     report = _Report(say)
     board = report.look("turntable", lambda: _board(rig, clock, recorder))
     arm = None
     try:
         if rig.arm is None:
-            report.line("arm", "ok", "none in the rig file: the camera is on a tripod")
+            report.line("arm", "ok", "the rig file has no arm; the camera is on a tripod")
         else:
             arm = report.look("arm", lambda: _arm(rig, clock, recorder))
         camera = report.look("camera", lambda: _camera(open_camera))
@@ -89,18 +89,18 @@ def check(
 
 
 class _Report:
-    """Lines of a check, and the number of problems."""
+    """Writer of the check's report lines, which counts the problems."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
         self.failed = 0
 
     def line(self, name: str, verdict: str, text: str) -> None:
-        """Report one line."""
+        """Write the report line of one device."""
         self._say(f"{name:<10} {verdict:<5} {text.removeprefix(f'{name}: ')}")
 
     def look(self, name: str, action: Callable[[], tuple[T, str]]) -> T | None:
-        """Run a check that returns a result and a text; report the text, or the problem."""
+        """Run a check that returns a result and a text, and report the text, or the problem if the check fails."""
         try:
             found, text = action()
         except UserError as error:
@@ -111,7 +111,7 @@ class _Report:
         return found
 
     def quietly(self, name: str, action: Callable[[], object]) -> None:
-        """Run an action; report only a problem."""
+        """Run an action, and report only a problem."""
         try:
             action()
         except UserError as error:
@@ -149,9 +149,9 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 
 
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
-    """Take a picture without and with the lamps.
+    """Take and check a picture without and one with the lamps.
 
-    Only the lamps are checked if the arm is parked, as its camera may point anywhere.
+    If the rig has an arm, only the lamps are checked, because the camera may point in any direction.
     """
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
@@ -170,7 +170,7 @@ def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, ri
 
 
 def _take_lit_picture(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
-    """Return a picture with the lamps on; raise an error if they have no effect."""
+    """Return a picture with the lamps on, and its description; raise an error if the lamps have no effect."""
     lights.off()
     dark = camera.capture().image
     preflight.check_lights(lights, rig.lights)
@@ -179,13 +179,13 @@ def _take_lit_picture(camera: Camera, lights: Lights, rig: RigFile, scene: Scene
     before, after = (preflight.measure_exposure(image).bright for image in (dark, lit))
     brighter = after >= LIT * before + LEAST_LIGHT
     if not brighter and rig.arm is not None:
-        return lit, "answer, but the panel is not visible in the present position of the arm"
+        return lit, "lamps reply, but the panel is not visible in the present position of the arm"
     if not brighter:
         raise RigError(
-            f"lights: the picture is as bright without them ({100.0 * before:.0f} %) as with them ({100.0 * after:.0f} %); check the "
-            "lamps' supply and data line, darken the room, and point the camera at the panel"
+            f"lights: the picture is equally bright without ({100.0 * before:.0f} %) and with the lamps ({100.0 * after:.0f} %); check "
+            "the lamps' supply and data line, darken the room, and point the camera at the panel"
         )
-    return lit, f"the picture goes from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
+    return lit, f"the lamps raise the picture's brightness from {100.0 * before:.0f} % to {100.0 * after:.0f} % of full scale"
 
 
 def _describe_markers(image: Grey, scene: Scene) -> str:
@@ -196,7 +196,7 @@ def _describe_markers(image: Grey, scene: Scene) -> str:
 
 
 def _leave_table(table: Turntable) -> None:
-    """Switch the motor off, unless its angle would be lost."""
+    """Switch the motor off, unless the table's angle would be lost, and close the table."""
     try:
         if not table.knows_zero():
             table.release()
@@ -205,12 +205,12 @@ def _leave_table(table: Turntable) -> None:
 
 
 def _leave_arm(arm: Arm, part: ArmPart, say: Say) -> None:
-    """Switch the torque off if the arm cannot drop."""
+    """Switch the torque off if the arm is parked, and close the arm."""
     try:
         joints = arm.read_joints()
         if max(abs(angle - rest) for angle, rest in zip(joints, part.park_deg, strict=True)) <= AT_REST_DEG:
             arm.relax()
         else:
-            say("arm: its torque remains on, as it is not parked; park it with 'rhizotwin rig jog'")
+            say("arm: its torque remains on, because the arm is not parked; park it with 'rhizotwin rig jog'")
     finally:
         arm.close()

@@ -1,24 +1,24 @@
-"""Clock interface: the real clock on the bench, a virtual one (`rig.twin.clock`) in the emulated twin and in tests."""
+"""Clock interface: the system's clock on the bench, and a virtual clock (`rig.twin.clock`) in the twin and in tests."""
 
 import time
 from typing import Protocol
 
 
 class Clock(Protocol):
-    """Source of time for drivers and scans."""
+    """Clock that drivers and scans use to measure time and to wait."""
 
     def now_s(self) -> float:
-        """Return monotonic seconds since an arbitrary moment."""
+        """Return the monotonic time in seconds since an arbitrary reference."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait; no effect for zero or less."""
+        """Wait for a duration. Durations of zero or less have no effect."""
 
 
 class SystemClock:
-    """The computer's monotonic clock."""
+    """Monotonic clock of the computer."""
 
     def now_s(self) -> float:
-        """Return monotonic seconds since an arbitrary moment."""
+        """Return the monotonic time in seconds since an arbitrary reference."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:

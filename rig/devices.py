@@ -1,7 +1,7 @@
-"""Device interfaces used by the scan; the drivers implement them.
+"""Device interfaces that the scan uses and the drivers implement.
 
-All methods raise a `rig.errors.RigError` if the device fails after its retries. Callers that open a device must close
-it in any case.
+All methods raise a `rig.errors.RigError` if the device fails after its retries. A caller that opens a device must close
+it, even after an error.
 """
 
 from dataclasses import dataclass
@@ -11,158 +11,158 @@ from rhizotwin.rig.rig_file import BandPart
 from rhizotwin.scenes.picture_codec import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
-"""Range of table angles: the cables permit no more turns."""
+"""Range of table angles, deg. The cables do not permit more revolutions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """One picture with the exposure data reported by the camera."""
+    """Picture with the exposure data reported by the camera."""
 
     image: Grey
-    """(H, W) uint8, or uint16 with the converter's bits left-aligned, linear in light."""
+    """(H, W) array that is linear in light: uint8, or uint16 with the bits of the converter left-aligned."""
     exposure_s: float | None
-    """Exposure time reported for this picture."""
+    """Exposure time reported for this picture, s; None if unknown."""
     gain: float | None
 
 
 class Turntable(Protocol):
-    """A turntable. Angles are degrees of the table, not wrapped."""
+    """Interface of a turntable. Angles are in degrees of the table and are not wrapped."""
 
     def describe(self) -> str:
-        """Return a short description: firmware, position."""
+        """Return a short description with firmware and position."""
 
     def prepare(self) -> None:
-        """Connect: synchronise line numbers, switch the motor on permanently, use absolute angles."""
+        """Connect: synchronise line numbers, switch the motor on permanently, and select absolute angles."""
 
     def position_deg(self) -> float:
-        """Read the angle from the device."""
+        """Read the table angle from the device, deg."""
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this angle (no motion)."""
+        """Define the present position as this table angle, without motion."""
 
     def knows_zero(self) -> bool:
-        """Whether the device still has a declared angle: False after power-up or a reset."""
+        """Return whether the device still knows its declared angle, which is lost by a power-up or reset."""
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves; initially that of the rig file."""
+        """Set the acceleration of subsequent moves. The initial value is that of the rig file."""
 
     def move_to(self, angle_deg: float) -> float:
-        """Rotate to an angle, always arriving from the same side; wait until done, and return the measured angle.
+        """Rotate to an angle, always approached from the same side, wait for the end, and return the measured angle.
 
-        Raises `LostError` if the device was reset during the move.
+        A `LostError` is raised if the device was reset during the move.
         """
 
     def release(self) -> None:
-        """Switch the motor off."""
+        """Switch the motor off. The table can then be rotated by hand."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class Lights(Protocol):
-    """Backlight panel, front light and lamps of bands.
+    """Interface of the backlight panel, the front light and the lamps of spectral bands.
 
-    Levels are fractions 0 to 1 of the maximum in the rig file.
+    Levels are fractions of the maximum in the rig file, from 0 to 1.
     """
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set all lamps and wait until their light is steady.
+        """Set the levels of all lamps, and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
             Levels of the panel and the front light.
         band : BandPart or None
-            Colours and switched output of a band; None for those of ``[lights]``, without output.
+            Colours and switched output of a band; None for the colours of ``[lights]``, without a switched output.
         """
 
     def off(self) -> None:
-        """Switch all off."""
+        """Switch all lamps off."""
 
 
 def check_levels(*, panel: float, front: float) -> None:
-    """Raise an error for lamp levels that are not fractions.
+    """Raise an error if a lamp level is not a fraction from 0 to 1.
 
     Raises
     ------
     ValueError
-        If one is below 0 or above 1.
+        If a level is below 0 or above 1.
     """
     for name, level in (("panel", panel), ("front", front)):
         if not 0.0 <= level <= 1.0:
-            raise ValueError(f"{name}={level} but expected 0 to 1")
+            raise ValueError(f"{name}={level} but must be from 0 to 1")
 
 
 class Arm(Protocol):
-    """The arm that holds the camera.
+    """Interface of the arm that positions the camera.
 
-    Joint angles are in degrees, from base to wrist roll; they are zero with all links aligned along the base's axis.
+    Joint angles are in degrees, from base to wrist roll; all are zero if the links are aligned along the base's axis.
     """
 
     def describe(self) -> str:
-        """Return a short description: voltage, warmest servo."""
+        """Return a short description with voltage and warmest servo."""
 
     def prepare(self) -> None:
         """Connect, and switch the torque on in the present position without a jump.
 
-        Servos, voltage and temperature are checked first.
+        The servos, the supply voltage and the temperatures are checked first.
         """
 
     def read_joints(self) -> tuple[float, ...]:
-        """Return the five measured joint angles."""
+        """Return the five measured joint angles, deg."""
 
     def holds(self) -> bool:
-        """Whether every joint still has its torque on."""
+        """Return whether the torque of every joint is still on."""
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        """Move all joints at once at a limited speed, wait, verify, and return the measured angles."""
+        """Move all joints simultaneously at a limited speed, wait, verify, and return the measured angles (deg)."""
 
     def turn_filter(self, angle_deg: float) -> None:
         """Rotate the filter wheel in front of the lens."""
 
     def health(self) -> None:
-        """Raise `UnsafeError` if a servo is too warm or the voltage is out of range."""
+        """Raise an `UnsafeError` if a servo is too warm or the supply voltage is out of range."""
 
     def relax(self) -> None:
-        """Switch the torque off."""
+        """Switch the torque off. An arm that is not supported drops."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class Carousel(Protocol):
-    """A changer that puts one of several canisters on the turntable. Places are numbered from 1."""
+    """Interface of a changer that places one of several canisters on the turntable. Places are numbered from 1."""
 
     def describe(self) -> str:
-        """Return a short description: firmware, number of places."""
+        """Return a short description with firmware and number of places."""
 
     def prepare(self) -> None:
-        """Connect, and find the reference position."""
+        """Connect to the changer, and find its reference position."""
 
     def load(self, place: int) -> None:
-        """Put the canister of a place on the turntable, and the one that is there back to its own place.
+        """Return the canister on the turntable to its place, then put the canister of the given place on the turntable.
 
-        Return when it is done. Raises `UnsafeError` when it is blocked.
+        The method returns when the exchange is complete. An `UnsafeError` is raised if the changer is blocked.
         """
 
     def unload(self) -> None:
-        """Put the canister on the turntable back to its place; do nothing when there is none."""
+        """Return the canister on the turntable to its place. Nothing is done if there is none."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class Camera(Protocol):
-    """A camera with all automatic functions switched off."""
+    """Interface of a camera with all automatic functions switched off."""
 
     def describe(self) -> str:
-        """Return a short description."""
+        """Return a short description of the camera."""
 
     def prepare(self) -> None:
         """Open the camera with fixed settings, and verify them with a first picture."""
 
     def capture(self) -> Shot:
-        """Take a picture whose exposure begins after this call; verify its settings."""
+        """Take a picture whose exposure begins after this call, and verify its settings."""
 
     def close(self) -> None:
-        """Release the camera."""
+        """Release the camera for other programs."""

@@ -1,4 +1,4 @@
-"""A complete rig file with every key at its default, as a template."""
+"""Complete rig file with every key at its default, as a template."""
 
 EXAMPLE = """\
 # Rig file of rhizotwin with every key at its default; keys with suitable defaults can be removed. Unknown keys are rejected.

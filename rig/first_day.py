@@ -1,6 +1,6 @@
 """Guided first check of a real rig.
 
-The user is guided through tests that no emulation can replace; the results are written to a report.
+The user is guided through tests that an emulation cannot replace. The results are written to a report.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,17 +24,18 @@ from rhizotwin.scenes.schema import to_plain
 
 TURN_DEG, JOINT_DEG = 9.0, 5.0
 TURN_TOLERANCE_DEG = 1.0
-"""Tolerance of the table's angle: a single picture measures it to a few tenths of a degree; a wrong direction causes an
-error of 18 degrees, a wrong gear ratio of several."""
+"""Tolerance of the measured table angle, deg. A single picture measures the angle to a few tenths of a degree. A wrong
+direction causes an error of 18 deg, and a wrong gear ratio an error of several degrees."""
 BLOCKS_XY = (16, 12)
 LEAST_CONTRAST = 0.3
-"""Minimum relative darkness of objects in front of the panel: the pot absorbs nearly all light, an empty panel varies
-by less (`LEAST_EVEN` applies to its corners)."""
+"""Minimum contrast of an object in front of the panel. The net pot absorbs nearly all light, whereas the brightness of
+an empty panel varies less (see `LEAST_EVEN`)."""
 LEAST_EVEN = 0.6
-"""Minimum ratio of the darkest to the brightest part of the panel: the reconstruction corrects for it, but photons are
-lost."""
+"""Minimum ratio of the darkest to the brightest part of the panel. The reconstruction corrects an uneven panel, but its
+darker parts provide fewer photons."""
 CALIPER_MM = 0.3
-"""Tolerance of calliper measurements: 0.3 mm in the pot's 159 mm is 0.2 % of every length and 0.6 % of the volume."""
+"""Tolerance of calliper measurements, mm. Relative to the net pot's 159 mm, 0.3 mm is 0.2 % of every length and 0.6 %
+of the volume."""
 JOINTS = (
     "the base turn counter-clockwise, seen from above",
     *[f"the {name} lean toward the canister" for name in ("shoulder", "elbow", "wrist")],
@@ -44,28 +45,30 @@ JOINTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Result of one step."""
+    """Result of one step of the guided check."""
 
     step: str
     verdict: str
-    """``ok``, ``wrong`` or ``skipped``."""
+    """Verdict of the step: ``ok``, ``wrong`` or ``skipped``."""
     text: str
     measured: dict[str, float] = field(default_factory=dict)
 
 
 class FirstDay:
-    """Guided check of a rig."""
+    """Guided first check of a rig, step by step."""
 
     def __init__(self, devices: Devices, scene: Scene, *, ask: Ask, say: Say, folder: Path) -> None:
         self._scene, self._ask, self._say, self._folder = scene, ask, say, folder
         self._devices = devices
         self._jog = Jog(devices, scene, say=say)
         self._before_canister = devices.arm is None
-        """Whether strip and water are in the camera's view, as for a tripod."""
+        """Whether the camera shows the strip and the water. This is assumed for a camera on a tripod."""
         self.findings: list[Finding] = []
 
     def walk(self, *, wrong_devices: int) -> list[Finding]:
-        """Run all steps. On errors too, the rig is left in a safe state, and previous results are written.
+        """Run all steps and return their results.
+
+        After an error too, the rig is left in a safe state and results are written.
 
         Parameters
         ----------
@@ -73,7 +76,9 @@ class FirstDay:
             Number of problems found by `rig.bench.check`.
         """
         self._record_finding(
-            "devices", wrong_devices == 0, f"{wrong_devices} wrong; see the lines above" if wrong_devices else "all answer"
+            "devices",
+            wrong_devices == 0,
+            f"{wrong_devices} devices have a problem; see the lines above" if wrong_devices else "all devices reply",
         )
         steps: list[tuple[str, Callable[[], None]]] = [
             ("lamps", self._lamps),
@@ -109,24 +114,30 @@ class FirstDay:
         )
 
     def _arm(self) -> None:
-        """Move the camera in front of the canister, after every joint is known to move in the right direction."""
+        """Move the camera in front of the canister, provided that every joint moves in the right direction."""
         if self._devices.arm is None:
             self._note(Finding(step="arm", verdict="skipped", text="this rig has no arm"))
             return
         if any(one.verdict != "ok" for one in self.findings if one.step.startswith("joint")):
-            self._note(Finding(step="arm", verdict="skipped", text="not moved before all joints are ok; correct them and repeat"))
+            self._note(
+                Finding(
+                    step="arm",
+                    verdict="skipped",
+                    text="the arm is not moved before all joints are ok; correct them first",
+                )
+            )
             return
         ring = self._scene.plan.rings[0]
         where = f"{ring.distance_mm:g} mm from the axis, {ring.height_mm:g} mm above the rim"
-        if not self._yes(f"Keep a hand on the switch: may the arm move the camera in front of the canister ({where})?"):
-            self._note(Finding(step="arm", verdict="skipped", text="not moved"))
+        if not self._yes(f"Keep a hand on the switch. May the arm move the camera in front of the canister ({where})?"):
+            self._note(Finding(step="arm", verdict="skipped", text="the user did not permit the move"))
             return
         self._jog.do(["go", f"{ring.distance_mm:g}", f"{ring.height_mm:g}", f"{ring.tilt_deg:g}"])
         self._before_canister = self._yes("Does the camera face the canister, with strip and water in the picture?")
-        self._record_finding("arm", self._before_canister, f"judged by eye: {where}")
+        self._record_finding("arm", self._before_canister, f"judged by eye, with the camera {where}")
 
     def _out_of_place(self, step: str) -> bool:
-        """Skip a step whose picture would not show the canister."""
+        """Record a step as skipped, and return True, if the camera does not show the canister."""
         if not self._before_canister:
             self._note(Finding(step=step, verdict="skipped", text="the camera is not in front of the canister"))
         return not self._before_canister
@@ -138,12 +149,14 @@ class FirstDay:
         write_bytes(self._folder / "focus.png", encode_png(image))
         if contrast(image) < LEAST_CONTRAST:
             self._record_finding(
-                "focus", False, "there is no dark object in front of the panel: bring pot, strip and canister into the picture (focus.png)"
+                "focus",
+                False,
+                "no dark object is visible in front of the panel; bring net pot, strip and canister into the picture (focus.png)",
             )
             return
         width_px, cell_px = edge_width_px(image), self._cell_px()
         sharp = width_px < 0.5 * cell_px
-        text = f"the sharpest edges are {width_px:.1f} px wide, a cell of a marker {cell_px:.1f} px"
+        text = f"the sharpest edges are {width_px:.1f} px wide, and a cell of a marker is {cell_px:.1f} px wide"
         cure = "; turn the focus until edges are less than half a cell wide"
         self._record_finding("focus", sharp, text if sharp else text + cure, edge_px=width_px, cell_px=cell_px)
 
@@ -154,11 +167,16 @@ class FirstDay:
         seen = read_strip(image, self._scene)
         if seen is not None:
             self._record_finding(
-                "strip", True, f"{seen.markers} markers, {seen.reprojection_px:.2f} px error", reprojection_px=seen.reprojection_px
+                "strip",
+                True,
+                f"{seen.markers} markers were read with a reprojection error of {seen.reprojection_px:.2f} px",
+                reprojection_px=seen.reprojection_px,
             )
         elif read_strip(np.ascontiguousarray(image[:, ::-1]), self._scene) is not None:
             self._record_finding(
-                "strip", False, "the picture is mirrored: switch off the camera's flip, or print the strip anew if it was printed mirrored"
+                "strip",
+                False,
+                "the picture is mirrored: switch off the camera's flip option, or reprint the strip if it was printed mirrored",
             )
         else:
             self._record_finding("strip", False, unread_reason(image, self._scene))
@@ -171,7 +189,10 @@ class FirstDay:
         write_bytes(self._folder / "panel.png", encode_png(image))
         even, full = panel_evenness(image), preflight.measure_exposure(image).saturated
         good = even >= LEAST_EVEN and full <= preflight.MOST_SATURATED
-        text = f"its darker parts have {100.0 * even:.0f} % of the light of its brighter ones, {100.0 * full:.1f} % is at full scale"
+        text = (
+            f"the darker parts have {100.0 * even:.0f} % of the brightness of the brighter parts; {100.0 * full:.1f} % of the picture is "
+            "at full scale"
+        )
         self._record_finding("panel", good, text, evenness=even, saturated=full)
         self._jog.do(["lights", "1", "1"])
 
@@ -189,13 +210,16 @@ class FirstDay:
             return
         turn, miss = (wrap_angle(facing_angle(b, self._scene) - facing_angle(a, self._scene)) for a, b in ((before, after), (before, back)))
         measured = abs(turn - TURN_DEG) <= TURN_TOLERANCE_DEG
-        text = f"commanded to turn by {TURN_DEG:g} deg, the markers turned by {turn:.2f} and returned to {miss:+.2f}"
+        text = f"the table was commanded to turn by {TURN_DEG:g} deg; the markers turned by {turn:.2f} deg and returned to {miss:+.2f} deg"
         if abs(turn + TURN_DEG) <= TURN_TOLERANCE_DEG:
-            text += ": wrong direction; swap the motor's coil, set INVERT_X_DIR or hat.reverse, or turntable.direction = -1 in the scene"
+            text += (
+                ". The direction is wrong: swap the wires of a motor coil, set INVERT_X_DIR or hat.reverse, or turntable.direction = -1 "
+                "in the scene"
+            )
         elif not measured:
-            text += ": correct the steps per degree"
+            text += "; correct the steps per degree"
         elif not seen_right:
-            text += f"; the markers confirm it, but no turn {sense} was observed: is the strip upside down?"
+            text += f". The markers confirm the turn, but it was not observed as {sense}; check whether the strip is upside down"
         self._record_finding("table", measured and seen_right, text, turned_deg=turn, back_deg=miss)
 
     def _joint_step(self, k: int) -> Callable[[], None]:
@@ -205,8 +229,8 @@ class FirstDay:
             if arm is None:
                 self._note(Finding(step=name, verdict="skipped", text="this rig has no arm"))
                 return
-            if not self._yes(f"Keep a hand on the switch of the arm's supply: may joint {k + 1} move by {JOINT_DEG:g} degrees?"):
-                self._note(Finding(step=name, verdict="skipped", text="not moved"))
+            if not self._yes(f"Keep a hand on the switch of the arm's supply. May joint {k + 1} move by {JOINT_DEG:g} degrees?"):
+                self._note(Finding(step=name, verdict="skipped", text="the user did not permit the move"))
                 return
             self._jog.do(["joint", str(k + 1), "+0"])  # connects
             before = arm.read_joints()[k]
@@ -214,9 +238,9 @@ class FirstDay:
             moved_deg = arm.read_joints()[k] - before
             right = self._yes(f"Did {JOINTS[k]}?")
             self._jog.do(["joint", str(k + 1), f"-{JOINT_DEG:g}"])
-            text = f"commanded to move by {JOINT_DEG:g} deg, the servo reports {moved_deg:+.1f}"
+            text = f"the joint was commanded to move by {JOINT_DEG:g} deg, and its servo reports {moved_deg:+.1f} deg"
             self._record_finding(
-                name, right, text + ("" if right else f"; set sign of arm.joints {k + 1} to the other one"), moved_deg=moved_deg
+                name, right, text + ("" if right else f"; reverse the sign of arm.joints {k + 1} in the rig file"), moved_deg=moved_deg
             )
 
         return step
@@ -238,7 +262,7 @@ class FirstDay:
                 )
             )
         for what, given_mm, key in asked:
-            answer = self._ask(f"Callipers or tape: how many mm is it {what}? (empty to skip) ").strip()
+            answer = self._ask(f"Measure with callipers or tape: how many mm is it {what}? (leave empty to skip) ").strip()
             if not answer:
                 self._note(Finding(step="calipers", verdict="skipped", text=what))
                 continue
@@ -248,17 +272,21 @@ class FirstDay:
                 self._note(Finding(step="calipers", verdict="skipped", text=f"{what}: {answer!r} is not a number"))
                 continue
             near = abs(measured_mm - given_mm) <= CALIPER_MM
-            text = f"{what} {measured_mm:.2f} mm, in the scene {given_mm:.2f}"
-            cure = f"; correct {key}" if key else "; the printer scales: see its ruler, and `rhizotwin markers --printed-ruler-mm`"
+            text = f"{what}: measured {measured_mm:.2f} mm, but {given_mm:.2f} mm in the scene"
+            cure = (
+                f"; correct {key}"
+                if key
+                else "; the print is not to scale: measure its ruler and use `rhizotwin markers --printed-ruler-mm`"
+            )
             self._record_finding("calipers", near, text if near else text + cure, measured_mm=measured_mm, given_mm=given_mm)
 
     def _sighting(self) -> Sighting | None:
         return read_strip(self._jog.shot(), self._scene)
 
     def _cell_px(self) -> float:
-        """Return the size in pixels of a marker's cell from the first ring.
+        """Return the expected size of a marker's cell in the first ring's pictures, px.
 
-        A marker has 8 cells including its border (AprilTag 36h11: 10).
+        A marker has 8x8 cells including its border (AprilTag 36h11: 10x10).
         """
         from rhizotwin.scenes.markers import get_dictionary
 
@@ -291,13 +319,13 @@ class FirstDay:
 
 
 def report(findings: Sequence[Finding], name: str) -> str:
-    """Return the results as a Markdown report."""
+    """Format the results as a Markdown report."""
     rows = [f"| {one.step} | {one.verdict} | {one.text.replace('|', '/')} |" for one in findings]
     wrong = sum(one.verdict == "wrong" for one in findings)
     head = [
-        f"# First day of {name}",
+        f"# First check of {name}",
         "",
-        f"{len(findings)} steps, {wrong} wrong.",
+        f"{len(findings)} steps, {wrong} with a problem.",
         "",
         "| step | verdict | result |",
         "|---|---|---|",
@@ -306,9 +334,9 @@ def report(findings: Sequence[Finding], name: str) -> str:
 
 
 def edge_width_px(image: Grey) -> float:
-    """Return the width in px of the sharpest vertical edges: the step from dark to bright over the steepest slope.
+    """Return the width of the sharpest vertical edges, px: the step from dark to bright divided by the steepest slope.
 
-    The 99.9th percentile of the slopes is used, so that single noisy pixels have no effect.
+    The steepest slope is the 99.9th percentile, so that single noisy pixels have no effect.
     """
     numbers = image.astype(np.float64)
     slope = np.abs(numbers[:, 2:] - numbers[:, :-2]) / 2.0
@@ -317,15 +345,15 @@ def edge_width_px(image: Grey) -> float:
 
 
 def contrast(image: Grey) -> float:
-    """Return the relative difference between the bright (98th percentile) and the dark parts (2nd) of a picture."""
+    """Return the contrast of a picture: 1 minus the ratio of its 2nd to its 98th percentile."""
     dark, bright = np.percentile(image, (2.0, 98.0))
     return float(1.0 - dark / max(bright, 1.0))
 
 
 def panel_evenness(image: Grey) -> float:
-    """Return the ratio of the panel's darker to its brighter parts, in blocks that are mostly panel.
+    """Return the ratio of the panel's darker to its brighter parts, from blocks that mostly show the panel.
 
-    These are the 5th and the 95th percentile.
+    The darker and brighter parts are the 5th and the 95th percentile of the blocks' medians.
     """
     height, width = image.shape
     rows, columns = np.array_split(np.arange(height), BLOCKS_XY[1]), np.array_split(np.arange(width), BLOCKS_XY[0])

@@ -1,4 +1,4 @@
-"""Interactive commands to operate every device by hand, with collision checks of the arm's paths."""
+"""Interactive commands for operating every device manually, with collision checks of the arm's paths."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ JOINT_COUNT = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Word:
-    """A command of the interactive mode."""
+    """Command of the interactive mode."""
 
     usage: str
     does: str
@@ -45,7 +45,7 @@ class Word:
 
 
 class Jog:
-    """The devices of a rig, operated by typed commands."""
+    """Interactive operation of a rig's devices by typed commands."""
 
     def __init__(self, devices: Devices, scene: Scene, *, say: Say) -> None:
         self._devices = devices
@@ -55,32 +55,38 @@ class Jog:
         self._seen = np.eye(4)
         self._commanded: tuple[float, ...] | None = None
         self._words: Mapping[str, Word] = {
-            "table": Word(usage="table +9 | table 90", does="turn by an angle (with sign), or to an angle (without)", run=self._table),
-            "home": Word(usage="home [DEG]", does="determine the table's angle by the markers, or declare it as DEG", run=self._home),
-            "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
+            "table": Word(
+                usage="table +9 | table 90", does="rotate the table by an angle (with a sign) or to an angle (without)", run=self._table
+            ),
+            "home": Word(usage="home [DEG]", does="determine the table's angle from the markers, or define it as DEG", run=self._home),
+            "lights": Word(usage="lights PANEL [FRONT]", does="set the brightness of panel and front light, from 0 to 1", run=self._lights),
             "band": Word(usage="band NAME", does="set lamps and filter for a band of the camera", run=self._band),
-            "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
+            "joint": Word(
+                usage="joint 2 +5 | joint 2 30",
+                does="move one of the joints 1 to 5 by an angle (with a sign) or to an angle",
+                run=self._joint,
+            ),
             "go": Word(
                 usage="go DISTANCE HEIGHT [TILT]",
-                does="move the camera to a distance from the axis and a height above the rim",
+                does="move the camera to a distance from the table's axis and a height above the rim (mm)",
                 run=self._go,
             ),
             "look": Word(
                 usage="look X Y Z DX DY DZ | look NAME",
-                does="move the camera to a position and direction, or a named pose",
+                does="move the camera to a position (mm) and viewing direction, or to a named pose",
                 run=self._look_from,
             ),
             "align": Word(
                 usage="align [DISTANCE HEIGHT]",
-                does="align the camera with the canister's axis, level and upright, by the markers",
+                does="align the camera with the canister's axis, level and upright, using the markers",
                 run=self._align,
             ),
             "park": Word(usage="park", does="move the arm to its parking position", run=self._park),
-            "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
+            "relax": Word(usage="relax", does="switch the arm's torque off (hold the camera first)", run=self._relax),
             "pose": Word(usage="pose", does="show table angle, joint angles and camera position", run=self._pose),
             "markers": Word(usage="markers", does="take a picture and show the detected markers", run=self._markers),
             "picture": Word(usage="picture FILE.png", does="take a picture and write it to a file", run=self._picture),
-            "help": Word(usage="help", does="say this", run=self._help),
+            "help": Word(usage="help", does="list all commands", run=self._help),
         }
 
     def run(self, lines: Iterable[str], *, stop_at_mistake: bool) -> None:
@@ -91,7 +97,8 @@ class Jog:
         lines : iterable of str
             Command lines, from a terminal or a pipe.
         stop_at_mistake : bool
-            Raise the first error, as for a pipe; otherwise errors are printed, and the next line is executed.
+            Whether to stop at the first error and raise it, as for a pipe. Otherwise errors are printed, and the next
+            line is executed.
         """
         try:
             for line in lines:
@@ -110,23 +117,23 @@ class Jog:
             self.leave()
 
     def do(self, words: list[str]) -> None:
-        """Execute one command, given as its words.
+        """Execute a command that is given as a list of words.
 
         Raises
         ------
         UserError
-            For unknown or invalid commands, and for failures.
+            If the command is unknown or invalid, or fails.
         """
         word = self._words.get(words[0])
         if word is None:
-            raise UserError(f"there is no command {words[0]!r}; there are {', '.join(self._words)} and quit")
+            raise UserError(f"there is no command {words[0]!r}; available commands are {', '.join(self._words)} and quit")
         try:
             word.run(words[1:])
         except (ValueError, IndexError):
             raise UserError(f"{' '.join(words)!r} is invalid; usage: {word.usage}") from None
 
     def leave(self) -> None:
-        """Leave the rig in a safe state: lamps off, the arm parked and without torque.
+        """Leave the rig in a safe state: lamps off, arm parked and without torque.
 
         The table's motor remains on if its angle is known.
         """
@@ -139,16 +146,16 @@ class Jog:
         finally:
             make_safe(self._devices, self._scene, say=self._say, board=self._table_ready, arm=self._arm_ready, finished=not known)
         if known:
-            self._say("turntable: its motor remains on, so that its angle is kept")
+            self._say("turntable: the motor remains on, so that the table's angle is not lost")
 
     def _board(self) -> None:
-        """Connect to the board when it is first used."""
+        """Connect to the board of table and lamps, unless connected."""
         if not self._table_ready:
             self._say(preflight.check_table(self._devices.table))
             self._table_ready = True
 
     def _arm(self) -> Arm:
-        """Connect to the arm when it is first used."""
+        """Return the arm, and connect to it unless connected."""
         arm = self._devices.arm
         if arm is None:
             raise UserError("this rig has no arm")
@@ -168,7 +175,9 @@ class Jog:
         self._board()
         table = self._devices.table
         if not table.knows_zero():
-            raise RigError("turntable: its angle is unknown; type home, or home 0 if the strip's seam faces the camera")
+            raise RigError(
+                "turntable: the table's angle is unknown; enter home, or home 0 if the seam of the marker strip faces the camera"
+            )
         goal_deg = angle_deg + (table.position_deg() if text[0] in "+-" else 0.0)
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
@@ -180,7 +189,7 @@ class Jog:
         else:
             seen, why = self._look()
             if seen is None:
-                raise RigError(f"turntable: no angle from the markers: {why}")
+                raise RigError(f"turntable: the angle cannot be determined from the markers: {why}")
             angle_deg = facing_angle(seen, self._scene)
         angle_deg %= 360.0
         self._devices.table.declare(angle_deg)
@@ -198,7 +207,7 @@ class Jog:
         part = bands.band_part(self._devices.rig, name)
         if part is None:
             known = ", ".join(one.name for one in self._devices.rig.camera.bands) or "none"
-            raise UserError(f"the rig file has no band {name!r}; it has {known}")
+            raise UserError(f"the rig file has no band {name!r}; its bands are: {known}")
         self._board()
         bands.light(self._devices.lights, self._devices.rig, name)
         if part.filter_deg is not None:
@@ -229,7 +238,7 @@ class Jog:
         if len(words) == 1:
             named = {pose.name: pose for pose in rig.poses}
             if words[0] not in named:
-                raise UserError(f"there is no pose {words[0]!r} in the rig file; it has {', '.join(named) or 'none'}")
+                raise UserError(f"the rig file has no pose {words[0]!r}; its poses are: {', '.join(named) or 'none'}")
             position_mm, direction = named[words[0]].position_mm, named[words[0]].direction
         else:
             x, y, z, dx, dy, dz = (parse_number(word) for word in words)
@@ -245,14 +254,14 @@ class Jog:
         self.align()
 
     def align(self) -> Misalignment:
-        """Correct the joints by the markers until the camera faces the canister, and return the remaining error.
+        """Align the camera with the canister, using the markers, and return the remaining misalignment.
 
-        This is the correction of the thesis, appendix C.2.
+        The method is described in appendix C.2 of the thesis.
 
         Raises
         ------
         UserError
-            If the strip cannot be read, the path is not clear, or the corrections do not converge.
+            If the marker strip cannot be read, the path is not clear, or the corrections do not converge.
         """
         rig, part = self._devices.rig, require_arm(self._devices.rig)
         here = self._commanded or self._arm().read_joints()
@@ -266,13 +275,13 @@ class Jog:
         self._say(f"after {moves} moves: {left.text()}")
         if not left.is_aligned:
             raise RigError(
-                f"arm: not aligned after {moves} moves ({left.text()}): its servos do not reach the commanded positions; "
-                "check its supply and its stops, or calibrate it"
+                f"arm: the camera is not aligned after {moves} moves ({left.text()}), because the servos do not reach the commanded "
+                "positions; check the servos' supply and end stops, or calibrate the arm"
             )
         return left
 
     def _misalignment(self, *, search: bool = False) -> Misalignment:
-        """Take a picture and return the misalignment of the camera, tilting it to find the strip."""
+        """Take a picture and return the camera's misalignment, tilting the camera if it has to search for the strip."""
         seen, why = self._look()
         here = self._arm().read_joints()
         for tilt_deg in SEARCH_DEG if search and seen is None else ():
@@ -286,7 +295,7 @@ class Jog:
         return misalignment(self._seen)
 
     def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
-        """Move along a path, checking each segment before, and return the measured joint angles."""
+        """Check a path for collisions, move along it, and return the measured joint angles, deg."""
         arm, rig = self._arm(), self._devices.rig
         check_limits(require_arm(rig), path[-1])
         check_path(rig, self._scene, [arm.read_joints(), *path])
@@ -321,7 +330,10 @@ class Jog:
             joints = self._arm().read_joints()
             distance_mm, height_mm, tilt_deg = camera_position(camera_at(part, joints))
             self._say(joints_text(joints))
-            self._say(f"by the joints the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
+            self._say(
+                f"from the joint angles, the camera is {distance_mm:.1f} mm from the axis, at z = {height_mm:.1f} mm, tilted down by "
+                f"{tilt_deg:.1f} deg"
+            )
 
     def _markers(self, words: list[str]) -> None:
         require_no_arguments(words)
@@ -331,15 +343,19 @@ class Jog:
         distance_mm, height_mm, tilt_deg = camera_position(seen.cam_from_canister)
         facing_deg = facing_angle(seen, self._scene) % 360.0
         self._say(
-            f"{seen.markers} markers, {seen.reprojection_px:.2f} px error; seen from the +x side the table is at {facing_deg:.2f} deg"
+            f"{seen.markers} markers, reprojection error {seen.reprojection_px:.2f} px; the table is at {facing_deg:.2f} deg if the "
+            "camera is on the +x side"
         )
-        self._say(f"by the markers the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
+        self._say(
+            f"from the markers, the camera is {distance_mm:.1f} mm from the axis, at z = {height_mm:.1f} mm, tilted down by "
+            f"{tilt_deg:.1f} deg"
+        )
 
     def _picture(self, words: list[str]) -> None:
         (name,) = words
         path = Path(name)
         if path.suffix.lower() != ".png":
-            raise UserError(f"{name}: pictures are written as PNG; give a name that ends in .png")
+            raise UserError(f"{name}: pictures are written as PNG; choose a name that ends in .png")
         if path.exists():
             raise UserError(f"{name} already exists; choose another name")
         image = self.shot()
@@ -352,10 +368,10 @@ class Jog:
         width = max(len(word.usage) for word in self._words.values())
         for word in self._words.values():
             self._say(f"  {word.usage:<{width}}  {word.does}")
-        self._say(f"  {'quit':<{width}}  lights off, arm parked without torque")
+        self._say(f"  {'quit':<{width}}  switch the lamps off, park the arm, and switch its torque off")
 
     def shot(self) -> Grey:
-        """Return a picture of the scene's size."""
+        """Take a picture, and check that its size is that of the scene's camera."""
         camera = self._devices.camera
         if not self._camera_ready:
             self._say(preflight.check_camera(camera))
@@ -366,7 +382,7 @@ class Jog:
 
 
 def parse_number(text: str) -> float:
-    """Return a finite number; words such as nan and inf are rejected."""
+    """Parse a finite number. Words such as nan and inf are rejected."""
     value = float(text)
     if not np.isfinite(value):
         raise ValueError(text)
@@ -374,11 +390,11 @@ def parse_number(text: str) -> float:
 
 
 def require_no_arguments(words: list[str]) -> None:
-    """Raise an error for arguments of a command without arguments."""
+    """Raise an error if a command without arguments was given any."""
     if words:
         raise ValueError(words)
 
 
 def joints_text(joints_deg: tuple[float, ...]) -> str:
-    """Return joint angles as text, base to wrist roll."""
+    """Format joint angles (deg), from base to wrist roll, as text."""
     return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

@@ -1,4 +1,4 @@
-"""Opening of the devices described in a rig file."""
+"""Creation of the device drivers described in a rig file."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,7 +22,7 @@ from rhizotwin.scenes.model import Scene
 
 @dataclass(kw_only=True)
 class Devices:
-    """The open devices of a rig."""
+    """Open devices of a rig."""
 
     rig: RigFile
     clock: Clock
@@ -31,16 +31,16 @@ class Devices:
     camera: Camera
     arm: Arm | None
     open_board: Callable[[], tuple[Turntable, Lights]]
-    """Function that reopens the board of table and lights after it was lost."""
+    """Function that reopens the board of table and lights after its connection was lost."""
 
     def reconnect_board(self) -> None:
-        """Close table and lights, and reopen them."""
+        """Close the table and the lights, and reopen them."""
         with suppress(RigError):
             self.table.close()
         self.table, self.lights = self.open_board()
 
     def close(self) -> None:
-        """Close every device; errors of one do not prevent the others from being closed."""
+        """Close every device. An error of one device does not prevent the other devices from being closed."""
         for device in (self.camera, self.arm, self.table):
             with suppress(RigError):
                 if device is not None:
@@ -48,30 +48,30 @@ class Devices:
 
 
 def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | None = None, recorder: Recorder | None = None) -> Devices:
-    """Open the devices of a rig, without any motion, light or current.
+    """Open the devices of a rig, without causing any motion, light or current.
 
     Parameters
     ----------
     rig : RigFile
         Rig file with the devices.
     scene : Scene
-        Scene, whose camera defines size and bit depth of the pictures.
+        Scene whose camera defines size and bit depth of the pictures.
     clock : Clock
         Clock for waiting times.
     camera : Camera or None
-        Camera of the twin; None for that of the rig file.
+        Camera of the twin; None for the camera of the rig file.
     recorder : Recorder or None
-        Records every transmitted byte.
+        Recorder of all transmitted bytes, if any.
 
     Returns
     -------
     Devices
-        Devices, which the caller must close.
+        Open devices, which the caller must close.
 
     Raises
     ------
     RigError
-        If a device is missing; those opened before it are closed.
+        If a device is missing. All devices opened before are closed.
     """
 
     def board() -> tuple[Turntable, Lights]:
@@ -93,7 +93,7 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
-    """Open the driver of table and lights: a Marlin board, or this Raspberry Pi's own pins.
+    """Create the drivers of table and lights, for a Marlin board or the pins of this Raspberry Pi.
 
     Parameters
     ----------
@@ -102,12 +102,12 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
     clock : Clock
         Clock for waiting times.
     recorder : Recorder or None
-        Records every transmitted byte.
+        Recorder of all transmitted bytes, if any.
 
     Returns
     -------
     Turntable, Lights
-        Open devices; nothing was sent.
+        Open devices, to which nothing was sent yet.
     """
     part = rig.turntable
     if part.kind == "hat":
@@ -124,7 +124,7 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
 
 
 def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:
-    """Open the arm's port; return None for a rig without an arm.
+    """Open the arm's port and create its driver; return None for a rig without an arm.
 
     Parameters
     ----------
@@ -133,12 +133,12 @@ def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) ->
     clock : Clock
         Clock for waiting times.
     recorder : Recorder or None
-        Records every transmitted byte.
+        Recorder of all transmitted bytes, if any.
 
     Returns
     -------
     Arm or None
-        Open arm; nothing was sent.
+        Open arm, to which nothing was sent yet.
     """
     part = rig.arm
     if part is None:

@@ -1,6 +1,6 @@
-"""Rig file: the devices, their connections, and the position of the arm.
+"""Rig file: description of the devices, their connections, and the position of the arm.
 
-It is a validated TOML file; unknown keys are rejected.
+A rig file is a TOML file that is validated when it is read. Unknown keys are rejected.
 """
 
 from dataclasses import dataclass, field
@@ -18,55 +18,56 @@ LSC_BAUD = 9600
 
 @dataclass(frozen=True, kw_only=True)
 class TurntablePart:
-    """Turntable and lights: a Marlin 2.1 board on one serial line, or this Raspberry Pi's own pins."""
+    """Turntable and lights, driven by a Marlin 2.1 board on a serial line, or by the pins of this Raspberry Pi."""
 
     kind: Literal["marlin", "hat"] = "marlin"
-    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``), for which ``port``
-    and ``baud`` are not used."""
+    """Electronics that drive table and lights. marlin: a Marlin board at ``port``. hat: a DRV8825 and NeoPixels on the
+    pins of this computer (``hat``), for which ``port`` and ``baud`` are not used."""
     port: str = "/dev/ttyUSB0"
-    """A serial port, or any URL of pyserial such as socket://localhost:4000."""
+    """Serial port, or any URL supported by pyserial, such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
     speed_deg_per_s: float = bounded(30.0, 0.1, 360.0)
     acceleration_deg_per_s2: float = bounded(60.0, 0.1, 10000.0)
-    """Acceleration of each move; a Marlin board limits it to its own maximum."""
+    """Acceleration of each move, deg/s2. A Marlin board limits it to its own maximum."""
     full_step_deg: float = bounded(1.8, 0.001, 30.0)
-    """Table angle of one full step of the motor."""
+    """Table angle of one full step of the motor, deg."""
     approach_deg: float = bounded(3.6, 0.0, 45.0)
-    """Moves against the approach direction overshoot by this angle and return, so that backlash is always on the same
-    side."""
+    """Angle by which moves against the approach direction overshoot before they return, deg, so that the backlash is
+    always on the same side."""
     tolerance_deg: float = bounded(0.02, 1e-4, 5.0)
-    """Maximum difference between the commanded and the measured angle."""
+    """Maximum difference between commanded and measured table angle, deg."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Pause after a move before a picture, until the water is still."""
+    """Pause between a move and the next picture, s, in which the water comes to rest."""
     rest: Literal["given", "measured"] = "given"
-    """measured: before its first picture, a scan turns a few times at this and lower accelerations, measures how long
-    the picture moves, and uses the acceleration with the shortest total time; it pauses at least ``settle_s``."""
+    """Source of the pause before each picture. given: ``settle_s``. measured: before its first picture, a scan rotates
+    the table a few times at this and lower accelerations, measures how long the picture moves, and uses the
+    acceleration with the shortest total time. The pause is then at least ``settle_s``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightsPart:
-    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE): backlight panel and front light."""
+    """Backlight panel and front light: two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE)."""
 
     panel_strip: int = bounded(0, 0, 1)
     front_strip: int = bounded(1, 0, 1)
     panel_rgb: tuple[int, int, int] = bounded((255, 255, 255), 0, 255)
-    """Colour of the panel at level 1."""
+    """Colour of the panel at level 1, as red, green and blue."""
     front_rgb: tuple[int, int, int] = bounded((255, 255, 255), 0, 255)
     panel_level: float = bounded(1.0, 0.0, 1.0)
-    """Level during the scan."""
+    """Level of the panel during a scan, from 0 to 1."""
     front_level: float = bounded(1.0, 0.0, 1.0)
     settle_s: float = bounded(0.5, 0.0, 60.0)
-    """Pause after a change before a picture."""
+    """Pause between a change of the lamps and the next picture, s."""
 
     def strips(self, panel: float, front: float, band: "BandPart | None") -> tuple[tuple[int, Rgb, float], ...]:
-        """Return the state of both strips.
+        """Return number, colour and level of both strips.
 
         Parameters
         ----------
         panel, front : float
-            Levels of panel and front light.
+            Levels of panel and front light, from 0 to 1.
         band : BandPart or None
-            Band whose colours are used; None: those of ``[lights]``.
+            Band whose colours are used; None for the colours of ``[lights]``.
 
         Returns
         -------
@@ -80,33 +81,33 @@ class LightsPart:
 
 @dataclass(frozen=True, kw_only=True)
 class HatPart:
-    """Electronics of the thesis: a DRV8825 and two NeoPixel strips on a Raspberry Pi's pins, with GPIO numbers."""
+    """Electronics of the thesis: a DRV8825 and two NeoPixel strips on the pins of a Raspberry Pi (GPIO numbers)."""
 
     step_pin: int = bounded(23, 0, 27)
     direction_pin: int = bounded(24, 0, 27)
     enable_pin: int = bounded(25, 0, 27)
-    """Pin that switches the motor on when low."""
+    """GPIO pin that switches the motor on when low."""
     fault_pin: int = bounded(22, 0, 27)
-    """Pin that signals a hot driver or a shorted coil when low."""
+    """GPIO pin that signals an overheated driver or a shorted coil when low."""
     microsteps: int = bounded(32, 1, 32)
-    """Microsteps per step, according to the wiring of the driver's MODE pins."""
+    """Number of microsteps per full step, according to the wiring of the driver's MODE pins."""
     reverse: bool = False
-    """Whether the wiring of the motor's coils reverses the table's direction."""
+    """Whether the wiring of the motor's coils reverses the table's direction of rotation."""
     panel_pin: int = bounded(18, 0, 27)
-    """Pin of the panel, GPIO 12 or 18: channel 0 of rpi_ws281x."""
+    """GPIO pin of the panel, 12 or 18 (channel 0 of rpi_ws281x)."""
     front_pin: int = bounded(13, 0, 27)
-    """Pin of the front light, GPIO 13 or 19: channel 1."""
+    """GPIO pin of the front light, 13 or 19 (channel 1 of rpi_ws281x)."""
     panel_pixels: int = bounded(300, 1, 5000)
     front_pixels: int = bounded(18, 1, 5000)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """One servo, as a joint."""
+    """Servo that moves one joint of the arm."""
 
     servo: int = bounded(1, 0, 253)
     zero_counts: float = bounded(500.0, -2000.0, 3000.0)
-    """Servo position at joint angle 0."""
+    """Servo position at joint angle 0, in counts."""
     sign: Literal[1, -1] = 1
     counts_per_deg: float = bounded(1000.0 / 240.0, 0.1, 100.0)
     min_deg: float = bounded(-90.0, -360.0, 360.0)
@@ -115,14 +116,15 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmPart:
-    """The arm: six LX servos, five of which move the camera. Omit the section for a camera on a tripod."""
+    """Robot arm with six LX servos, five of which move the camera. Omit this section if the camera is on a tripod."""
 
     protocol: Literal["lx", "lsc"] = "lx"
-    """lx: the servo bus itself (115200 Bd, checksums). lsc: the controller board (9600 Bd, none)."""
+    """Protocol of the servos. lx: servo bus (115200 Bd, with checksums). lsc: controller board (9600 Bd, without
+    checksums)."""
     port: str = "/dev/ttyUSB1"
     baud: int = bounded(115200, 1200, 4_000_000)
     echo: Literal["auto", "yes", "no"] = "auto"
-    """Whether the half-duplex adapter echoes transmitted bytes (lx only)."""
+    """Whether the half-duplex adapter echoes transmitted bytes (only for protocol lx)."""
     joints: tuple[Joint, ...] = (
         Joint(servo=6, min_deg=-90.0, max_deg=90.0),
         Joint(servo=5, min_deg=-86.0, max_deg=91.0),
@@ -130,73 +132,74 @@ class ArmPart:
         Joint(servo=3, min_deg=-112.0, max_deg=112.0),
         Joint(servo=2, min_deg=-112.0, max_deg=112.0),
     )
-    """Base, shoulder, elbow, wrist pitch, wrist roll."""
+    """Joints in the order base, shoulder, elbow, wrist pitch, wrist roll."""
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
-    """Lengths from base plate to shoulder axis, to elbow, to wrist pitch, and to the camera's centre."""
+    """Lengths from base plate to shoulder axis, to elbow axis, to wrist pitch axis, and to the camera's centre, mm."""
     position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
-    """Centre of the base plate's underside in the rig frame; by default 145 mm above the floor, to reach rings of root
-    and shoot."""
+    """Centre of the base plate's underside in the rig frame, mm. The default is 145 mm above the floor, so that the arm
+    can reach the rings for root and shoot."""
     rotation_deg: tuple[float, float, float] = bounded((0.0, 0.0, 180.0), -360.0, 360.0)
-    """Rotation vector from the arm frame (+z along the base's axis, +x the direction in which the arm leans at positive
-    shoulder angles) to the rig frame."""
+    """Rotation vector from the arm frame to the rig frame, deg. In the arm frame, +z is along the base's axis, and the
+    arm leans toward +x at positive shoulder angles."""
     max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)
     tolerance_deg: float = bounded(3.0, 0.1, 30.0)
-    """Maximum difference between commanded and measured angles (including sag and dead band) at the end of a move."""
+    """Maximum difference between commanded and measured joint angle at the end of a move, deg, including sag and dead
+    band."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
-    """Parking position of the arm, in which its torque is switched off; the path to the first ring begins and ends
-    here."""
+    """Joint angles of the parking position, deg, in which the arm's torque is switched off. Every scan begins and ends
+    there."""
     filter: Joint | None = None
-    """End effector's motor, if it rotates a filter wheel in front of the lens."""
+    """Servo of the end effector, if it rotates a filter wheel in front of the lens."""
     min_volt: float = bounded(6.5, 4.5, 12.0)
     max_volt: float = bounded(8.4, 4.5, 12.0)
     max_celsius: float = bounded(65.0, 20.0, 85.0)
     correct: bool = True
-    """Whether to correct the camera's position for each ring by the markers."""
+    """Whether to correct the camera's position for each ring using the markers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BandPart:
-    """Lamp and filter settings for one of the scene's bands."""
+    """Lamp and filter settings for one band of the scene's camera."""
 
     name: str = ""
-    """Name of the band, as in the scene."""
+    """Name of the band in the scene."""
     panel_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
-    """Colour of the panel at level 1. None: as in ``[lights]``."""
+    """Colour of the panel at level 1. None: colour of ``[lights]``."""
     front_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
-    """Colour of the front light at level 1. None: as in ``[lights]``."""
+    """Colour of the front light at level 1. None: colour of ``[lights]``."""
     panel_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Level of the panel. None: as in ``[lights]``."""
+    """Level of the panel. None: level of ``[lights]``."""
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Level of the front light. None: as in ``[lights]``."""
+    """Level of the front light. None: level of ``[lights]``."""
     output: int | None = field(default=None, metadata={"limits": (0, 27)})
-    """Switched output of a lamp that is only on in this band, such as near-infrared LEDs: number of the Marlin board's
-    fan output (M106), or of a Raspberry Pi's GPIO pin (hat)."""
+    """Switched output for a lamp that is on only in this band, such as near-infrared LEDs: the number of a fan output
+    of the Marlin board (M106), or of a GPIO pin of the Raspberry Pi (hat)."""
     filter_deg: float | None = field(default=None, metadata={"limits": (-360.0, 360.0)})
-    """Angle of the filter wheel, which is rotated by the end effector's motor (``arm.filter``)."""
+    """Angle of the filter wheel, deg, which is rotated by the end effector's servo (``arm.filter``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPart:
-    """The camera: on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer (http)."""
+    """Camera connected to this Raspberry Pi (picamera2), by USB (v4l2), or to another computer (http)."""
 
     kind: Literal["picamera2", "v4l2", "http"] = "picamera2"
     address: str = "0"
-    """picamera2, v4l2: number of the camera (for v4l2 also its device file). http: URL such as http://raspberrypi:8471.
-    """
+    """Camera address. picamera2 and v4l2: number of the camera (for v4l2 also its device file). http: URL such as
+    http://raspberrypi:8471."""
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
-    """Fixed white balance: red, blue (picamera2)."""
+    """Gains of red and blue for a fixed white balance (picamera2)."""
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
-    """Fixed white balance (v4l2)."""
+    """Colour temperature for a fixed white balance, K (v4l2)."""
     bands: tuple[BandPart, ...] = ()
-    """Settings for each of the scene's ``[[camera.bands]]``."""
+    """Lamp and filter settings for each entry of ``[[camera.bands]]`` in the scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bar:
-    """A box that the arm must avoid, such as a part of the frame or a lamp. Rig frame."""
+    """Box that the arm must avoid, such as a part of the frame or a lamp, in the rig frame."""
 
     low_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
     high_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
@@ -204,34 +207,34 @@ class Bar:
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
-    """Obstacles of the arm, in addition to the scene's canister and net pot."""
+    """Dimensions for collision checks of the arm, and obstacles in addition to the scene's canister and net pot."""
 
     margin_mm: float = bounded(15.0, 0.0, 500.0)
-    """Minimum distance between the arm with its camera and obstacles, as a margin for sag and backlash."""
+    """Minimum distance between obstacles and the arm with its camera, mm. It allows for sag and backlash."""
     arm_radius_mm: float = bounded(32.0, 1.0, 300.0)
-    """Half the width of the arm's links."""
+    """Half the width of the arm's links, mm."""
     camera_radius_mm: float = bounded(35.0, 1.0, 300.0)
-    """Radius of a sphere about the camera's centre that encloses camera and lens."""
+    """Radius of a sphere around the camera's centre that encloses camera and lens, mm."""
     table_radius_mm: float = bounded(110.0, 1.0, 2000.0)
     floor_z_mm: float = bounded(-195.0, -5000.0, 0.0)
-    """Height (z) of the surface on which the arm's base and the turntable stand."""
+    """Height (z) of the surface on which the arm's base and the turntable stand, mm."""
     bars: tuple[Bar, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """A named pose of the camera, rig frame, for ``look NAME`` in ``rhizotwin rig jog``."""
+    """Named camera pose in the rig frame, for ``look NAME`` in ``rhizotwin rig jog``."""
 
     name: str = ""
     position_mm: tuple[float, float, float] = bounded((400.0, 0.0, -42.0), -5000.0, 5000.0)
-    """Centre of the camera."""
+    """Centre of the camera, mm."""
     direction: tuple[float, float, float] = bounded((-1.0, 0.0, 0.0), -1e6, 1e6)
-    """Direction of the optical axis."""
+    """Direction of the optical axis, of any length."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFile:
-    """Complete description of a rig."""
+    """Complete description of a rig and its devices."""
 
     name: str = "rig"
     description: str = ""
@@ -245,13 +248,13 @@ class RigFile:
 
 
 def load_rig(path: Path | str) -> RigFile:
-    """Load and check a rig file.
+    """Load a rig file and check its values.
 
     Raises
     ------
     UserError
-        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or inconsistent
-        values.
+        If the file is missing, or has an unknown key, a wrong type, a value beyond its limits (the message states the
+        line), or inconsistent values.
     """
     table, text = read_toml(Path(path))
     place = Place(str(path), text)
@@ -261,10 +264,10 @@ def load_rig(path: Path | str) -> RigFile:
 
 
 def check_rig(rig: RigFile, place: Place) -> None:
-    """Check the values of a rig file against each other."""
+    """Raise an error if the values of a rig file are inconsistent with each other."""
     if rig.lights.panel_strip == rig.lights.front_strip:
         raise place.at("lights", "front_strip").error(
-            "must differ from panel_strip: each lamp must be a separate strip", rig.lights.front_strip
+            "must differ from panel_strip, because each lamp requires a separate strip", rig.lights.front_strip
         )
     _check_hat(rig.hat, place.at("hat"))
     _check_bands(rig, place.at("camera"))
@@ -274,7 +277,7 @@ def check_rig(rig: RigFile, place: Place) -> None:
     names = [pose.name for pose in rig.poses]
     for i, name in enumerate(names):
         if not name or not name.isidentifier() or name in names[:i]:
-            raise place.at("poses", i, "name").error("must be one word of letters and digits, different for each pose", name)
+            raise place.at("poses", i, "name").error("must be a unique name of letters and digits that does not begin with a digit", name)
     if rig.arm is not None:
         _check_arm(rig.arm, place.at("arm"))
 
@@ -284,10 +287,12 @@ def _check_hat(hat: HatPart, place: Place) -> None:
     pins = [getattr(hat, name) for name in names]
     for i, (name, pin) in enumerate(zip(names, pins, strict=True)):
         if pin in pins[:i]:
-            raise place.at(name).error(f"is already used for {names[pins.index(pin)]}", pin)
+            raise place.at(name).error(f"must differ from {names[pins.index(pin)]}", pin)
     for name, allowed in (("panel_pin", (12, 18)), ("front_pin", (13, 19))):
         if getattr(hat, name) not in allowed:
-            raise place.at(name).error(f"must be {allowed[0]} or {allowed[1]}, which support NeoPixels", getattr(hat, name))
+            raise place.at(name).error(
+                f"must be {allowed[0]} or {allowed[1]}, because only these pins support NeoPixels", getattr(hat, name)
+            )
     if hat.microsteps & (hat.microsteps - 1):
         raise place.at("microsteps").error("must be 1, 2, 4, 8, 16 or 32", hat.microsteps)
 
@@ -299,19 +304,21 @@ def _check_bands(rig: RigFile, place: Place) -> None:
     for i, band in enumerate(rig.camera.bands):
         here = place.at("bands", i)
         if not band.name or band.name in names[:i]:
-            raise here.at("name").error("must be the name of one of the scene's bands, different for each entry", band.name)
+            raise here.at("name").error("must be the name of a band in the scene, and unique", band.name)
         if band.output in taken:
-            raise here.at("output").error("is a pin already used by [hat]", band.output)
+            raise here.at("output").error("must not be a pin that is used in [hat]", band.output)
         if band.filter_deg is not None and wheel is None:
-            raise here.at("filter_deg").error("requires [arm.filter], the motor of the filter wheel", band.filter_deg)
+            raise here.at("filter_deg").error(
+                "requires the section [arm.filter], which describes the servo of the filter wheel", band.filter_deg
+            )
         if band.filter_deg is not None and wheel is not None and not wheel.min_deg <= band.filter_deg <= wheel.max_deg:
-            must = f"must be between arm.filter's {wheel.min_deg:g} and {wheel.max_deg:g} deg"
+            must = f"must be between min_deg and max_deg of arm.filter, {wheel.min_deg:g} and {wheel.max_deg:g} deg"
             raise here.at("filter_deg").error(must, band.filter_deg)
 
 
 def _check_arm(arm: ArmPart, place: Place) -> None:
     if len(arm.joints) != JOINTS:
-        raise place.at("joints").error(f"must be {JOINTS}: base, shoulder, elbow, wrist pitch, wrist roll", len(arm.joints))
+        raise place.at("joints").error(f"must have {JOINTS} entries: base, shoulder, elbow, wrist pitch, wrist roll", len(arm.joints))
     if len({joint.servo for joint in arm.joints}) != JOINTS:
         raise place.at("joints").error("must have different servo numbers", [joint.servo for joint in arm.joints])
     if arm.filter is not None and arm.filter.servo in {joint.servo for joint in arm.joints}:
@@ -320,8 +327,10 @@ def _check_arm(arm: ArmPart, place: Place) -> None:
         if joint.min_deg >= joint.max_deg:
             raise place.at("joints", i, "max_deg").error(f"must be above min_deg {joint.min_deg:g}", joint.max_deg)
         if not joint.min_deg <= rest <= joint.max_deg:
-            raise place.at("park_deg").error(f"element {i + 1} must be between its joint's {joint.min_deg:g} and {joint.max_deg:g}", rest)
+            raise place.at("park_deg").error(
+                f"element {i + 1} must be between the joint's min_deg {joint.min_deg:g} and max_deg {joint.max_deg:g}", rest
+            )
     if arm.protocol == "lsc" and arm.baud != LSC_BAUD:
-        raise place.at("baud").error(f"must be {LSC_BAUD}: the controller board (protocol lsc) supports no other rate", arm.baud)
+        raise place.at("baud").error(f"must be {LSC_BAUD}, the only rate that the controller board (protocol lsc) supports", arm.baud)
     if arm.min_volt >= arm.max_volt:
         raise place.at("max_volt").error(f"must be above min_volt {arm.min_volt:g}", arm.max_volt)

@@ -1,1 +1,1 @@
-"""Frozen, validated descriptions of the rig, its contents and its scans, and the files that contain them."""
+"""Frozen, validated descriptions of the rig, its contents and its scans, and the files that store them."""

@@ -1,7 +1,8 @@
-"""Atomic writing of files: to a temporary name in the same folder, flushed to the disk, then renamed.
+"""Atomic writing of files.
 
-On any exit before the rename, including Ctrl-C, the temporary file is removed. A temporary file left by a killed
-process is removed by the next process that writes a file of that name.
+A file is written under a temporary name in the same folder, flushed to the disk, and then renamed. If writing ends
+before the rename, even by Ctrl-C, the temporary file is removed. A temporary file left by a killed process is removed
+by the next process that writes a file of the same name.
 """
 
 import errno
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
-"""Regular expression of the names made by `temporary_path`."""
+"""Regular expression that matches the names returned by `temporary_path`."""
 
 
 def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: bool = True) -> None:
@@ -36,9 +37,9 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
     data : bytes
         Complete content of the file.
     new : bool
-        Raise an error instead of replacing a file, including one created by another process at the same time.
+        Raise an error instead of replacing an existing file, even if another process creates it at the same time.
     follow : bool
-        Follow a link, as for a path given by the user. If False, links, devices and pipes are replaced, as for files in
+        Follow links, as for a path given by the user. If False, links, devices and pipes are replaced, as for files in
         a folder of unknown origin.
 
     Raises
@@ -72,7 +73,7 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
                 temporary.unlink(missing_ok=True)
     except OSError as error:
         if new and isinstance(error, FileExistsError) and os.path.lexists(path):
-            raise UserError(f"{asked}: already exists; choose another name") from error
+            raise UserError(f"{asked} already exists; choose another name") from error
         raise write_error(error, asked) from error
 
 
@@ -92,7 +93,7 @@ def write_text(path: Path | str, text: str, *, new: bool = False) -> None:
 
 
 def write_json(path: Path | str, value: Any) -> None:
-    """Write a JSON file atomically, see `write_bytes`; floats are preserved exactly.
+    """Write a JSON file atomically; see `write_bytes`. Floats are preserved exactly.
 
     Raises
     ------
@@ -105,7 +106,7 @@ def write_json(path: Path | str, value: Any) -> None:
 
 
 def json_bytes(value: Any) -> bytes:
-    """Return the bytes that `write_json` writes."""
+    """Encode a value in the same way as `write_json`, and return the bytes."""
     try:
         return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
     except UnicodeEncodeError:  # a path that is not UTF-8 is escaped, and reads back unchanged
@@ -113,23 +114,23 @@ def json_bytes(value: Any) -> bytes:
 
 
 def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | None = None) -> None:
-    """Write a picture atomically; the name's suffix gives the format (PNG, JPG, TIFF); see `write_bytes`.
+    """Write a picture atomically, in the format given by the file name's suffix (PNG, JPG, TIFF); see `write_bytes`.
 
     Parameters
     ----------
     path : path
         Path of the file.
     image : array
-        uint8 or uint16 array (H, W) grey or (H, W, 3) RGB.
+        Grey (H, W) or RGB (H, W, 3) picture, uint8 or uint16.
     jpeg_quality : int or None
-        Quality from 1 to 100 for JPG; None for OpenCV's default (95).
+        Quality of a JPG file from 1 to 100; None for the default of OpenCV (95).
     """
     import cv2  # imported here: loading takes half a second, and most commands write no picture
     import numpy as np
 
     path = Path(path)
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
-        raise ValueError(f"{image.shape=} {image.dtype=} but expected uint8 or uint16 (H, W) or (H, W, 3)")
+        raise ValueError(f"{image.shape=} {image.dtype=} but a uint8 or uint16 array of shape (H, W) or (H, W, 3) is required")
     ordered = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     settings = [] if jpeg_quality is None else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
     encoded, data = cv2.imencode(path.suffix or ".png", np.ascontiguousarray(ordered), settings)
@@ -139,12 +140,12 @@ def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | 
 
 
 def temporary_path(path: Path) -> Path:
-    """Return an unused hidden name in the same folder; it matches `TEMPORARY`."""
+    """Return an unused hidden path in the same folder, whose name matches `TEMPORARY`."""
     return path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a rename to the disk, if the system supports it (Windows cannot open folders)."""
+    """Flush a rename to the disk, if the system supports this (Windows cannot open folders)."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -158,20 +159,23 @@ def sync_folder(folder: Path) -> None:
 
 
 def is_full(error: OSError) -> bool:
-    """Return whether an error means that the disk is full."""
+    """Return whether an error indicates that the disk is full."""
     return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def write_error(error: OSError, path: Path | str) -> UserError:
-    """Return a failed write as an error with a one-sentence explanation."""
+    """Convert an error of writing a file to a `UserError` with a one-sentence explanation."""
     if is_full(error):
-        return UserError(f"{path}: the disk is full; nothing was written under this name; free some space and run again")
+        return UserError(f"{path}: the disk is full, and nothing was written under this name; free some space and run the command again")
     reason = error.strerror or str(error)
-    return UserError(f"{path}: cannot be written ({reason}); choose a folder with write permission")
+    return UserError(f"{path}: this path cannot be written ({reason}); choose a folder with write permission")
 
 
 def _open_beside(path: Path) -> tuple[Path, int]:
-    """Open a new file beside a path, locked, so that other processes recognise it as in use."""
+    """Create a locked temporary file beside a path, and return its path and descriptor.
+
+    Because of the lock, other processes recognise the file as in use.
+    """
     while True:
         temporary = temporary_path(path)
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, 0o666)
@@ -181,7 +185,7 @@ def _open_beside(path: Path) -> tuple[Path, int]:
 
 
 def _remove_left(path: Path) -> None:
-    """Remove temporary files of killed processes, which are those without a lock."""
+    """Remove the temporary files of killed processes, which are not locked."""
     begin = f".{path.name[:100]}."
     for name in os.listdir(path.parent):  # noqa: PTH208 - names are enough
         if name.startswith(begin) and re.fullmatch(TEMPORARY, name):
@@ -194,7 +198,7 @@ def _remove_left(path: Path) -> None:
 
 
 def _rename_file(temporary: Path, path: Path, *, new: bool) -> None:
-    """Rename a file to its final name; with ``new``, only if that name is free."""
+    """Rename a file to its final name. With ``new``, raise an error if the name is already in use."""
     if new:
         _link(temporary, path)
     else:
@@ -202,7 +206,7 @@ def _rename_file(temporary: Path, path: Path, *, new: bool) -> None:
 
 
 def _link(temporary: Path, path: Path) -> None:
-    """Give a file its name, if that name is free."""
+    """Give a file its final name, or raise an error if the name is already in use."""
     try:
         path.hardlink_to(temporary)
     except FileExistsError:

@@ -1,6 +1,7 @@
-"""Bands of a camera: a view may consist of several pictures, one per range of wavelengths.
+"""Spectral bands of a camera.
 
-A band is selected by a filter, by coloured lamps or by a channel of a colour camera, see `rig.rig_file.BandPart`.
+A view can consist of several pictures, one per range of wavelengths. A band is selected by a filter, by coloured lamps,
+or by a channel of a colour camera, see `rig.rig_file.BandPart`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,29 +16,30 @@ RANGES_NM = {
     "red_edge": (700.0, 720.0, 760.0),
     "nir": (760.0, 850.0, 1100.0),
 }
-"""Minimum, typical and maximum centre of each range in nm, those of multispectral cameras for plants (they include
-bands B2 to B8 of Sentinel-2)."""
+"""Minimum, typical and maximum centre wavelength of each range, nm. The ranges are those of multispectral cameras for
+plants, and include bands B2 to B8 of Sentinel-2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """One band of a camera."""
+    """Spectral band of a camera."""
 
     name: str = ""
-    """One lower-case word, the suffix of the names of the band's pictures."""
+    """Name of the band: one lower-case word, which is the suffix of the band's picture names."""
     wavelength_nm: float = bounded(550.0, 300.0, 2500.0)
-    """Centre of the band; it determines the vegetation index for which the band is used, and the rendering in the twin.
-    """
+    """Centre wavelength of the band, nm. It determines the vegetation index for which the band is used, and the
+    rendering in the twin."""
     panel_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Brightness of the bare panel in this band as a fraction of full scale; 0: off. None: as in ``[lights]``."""
+    """Brightness of the bare panel in this band, as a fraction of full scale; 0 if the panel is off. None: as in
+    ``[lights]``."""
     front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
-    """Brightness of white paper on the strip in this band as a fraction of full scale. None: as in ``[lights]``."""
+    """Brightness of white paper on the strip in this band, as a fraction of full scale. None: as in ``[lights]``."""
 
 
 def bands_by_range(bands: Sequence[Band]) -> dict[str, str]:
-    """Return the names of the bands by the range of `RANGES_NM` in which they lie.
+    """Return the name of the band in each range of `RANGES_NM`. Ranges without a band are omitted.
 
-    If several bands lie in one range, the band nearest to the typical wavelength is used.
+    If several bands are in one range, the band nearest to the typical wavelength is used.
     """
     found = {}
     for name, (low, usual, high) in RANGES_NM.items():
@@ -48,16 +50,16 @@ def bands_by_range(bands: Sequence[Band]) -> dict[str, str]:
 
 
 def normalised_difference(one: float, other: float) -> float:
-    """Return ``(one - other) / (one + other)``.
+    """Return the normalised difference ``(one - other) / (one + other)``.
 
-    For near infrared and red this is the NDVI (Rouse et al. 1974, NASA SP-351), for near infrared and red edge the NDRE
-    (Barnes et al. 2000, Proc. 5th Int. Conf. Precision Agriculture).
+    For near infrared and red, the normalised difference is the NDVI (Rouse et al. 1974, NASA SP-351). For near infrared
+    and red edge, it is the NDRE (Barnes et al. 2000, Proc. 5th Int. Conf. Precision Agriculture).
     """
     return (one - other) / max(one + other, 1e-12)
 
 
 def vegetation_indices(reflectances: Mapping[str, float]) -> dict[str, float]:
-    """Return ``ndvi`` and ``ndre`` if the reflectances of the required ranges are known."""
+    """Return the indices ``ndvi`` and ``ndre``, each if the reflectances of the required ranges are known."""
     pairs = {"ndvi": "red", "ndre": "red_edge"}
     return {
         name: normalised_difference(reflectances["nir"], reflectances[other])

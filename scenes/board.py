@@ -1,6 +1,6 @@
-"""ChArUco calibration board, as printed, as rendered in the twin, and as detected by the calibration.
+"""ChArUco calibration board for printing, rendering and calibration.
 
-It is a chessboard with ArUco markers in its white squares.
+The board is a chessboard with ArUco markers in its white squares.
 """
 
 from dataclasses import dataclass
@@ -19,30 +19,30 @@ from rhizotwin.scenes.markers import black_rectangles, get_dictionary
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 MARKER_SHARE = 11.0 / 15.0
-"""Default ratio of a marker's side to that of its square."""
+"""Default ratio of a marker's side to the side of its square."""
 LEAST_GAP = 0.05
-"""Minimum white margin between a marker and the edge of its square, as a fraction of the square; with less, corners
-cannot be measured."""
+"""Minimum white margin between a marker and the edge of its square, as a fraction of the square's side. Corners cannot
+be measured with a narrower margin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CharucoBoard:
-    """ChArUco board in OpenCV's current pattern: the top left square is black, ids increase along the rows.
+    """ChArUco board with the current pattern of OpenCV: the top left square is black, and ids increase along the rows.
 
-    The origin of the board's frame is the pattern's top left corner, with x to the right, y down and z away from the
-    viewer.
+    The origin of the board's frame is the top left corner of the pattern, with x to the right, y down and z away from
+    the viewer.
     """
 
     squares_xy: tuple[int, int] = bounded((7, 5), 3, 60)
-    """Number of squares in x and y."""
+    """Number of squares of the chessboard in x and y."""
     square_mm: float = bounded(30.0, 1.0, 1000.0)
     marker_mm: float = bounded(22.0, 0.5, 1000.0)
     dictionary: str = "5X5_100"
-    """ArUco dictionary; it must differ from that of the strip."""
+    """ArUco dictionary of the markers, which must differ from the dictionary of the strip."""
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """Width and height of the pattern."""
+        """Width and height of the pattern, mm."""
         return self.squares_xy[0] * self.square_mm, self.squares_xy[1] * self.square_mm
 
     @property
@@ -52,20 +52,20 @@ class CharucoBoard:
 
     @property
     def corners_mm(self) -> Array:
-        """Inner corners of the chessboard (N, 3) in the board's frame, row by row; the index is the corner's id."""
+        """Inner corners of the chessboard (N, 3) in the board's frame, mm, row by row. The index is the corner's id."""
         x, y = np.meshgrid(np.arange(1, self.squares_xy[0]), np.arange(1, self.squares_xy[1]))
         return np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
 
 def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
-    """Return the board as an OpenCV object, in mm."""
+    """Convert the board to an OpenCV object with dimensions in mm."""
     return cv2.aruco.CharucoBoard(board.squares_xy, board.square_mm, board.marker_mm, get_dictionary(board.dictionary))
 
 
 def black_parts(board: CharucoBoard) -> Array:
     """Return the black squares and the black parts of the markers as rectangles (N, 4), mm.
 
-    The columns are left, top, right and bottom in the board's frame.
+    The columns of the array are left, top, right and bottom, in the board's frame.
     """
     columns, rows = board.squares_xy
     gap_mm = (board.square_mm - board.marker_mm) / 2.0
@@ -90,36 +90,36 @@ def check_board(board: CharucoBoard, *, where: str = "board", text: str = "") ->
     board : CharucoBoard
         Board to check.
     where : str
-        Name used in messages.
+        Name of the file or other origin, used in messages.
     text : str
-        Text of the file, used to find the number of the invalid line.
+        Text of the file, used to determine the number of the invalid line.
 
     Returns
     -------
     CharucoBoard
-        The same board.
+        The given board.
 
     Raises
     ------
     UserError
-        For an unknown or too small dictionary, or markers that do not fit into their squares.
+        If the dictionary is unknown or too small, or the markers do not fit into the squares.
     """
     place = Place(where, text)
     if board.marker_mm > board.square_mm * (1.0 - 2.0 * LEAST_GAP):
-        must = f"must be at most {board.square_mm * (1.0 - 2.0 * LEAST_GAP):g}, to leave white round the markers"
+        must = f"must be at most {board.square_mm * (1.0 - 2.0 * LEAST_GAP):g}, so that a white margin around the markers remains"
         raise place.at("board", "marker_mm").error(must, board.marker_mm)
     try:
         size = len(get_dictionary(board.dictionary).bytesList)
     except UserError as error:
         raise place.at("board", "dictionary").error(str(error)) from error
     if board.markers > size:
-        must = f"requires {board.markers} markers, but {board.dictionary} has {size}: use fewer squares or a larger dictionary"
+        must = f"requires {board.markers} markers, but {board.dictionary} has only {size}; use fewer squares or a larger dictionary"
         raise place.at("board", "squares_xy").error(must, list(board.squares_xy))
     return board
 
 
 def load_board(path: Path | str) -> CharucoBoard:
-    """Load a board file, a TOML file with one section ``[board]``; missing keys take their defaults.
+    """Load a board file, which is a TOML file with the section ``[board]``. Missing keys take their default values.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def load_board(path: Path | str) -> CharucoBoard:
     place = Place(str(path), text)
     for key in table:
         if key != "board":
-            raise place.at(key).error("unknown key; a board file has the section [board] only")
+            raise place.at(key).error("unknown key; a board file has only the section [board]")
     return check_board(from_plain(CharucoBoard, table.get("board", {}), place.at("board")), where=str(path), text=text)
 
 
@@ -139,6 +139,6 @@ def save_board(board: CharucoBoard, path: Path | str) -> None:
     """Write a board file from which `load_board` reads an equal board."""
     write_text(
         path,
-        "# Calibration board, as drawn: rhizotwin calibrate camera PICTURES --board THIS_FILE\n"
+        "# Calibration board as drawn, for use with: rhizotwin calibrate camera PICTURES --board THIS_FILE\n"
         + toml_text.dumps({"board": to_plain(board)}),
     )

@@ -1,4 +1,7 @@
-"""Checks of the values of a scene against each other: the parts must fit together and match the camera model."""
+"""Consistency checks of a scene.
+
+The parts of the rig must fit together, and match the camera model.
+"""
 
 import math
 from itertools import pairwise
@@ -17,26 +20,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TELECENTRIC_TILT_DEG = 1.5
-"""Maximum tilt up to which the pinhole model of a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single
-precision."""
+"""Maximum camera tilt, deg, at which the pinhole model of a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in
+single precision."""
 
 
 def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
-    """Check a scene's values against each other.
+    """Check that the values of a scene are consistent with each other.
 
     Parameters
     ----------
     scene : Scene
-        Scene to check; its single values are assumed to be within their own limits.
+        Scene to check. Each value is assumed to be within its own limits.
     where : str
-        File or other origin, used in the message.
+        Name of the file or other origin, used in messages.
     text : str
-        TOML text of the file, used to find the number of the line.
+        TOML text of the file, used to determine the number of the invalid line.
 
     Raises
     ------
     UserError
-        For the first inconsistent value.
+        If values are inconsistent; the message states the first inconsistent value.
     """
     place = Place(where, text)
     check_subject(scene.subject, place.at("subject"))
@@ -49,14 +52,14 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     _check_plan(scene, place)
     check_plants(scene.plants, scene.subject, radius_mm=scene.canister.inner_radius_mm, place=place)
     if scene.specimen is not None and scene.plants:
-        raise place.at("specimen").error("must be omitted if there are [[plants]]; each has its own [plants.specimen]")
+        raise place.at("specimen").error("must be omitted if there are [[plants]], because each plant has its own [plants.specimen]")
     _check_specimen(scene.specimen, scene, place.at("specimen"))
     for number, plant in enumerate(scene.plants):
         _check_specimen(plant.placed(), scene, place.at("plants", number, "specimen"))
 
 
 def marker_capacity(dictionary: str) -> int | None:
-    """Return the number of markers in an OpenCV dictionary, named without ``DICT_``; None for an unknown name."""
+    """Return the number of markers in an OpenCV dictionary, named without ``DICT_``; None if the name is unknown."""
     aruco = _aruco()
     if not hasattr(aruco, f"DICT_{dictionary}"):
         return None
@@ -81,33 +84,35 @@ def _check_canister(scene: Scene, place: Place) -> None:
     if canister.base_mm >= canister.height_mm:
         raise place.at("canister", "base_mm").error(f"must be below height_mm, {canister.height_mm:g}", canister.base_mm)
     if water.level_mm <= canister.floor_z_mm:
-        must = f"must lie above the floor of the canister at z = base_mm - height_mm = {canister.floor_z_mm:g}"
+        must = f"must be above the canister's floor at z = base_mm - height_mm = {canister.floor_z_mm:g}"
         raise place.at("water", "level_mm").error(must, water.level_mm)
     if pot.outer_radius_mm <= canister.outer_radius_mm:
-        must = f"must be above the canister's outer_radius_mm, {canister.outer_radius_mm:g}: the skirt encloses it"
+        must = f"must be above outer_radius_mm of the canister, {canister.outer_radius_mm:g}, because the skirt encloses the canister"
         raise place.at("net_pot", "outer_radius_mm").error(must, pot.outer_radius_mm)
     if pot.top_mm <= max(pot.skirt_bottom_mm, 0.0):
-        must = f"must lie above skirt_bottom_mm, {pot.skirt_bottom_mm:g}, and the canister's rim at 0"
+        must = f"must be above skirt_bottom_mm, {pot.skirt_bottom_mm:g}, and above the canister's rim at 0"
         raise place.at("net_pot", "top_mm").error(must, pot.top_mm)
     if pot.grid_z_mm <= canister.floor_z_mm:
-        raise place.at("net_pot", "grid_z_mm").error(
-            f"must lie above the floor of the canister at z = {canister.floor_z_mm:g}", pot.grid_z_mm
-        )
+        raise place.at("net_pot", "grid_z_mm").error(f"must be above the canister's floor at z = {canister.floor_z_mm:g}", pot.grid_z_mm)
     if pot.skirt_bottom_mm <= -canister.height_mm:
-        must = f"must lie above the canister's underside at z = {-canister.height_mm:g}"
+        must = f"must be above the canister's underside at z = {-canister.height_mm:g}"
         raise place.at("net_pot", "skirt_bottom_mm").error(must, pot.skirt_bottom_mm)
     wrong = scene.disturbances
     if canister.inner_radius_mm + wrong.canister_radius_error_mm - canister.wall_mm * wrong.wall_error <= 0.0:
-        raise place.at("disturbances", "wall_error").error("must leave the canister an inside", wrong.wall_error)
+        raise place.at("disturbances", "wall_error").error(
+            "must be smaller, because the true walls would fill the canister", wrong.wall_error
+        )
     reach_mm = canister.outer_radius_mm + wrong.canister_radius_error_mm + wrong.canister_out_of_round_mm
     if reach_mm >= pot.outer_radius_mm:
-        must = f"must keep the true canister within the net pot's skirt of {pot.outer_radius_mm:g} mm; it reaches {reach_mm:g} mm"
+        must = (
+            f"must be smaller, because the true canister's radius of {reach_mm:g} mm would exceed the net pot's {pot.outer_radius_mm:g} mm"
+        )
         raise place.at("disturbances", "canister_radius_error_mm").error(must, wrong.canister_radius_error_mm)
     if wrong.root_n is not None and wrong.root_mu_per_mm is None:
-        raise place.at("disturbances", "root_n").error("requires root_mu_per_mm: refracting roots transmit light", wrong.root_n)
+        raise place.at("disturbances", "root_n").error("requires root_mu_per_mm, because refracting roots transmit light", wrong.root_n)
     true_index = water.n_water + scene.disturbances.n_water_error
     if true_index < 1.0:
-        must = f"must keep the water's true index at 1 or above; with n_water {water.n_water:g} it is {true_index:g}"
+        must = f"must be larger, because the water's true refractive index would be {true_index:g} (n_water is {water.n_water:g}), below 1"
         raise place.at("disturbances", "n_water_error").error(must, scene.disturbances.n_water_error)
 
 
@@ -121,37 +126,38 @@ def _check_tank(scene: Scene, place: Place) -> None:
     for name in ("front_mm", "half_width_mm"):
         if getattr(tank, name) - tank.wall_mm <= reach_mm:
             raise here.at(name).error(
-                f"must leave room for the canister to rotate: above {reach_mm + tank.wall_mm:.4g} with its walls", getattr(tank, name)
+                f"must be above {reach_mm + tank.wall_mm:.4g}, so that the canister can rotate within the tank's walls", getattr(tank, name)
             )
     if tank.level_mm >= pot.skirt_bottom_mm:
         raise here.at("level_mm").error(
-            f"must lie below the net pot's skirt_bottom_mm, {pot.skirt_bottom_mm:g}: the strip must be above the liquid", tank.level_mm
+            f"must be below skirt_bottom_mm of the net pot, {pot.skirt_bottom_mm:g}, because the strip must be above the liquid",
+            tank.level_mm,
         )
     if tank.level_mm <= scene.canister.floor_z_mm:
-        raise here.at("level_mm").error(f"must lie above the canister's floor at z = {scene.canister.floor_z_mm:g}", tank.level_mm)
+        raise here.at("level_mm").error(f"must be above the canister's floor at z = {scene.canister.floor_z_mm:g}", tank.level_mm)
     turn = math.radians(abs(tank.turn_deg))
     if tank.front_mm * math.cos(turn) + tank.half_width_mm * math.sin(turn) >= scene.lights.backlight_distance_mm:
-        must = f"must be below lights.backlight_distance_mm, {scene.lights.backlight_distance_mm:g}: the panel is behind the tank"
+        must = f"must be below lights.backlight_distance_mm, {scene.lights.backlight_distance_mm:g}, because the panel is behind the tank"
         raise here.at("front_mm").error(must, tank.front_mm)
     for i, ring in enumerate(scene.plan.rings):
         if ring.distance_mm <= tank.front_mm:
-            must = f"must be above tank.front_mm, {tank.front_mm:g}: the camera is in front of the tank"
+            must = f"must be above tank.front_mm, {tank.front_mm:g}, because the camera is in front of the tank"
             raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
         _check_strip_above(scene, tank, ring, place.at("plan", "rings", i, "height_mm"))
     if scene.surroundings.n > 1.0 or scene.camera.kind != "pinhole":
-        raise here.at("front_mm").error("requires a pinhole camera in air: leave surroundings.n at 1 and camera.kind at pinhole")
+        raise here.at("front_mm").error("requires a pinhole camera in air; set surroundings.n to 1 and camera.kind to pinhole")
     if wrong.seam_opacity or wrong.dust_specks or wrong.scratches or wrong.highlight:
         raise here.at("front_mm").error(
-            "cannot be combined with a dirty canister: set dust_specks, scratches, seam_opacity and highlight of disturbances to 0"
+            "cannot be combined with a dirty canister; set dust_specks, scratches, seam_opacity and highlight of disturbances to 0"
         )
 
 
 def _check_strip_above(scene: Scene, tank: Tank, ring: Ring, here: Place) -> None:
-    """Reject a camera position from which the strip is seen through the tank's liquid instead of air."""
+    """Reject a camera position from which the strip is visible through the tank's liquid instead of air."""
     strip_mm, low_mm = scene.net_pot.outer_radius_mm, scene.strip.bottom_mm
     least_mm = low_mm + (tank.level_mm - low_mm) * (ring.distance_mm - strip_mm) / (tank.front_mm - strip_mm)
     if scene.strip.rows and tank.front_mm > strip_mm and ring.height_mm < least_mm:
-        must = f"must be above {least_mm:.4g}: from a lower position, the strip's lower edge is seen through the tank's liquid (level_mm)"
+        must = f"must be above {least_mm:.4g}, because from a lower position the strip's lower edge is behind the tank's liquid (level_mm)"
         raise here.error(must, ring.height_mm)
 
 
@@ -163,11 +169,11 @@ def _check_strip(scene: Scene, place: Place) -> None:
     capacity = marker_capacity(strip.dictionary)
     if capacity is None:
         known = [name.removeprefix("DICT_") for name in _dictionaries()]
-        near = suggestion(strip.dictionary, known) or f"; known are {', '.join(known)}"
+        near = suggestion(strip.dictionary, known) or f"; known dictionaries are {', '.join(known)}"
         raise here.at("dictionary").error(f"is not a marker dictionary of OpenCV{near}", strip.dictionary)
     needed = strip.first_id + strip.rows * strip.columns
     if needed > capacity:
-        must = f"has {capacity} markers, but first_id + rows * columns needs {needed}; use fewer columns or a larger dictionary"
+        must = f"has {capacity} markers, but first_id + rows * columns is {needed}; use fewer columns or a larger dictionary"
         raise here.at("dictionary").error(must, strip.dictionary)
     pitch_mm = 2.0 * math.pi * pot.outer_radius_mm / strip.columns
     if strip.marker_mm >= pitch_mm:
@@ -178,7 +184,7 @@ def _check_strip(scene: Scene, place: Place) -> None:
     top_mm = strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm + strip.marker_mm
     if strip.bottom_mm < pot.skirt_bottom_mm or top_mm > pot.top_mm:
         must = (
-            f"puts the markers from z = {strip.bottom_mm:g} to {top_mm:g}, beyond the net pot's skirt "
+            f"places the markers between z = {strip.bottom_mm:g} and {top_mm:g}, but the net pot's skirt extends only "
             f"from {pot.skirt_bottom_mm:g} to {pot.top_mm:g}; move the strip or change net_pot"
         )
         raise here.at("bottom_mm").error(must, strip.bottom_mm)
@@ -188,20 +194,20 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
     table = camera.transfer_table
     if (camera.transfer == "table") != bool(table):
         raise place.at("camera", "transfer").error(
-            'and transfer_table must agree: the table is required for "table", and not allowed otherwise', camera.transfer
+            'must agree with transfer_table, which is required for "table" and not permitted otherwise', camera.transfer
         )
     if table and (len(table) < 2 or any(b < a for a, b in pairwise(table)) or not table[0] < table[-1]):
-        raise place.at("camera", "transfer_table").error("must have two or more numbers that increase from dark to bright")
+        raise place.at("camera", "transfer_table").error("must have at least two numbers, which increase from dark to bright")
     if camera.kind == "pinhole" and scene.surroundings.n > 1.0:
-        must = 'must be 1 (air), or camera.kind must be "telecentric": only parallel rays pass a flat window without refraction'
+        must = 'must be 1 (air) unless camera.kind is "telecentric", because only parallel rays pass a flat window without refraction'
         raise place.at("surroundings", "n").error(must, scene.surroundings.n)
     for index, ring in enumerate(scene.plan.rings):
         if camera.kind == "telecentric" and abs(ring.tilt_deg) > TELECENTRIC_TILT_DEG:
-            must = f"must be within {TELECENTRIC_TILT_DEG:g} degrees of level for a telecentric camera"
+            must = f"must be at most {TELECENTRIC_TILT_DEG:g} degrees up or down for a telecentric camera"
             raise place.at("plan", "rings", index, "tilt_deg").error(must, ring.tilt_deg)
     for axis, (centre, size) in enumerate(zip(camera.principal_px, camera.image_wh, strict=True)):
         if not -size <= centre <= 2 * size:
-            must = f"must lie within one picture size ({size} px) of the picture"
+            must = f"must be at most one picture size ({size} px) outside the picture"
             raise place.at("camera", "principal_px", axis).error(must, centre)
     import numpy as np
 
@@ -216,16 +222,18 @@ def _check_bands(scene: Scene, place: Place) -> None:
     names = [band.name for band in scene.camera.bands]
     for i, name in enumerate(names):
         if not (name.isascii() and name.isidentifier() and name == name.lower()) or name in names[:i]:
-            raise place.at("camera", "bands", i, "name").error("must be one lower-case word, different for each band", name)
+            raise place.at("camera", "bands", i, "name").error("must be one lower-case word, and unique", name)
     lit = {name for name in names if scene.is_lit(name)}
     for i, ring in enumerate(scene.plan.rings):
         here = place.at("plan", "rings", i, "bands")
         for j, name in enumerate(ring.bands):
             if name not in names or name in ring.bands[:j]:
-                must = f"must be different bands of the camera; it has {', '.join(names)}" if names else "requires [[camera.bands]]"
+                must = f"must be different bands of the camera, which are {', '.join(names)}" if names else "requires [[camera.bands]]"
                 raise here.error(must, name)
         if names and not lit & set(ring.bands or names):
-            raise here.error("requires a band in which panel and front light are on, to show outlines and markers", list(ring.bands))
+            raise here.error(
+                "must include a band in which panel and front light are on, because outlines and markers must be visible", list(ring.bands)
+            )
     if scene.shoot is not None:
         _check_spectrum(scene.shoot.spectrum, place.at("shoot", "spectrum"))
 
@@ -249,21 +257,21 @@ def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: 
     falling = np.flatnonzero(np.diff(bent) <= 0.0)
     reached = bent.max() if not falling.size else bent[falling[0]]
     if reached < corner:
-        must = "is not monotonic up to the corners of the picture; check the signs and that k1, k2, p1, p2, k3 are in this order"
+        must = "is not monotonic up to the corners of the picture; check the signs, and the order k1, k2, p1, p2, k3"
         raise place.error(must, [float(v) for v in distortion])
 
 
 def _check_plan(scene: Scene, place: Place) -> None:
     if not scene.plan.rings:
-        raise place.at("plan", "rings").error("must have at least one [[plan.rings]]")
+        raise place.at("plan", "rings").error("must have at least one entry [[plan.rings]]")
     around_mm = scene.net_pot.outer_radius_mm + scene.disturbances.canister_offset_mm
     for i, ring in enumerate(scene.plan.rings):
         if ring.distance_mm - 5.0 * ring.jitter_mm <= around_mm:
             spread = " less five times jitter_mm" if ring.jitter_mm else ""
-            must = f"must{spread} be above {around_mm:g}: the camera must be outside the canister and the net pot"
+            must = f"must{spread} be above {around_mm:g}, because the camera must be outside the canister and the net pot"
             raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
     if scene.lights.backlight_distance_mm <= around_mm:
-        must = f"must be above {around_mm:g}: the panel must be outside the canister and the net pot"
+        must = f"must be above {around_mm:g}, because the panel must be outside the canister and the net pot"
         raise place.at("lights", "backlight_distance_mm").error(must, scene.lights.backlight_distance_mm)
     front_x_mm, front_z_mm = scene.lights.front_xz_mm
     if abs(front_x_mm) <= around_mm and -scene.canister.height_mm <= front_z_mm <= scene.net_pot.top_mm:
@@ -279,13 +287,14 @@ def _check_specimen(specimen: Specimen | None, scene: Scene, here: Place) -> Non
         reach = math.hypot(x, y) + radius
         if reach >= canister.inner_radius_mm or z - radius <= canister.floor_z_mm or z + radius >= top_mm:
             must = (
-                f"with diameter_mm {specimen.diameter_mm:g} must be within the water: within {canister.inner_radius_mm:g} mm of the axis, "
+                f"must be within the water, with diameter_mm {specimen.diameter_mm:g}: within {canister.inner_radius_mm:g} mm of the "
+                "axis, "
                 f"between z = {canister.floor_z_mm:g} (floor) and {top_mm:g} (grid or water level)"
             )
             raise here.at("centre_mm").error(must, list(specimen.centre_mm))
     if isinstance(specimen, GrownSpecimen):
         if not specimen.orders:
-            raise here.at("orders").error("must have at least one [[specimen.orders]], the taproot's")
+            raise here.at("orders").error("must have at least one entry [[specimen.orders]], for the taproot")
         x, y, z = specimen.origin_mm
         if math.hypot(x, y) >= canister.inner_radius_mm or not canister.floor_z_mm < z < top_mm:
             must = (

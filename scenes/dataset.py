@@ -1,4 +1,4 @@
-"""Dataset folder: the only interface between producers of pictures (sim, rig, import) and their reader (recon).
+"""Dataset folder, the only interface between producers of pictures (sim, rig, import) and their consumer (recon).
 
 DATASET/  dataset.json   this module's `Dataset`
           images/*       original PNG, JPEG or TIFF files, one per frame, named by the frame
@@ -32,59 +32,60 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One picture with the commanded and measured positions at its exposure."""
+    """Picture with the commanded and measured positions at its exposure."""
 
     file: str
-    """Path relative to the dataset folder, with forward slashes."""
+    """Path of the picture relative to the dataset folder, with forward slashes."""
     sha256: str
-    """SHA-256 of the file, in hexadecimal; empty if not recorded."""
+    """SHA-256 of the file in hexadecimal; empty if it was not recorded."""
     kind: str = "root"
     band: str = ""
     """Name of the camera's band; empty if the camera has no bands."""
     view: int | None = None
-    """Number of the view, shared by its pictures in several bands; None if each picture is a view of its own."""
+    """Number of the view, which its pictures in several bands share; None if each picture is a separate view."""
     ring: int = 0
     table_deg: float | None = None
-    """Commanded table angle; None if unknown (imported pictures)."""
+    """Commanded table angle, deg; None if unknown (imported pictures)."""
     table_read_deg: float | None = None
-    """Table angle reported by the turntable after its move."""
+    """Table angle reported by the turntable after its move, deg."""
     placement: int = 0
-    """Number of the camera's placement in this ring, which increases whenever the camera is placed or the table's zero
-    is determined again; within one placement the camera is static."""
+    """Number of the camera's placement in this ring. It increases whenever the camera is placed or the table's zero is
+    determined again. Within one placement the camera is static."""
     joints_deg: tuple[float, ...] | None = None
-    """Commanded joint angles of the arm, from base to wrist roll."""
+    """Commanded joint angles of the arm from base to wrist roll, deg."""
     joints_read_deg: tuple[float, ...] | None = None
     exposure_s: float | None = None
     gain: float | None = None
     time_s: float | None = None
-    """Seconds since the start of the scan."""
+    """Time since the start of the scan, s."""
     cam_from_canister: tuple[tuple[float, ...], ...] | None = None
-    """Known pose, 4 rows of 4, OpenCV axes; None if it is to be computed from the markers."""
+    """Known pose of the camera (4 rows of 4 numbers, OpenCV axes); None if the pose is to be computed from the
+    markers."""
 
     @property
     def station(self) -> tuple[int, int]:
-        """Ring and placement; frames of one station were taken by a static camera."""
+        """Ring and placement. Frames of the same station were taken by a static camera."""
         return self.ring, self.placement
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """Scan: the scene as given, its frames, and their origin."""
+    """Scan: the scene, its frames, and their origin."""
 
     folder: Path
     scene: Scene
     frames: tuple[Frame, ...]
     seed: int | None = None
     masks: bool = False
-    """Whether the pictures are masks, in which white is root."""
+    """Whether the pictures are masks, in which roots are white."""
     origin: dict[str, Any] = field(default_factory=dict)
-    """Program, versions, settings and profile with which the pictures were made."""
+    """Program, versions, settings and profile with which the pictures were created."""
     sha256: str = field(default="", compare=False)
-    """SHA-256 of the bytes of dataset.json that were read or written, in hexadecimal; empty if the file does not exist
-    yet."""
+    """SHA-256, in hexadecimal, of the content of dataset.json that was read or written; empty if the file does not
+    exist yet."""
 
     def summary(self) -> dict[str, str]:
-        """Return name, pictures and origin as texts."""
+        """Return name, number of pictures and origin as texts, by label."""
         width, height = self.scene.camera.image_wh
         rings = len({frame.ring for frame in self.frames})
         kinds = {"root": "pictures", "shoot": "pictures of the shoot"}
@@ -103,18 +104,18 @@ class Dataset:
         }
 
     def __repr__(self) -> str:
-        """Return a summary of a few lines."""
+        """Return a summary of the dataset in a few lines."""
         return "\n".join([f"Dataset of {self.scene.name}", *(f"  {name:<14}{text}" for name, text in self.summary().items())])
 
     def _repr_html_(self) -> str:
-        """Return HTML for notebooks: the first picture and a table."""
+        """Return HTML for notebooks, with the first picture and a table."""
         cells = "".join(
             f"<tr><td>{name}</td><td style='text-align:left'>{html.escape(text)}</td></tr>" for name, text in self.summary().items()
         )
         return f"<div><h4>{html.escape(self.scene.name)}</h4>{self._thumbnail()}<table>{cells}</table></div>"
 
     def _thumbnail(self) -> str:
-        """Return the first picture, 240 pixels high, as an image element; empty if it cannot be read."""
+        """Return the first picture, 240 pixels high, as an HTML image element; empty if the picture cannot be read."""
         import cv2
 
         try:
@@ -141,12 +142,12 @@ class _Manifest:
 
 
 def load_dataset(folder: Path | str) -> Dataset:
-    """Load and check the manifest of a dataset; `read_image` reads the pictures.
+    """Load and check the manifest of a dataset. The pictures are read by `read_image`.
 
     Raises
     ------
     UserError
-        If the folder or its dataset.json is missing, damaged, of another version or invalid.
+        If the folder is missing, or its dataset.json is missing, damaged, invalid or has an unsupported version.
     """
     folder = Path(folder)
     path = folder / "dataset.json"
@@ -155,7 +156,8 @@ def load_dataset(folder: Path | str) -> Dataset:
     if not path.is_file():
         check_readable(folder, deep=False)
         raise UserError(
-            f"{folder}: is not a dataset, or unfinished: it has no dataset.json; create one with `rhizotwin simulate` or `rhizotwin import`"
+            f"{folder}: the folder is not a complete dataset, because it has no dataset.json; create one with `rhizotwin simulate` or "
+            "`rhizotwin import`"
         )
     check_readable(folder)
     data = read_file(path)
@@ -183,12 +185,12 @@ def load_dataset(folder: Path | str) -> Dataset:
 
 
 def save_dataset(dataset: Dataset) -> Dataset:
-    """Write dataset.json of ``dataset.folder`` atomically; `load_dataset` returns an equal dataset.
+    """Write dataset.json in ``dataset.folder`` atomically. `load_dataset` returns an equal dataset.
 
     Returns
     -------
     Dataset
-        The same dataset with the hash of the written file.
+        The given dataset with the hash of the written file.
 
     Raises
     ------
@@ -218,23 +220,24 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     frame : Frame
         Frame to read.
     curve : Curve or None
-        Transfer curve from pixel values to light; None for the one stated in the file, or else by the scene's camera.
+        Transfer curve from pixel values to light. None for the curve stated in the file or, if there is none, by the
+        scene's camera.
 
     Returns
     -------
     ndarray
-        (H, W), uint8 or uint16 as in the file if its values are linear in light, else uint16; see
+        (H, W) array; uint8 or uint16 as in the file if its values are linear in light, otherwise uint16. See
         `scenes.picture_codec.decode_light`.
 
     Raises
     ------
     UserError
-        If the file is missing, truncated, not a picture, of another size than the scene's camera, or differs from the
-        recorded one.
+        If the file is missing, truncated or not a picture, if its size differs from that of the scene's camera, or if
+        it differs from the recorded picture.
     """
     path = dataset.folder / frame.file
     if not path.exists():
-        raise UserError(f"{path}: the picture is missing; restore it or remove it from dataset.json")
+        raise UserError(f"{path}: the picture is missing; restore it, or remove its entry from dataset.json")
     data = read_file(path, most_mib=MOST_PICTURE_MIB)
     if dataset.masks:
         curve = LINEAR
@@ -242,7 +245,8 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
     image = decode_light(data, stated, where=str(path), image_wh=dataset.scene.camera.image_wh)
     if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256.lower():
         raise UserError(
-            f"{path}: differs from the recorded picture (its sha256 is not that in dataset.json); restore it or record it again"
+            f"{path}: the file differs from the recorded picture (its SHA-256 is not that in dataset.json); restore it, or take the "
+            "picture again"
         )
     return image
 
@@ -250,16 +254,16 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
 def file_sha256(path: Path | str) -> str:
     """Return the SHA-256 of a file in hexadecimal."""
     if not Path(path).is_file():
-        raise UserError(f"{path}: cannot be read (there is no such file)")
+        raise UserError(f"{path}: the file cannot be read, because it does not exist")
     try:
         with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+        raise UserError(f"{path}: the file cannot be read ({error.strerror})") from error
 
 
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
-    """Read a JSON object with a ``schema_version``; reject other versions and damaged files."""
+    """Read a JSON object with a ``schema_version``; reject a damaged file or an unsupported version."""
     return parse_versioned_json(read_file(path), path, version)
 
 
@@ -278,28 +282,31 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
     Returns
     -------
     dict
-        The complete object.
+        Complete JSON object.
     """
     try:
         mapping = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: is damaged: not valid JSON ({parser_message(error)}); restore it or create it again") from error
+        raise UserError(
+            f"{path}: the file is damaged, because it is not valid JSON ({parser_message(error)}); restore it or create it again"
+        ) from error
     if not isinstance(mapping, Mapping):
-        raise UserError(f"{path}: is damaged: not a JSON object; restore it or create it again")
+        raise UserError(f"{path}: the file is damaged, because it is not a JSON object; restore it or create it again")
     found = mapping.get("schema_version")
     if type(found) is not int or found != version:
         known = f"has version {found}" if "schema_version" in mapping else "has no schema_version"
         raise UserError(
-            f"{path.name} {known}; this program reads {version}; use the version of the program that wrote it, or create it again ({path})"
+            f"{path.name} {known}, but this program reads version {version}; use the program version that wrote the file, or create it "
+            f"again ({path})"
         )
     return dict(mapping)
 
 
 def _check_frame(frame: Frame, rings: int, place: Place) -> None:
-    """Check one frame's values against each other and the plan."""
+    """Check that the values of a frame are consistent with each other and with the plan."""
     file = PurePosixPath(frame.file)
     if not frame.file.isprintable() or not _is_utf8(frame.file):
-        raise place.at("file").error("must consist of printable characters, in UTF-8", ascii(frame.file))
+        raise place.at("file").error("must consist of printable characters in UTF-8", ascii(frame.file))
     if not frame.file or "\\" in frame.file or ":" in frame.file or file.is_absolute() or ".." in file.parts:
         raise place.at("file").error("must be a path inside the dataset folder, with forward slashes", frame.file)
     if frame.sha256 and not re.fullmatch(r"[0-9a-fA-F]{64}", frame.sha256):
@@ -307,7 +314,7 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
     if frame.kind not in ("root", "shoot"):
         raise place.at("kind").error('must be one of "root", "shoot"', frame.kind)
     if not 0 <= frame.ring < rings:
-        raise place.at("ring").error(f"must be between 0 and {rings - 1}: the scene's plan has {rings} rings", frame.ring)
+        raise place.at("ring").error(f"must be between 0 and {rings - 1}, because the scene's plan has {rings} rings", frame.ring)
     for name, number in (("placement", frame.placement), ("view", frame.view)):
         if number is not None and number < 0:
             raise place.at(name).error("must be 0 or more", number)
@@ -316,15 +323,19 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
 
 
 def _check_band(frame: Frame, manifest: _Manifest, place: Place) -> None:
-    """Check that a frame has one of the camera's bands, if there are any."""
+    """Check that a frame has one of the camera's bands, if the camera has bands."""
     names = [band.name for band in manifest.scene.camera.bands]
     if frame.band not in (names or [""]):
-        known = f"must be one of the camera's bands, {', '.join(names)}" if names else "must be omitted: the scene's camera has no bands"
+        known = (
+            f"must be one of the camera's bands, {', '.join(names)}"
+            if names
+            else "must be omitted, because the scene's camera has no bands"
+        )
         raise place.at("band").error(known, frame.band)
     if names and frame.view is None:
-        raise place.at("view").error("is missing; it identifies the pictures of one view in different bands")
+        raise place.at("view").error("is missing, but is required to assign pictures in different bands to a view")
     if names and manifest.masks:
-        raise place.at("band").error("must be omitted: silhouettes have no bands", frame.band)
+        raise place.at("band").error("must be omitted, because silhouettes have no bands", frame.band)
 
 
 def _is_utf8(text: str) -> bool:
@@ -336,26 +347,31 @@ def _is_utf8(text: str) -> bool:
 
 
 def _check_names(frames: tuple[Frame, ...], place: Place) -> None:
-    """Reject pictures whose names differ in folder or suffix only: results are named by the stem of the picture."""
+    """Reject pictures whose names differ only in folder or suffix, since results are named after the stem."""
     by_stem: dict[str, str] = {}
     for i, frame in enumerate(frames):
         stem = PurePosixPath(frame.file).stem
         if by_stem.get(stem) == frame.file:
             raise place.at("frames", i, "file").error("is listed twice", frame.file)
         if stem in by_stem:
-            must = f"differs from {by_stem[stem]} in folder or suffix only, so that their results would have the same name; rename one"
+            must = (
+                f"differs from {by_stem[stem]} only in folder or suffix, so that the results would have the same name; rename one of the "
+                "pictures"
+            )
             raise place.at("frames", i, "file").error(must, frame.file)
         by_stem[stem] = frame.file
 
 
 def _check_views(frames: tuple[Frame, ...], place: Place) -> None:
-    """Reject two pictures of one view in the same band."""
+    """Reject several pictures of one view in the same band."""
     known: dict[tuple[int, str], str] = {}
     for i, frame in enumerate(frames):
         if frame.view is None:
             continue
         if (frame.view, frame.band) in known:
-            raise place.at("frames", i, "view").error(f"must differ from that of {known[frame.view, frame.band]}", frame.view)
+            raise place.at("frames", i, "view").error(
+                f"must differ from the view of {known[frame.view, frame.band]}, which has the same band", frame.view
+            )
         known[frame.view, frame.band] = frame.file
 
 
@@ -364,17 +380,20 @@ def _check_poses(frames: tuple[Frame, ...], place: Place) -> None:
     without = [i for i, frame in enumerate(frames) if frame.cam_from_canister is None]
     if 0 < len(without) < len(frames):
         given = next(frame.file for frame in frames if frame.cam_from_canister is not None)
-        must = f"is missing for {frames[without[0]].file}, but {given} has one; give a pose for every picture or for none"
+        must = f"is missing for {frames[without[0]].file}, but {given} has a pose; specify a pose for every picture or for none"
         raise place.at("frames", without[0], "cam_from_canister").error(must)
 
 
 def check_rigid(rows: tuple[tuple[float, ...], ...], place: Place) -> None:
-    """Reject a matrix that is not a rigid 4x4 transform (rotation orthonormal within 1e-4, no mirror image)."""
+    """Reject a matrix that is not a rigid 4x4 transform.
+
+    The rotation must be orthonormal within 1e-4, without reflection.
+    """
     if len(rows) != 4 or any(len(row) != 4 for row in rows):
         raise place.error("must have 4 rows of 4 numbers")
     a_from_b = np.array(rows)
     rotation = a_from_b[:3, :3]
     if not np.allclose(a_from_b[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9) or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4:
-        raise place.error("must be a rotation and a translation, with 0 0 0 1 as the last row")
+        raise place.error("must consist of a rotation and a translation, with 0 0 0 1 as the last row")
     if np.linalg.det(rotation) < 0.0:
-        raise place.error("is a mirror image; the axes must be OpenCV's: x right, y down, z forward")
+        raise place.error("contains a reflection; the axes must be those of OpenCV (x right, y down, z forward)")

@@ -1,11 +1,11 @@
-"""Exception whose message is shown to the user."""
+"""Exception with a message for the user."""
 
 
 class UserError(Exception):
-    """An invalid input, or a limit of the machine, that the user can correct.
+    """Raised for an invalid input, or a limit of the computer, that the user can correct.
 
-    The message is one sentence that states the problem, its place (file, key, value, limit) and a remedy. The command
-    line prints it without a traceback and exits with a nonzero code.
+    The message is a sentence that states the problem, its location (file, key, value, limit) and a remedy. The command
+    line prints the message without a traceback, and exits with a nonzero code.
     """
 
 

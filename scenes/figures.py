@@ -1,4 +1,4 @@
-"""Figures without a display or shared state; matplotlib is only loaded when a figure is created."""
+"""Creation of figures without a display or shared state. Matplotlib is imported only when a figure is created."""
 
 import io
 from typing import TYPE_CHECKING
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 
 def figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure."""
+    """Return an empty figure of the given size in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -18,7 +18,7 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 
 def png(drawn: "Figure", *, dpi: int) -> bytes:
-    """Render a figure as PNG in one pass; matplotlib's own saving would render it twice for its layout."""
+    """Render a figure as PNG in a single pass. The save function of matplotlib would render it twice for its layout."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     stored = io.BytesIO()

@@ -1,8 +1,8 @@
-"""Scene and profile files (TOML), the library of named scenes, and scenes as plain dicts for JSON.
+"""Scene and profile files (TOML), the library of named scenes, and conversion of scenes to and from plain values.
 
-A scene file has the sections of `scenes.model.Scene`: ``[subject] [solution] [canister] [water] [net_pot] [strip]
-[camera] [lights] [turntable] [[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. Missing
-keys take their defaults.
+A scene file contains the sections of `scenes.model.Scene`: ``[subject] [solution] [canister] [water] [net_pot] [strip]
+[camera] [lights] [turntable] [[plan.rings]] [specimen] [disturbances]``, and the keys ``name`` and ``description``.
+Missing keys take their default values.
 """
 
 import tomllib
@@ -25,23 +25,24 @@ _PROFILES = Path(__file__).parent / "profiles"
 
 
 def load_scene(name_or_path: str | Path) -> Scene:
-    """Load a scene of the library by name, or a scene file.
+    """Load a scene file, or a scene of the library by its name.
 
     Parameters
     ----------
     name_or_path : path
-        A name listed by `library` (``radish_day15`` is short for ``radish_day15a``), or the path of a TOML file.
+        Name listed by `library` (``radish_day15`` is short for ``radish_day15a``), or path of a TOML file.
 
     Returns
     -------
     Scene
-        Validated scene. The path of a specimen is resolved relative to the scene file's folder; the name defaults to
-        that of the file.
+        Validated scene. The path of a specimen is resolved relative to the folder of the scene file. The default name
+        is that of the file.
 
     Raises
     ------
     UserError
-        For an unknown name, an unreadable or an invalid file; the message states file, line, key, value and limit.
+        If the name is unknown, or the file is unreadable or invalid; the message states file, line, key, value and
+        limit.
     """
     path = _find_scene(name_or_path)
     table, text = read_toml(path)
@@ -53,9 +54,9 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
-    """Write a scene as a TOML file with a comment above each key; `load_scene` returns an equal scene.
+    """Write a scene as a TOML file with a comment above each key. `load_scene` returns an equal scene.
 
-    Paths of specimens are absolute.
+    Paths of specimens are written as absolute paths.
 
     Parameters
     ----------
@@ -64,44 +65,44 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
     path : str or Path
         Path of the TOML file.
     new : bool
-        Raise an error if the file exists.
+        Whether to raise an error if the file exists.
     """
     here = Path()
     plants = tuple(replace(plant, specimen=_resolve(plant.specimen, here)) for plant in scene.plants)
     scene = replace(scene, specimen=_resolve(scene.specimen, here), plants=plants)
     plain = scene_to_dict(scene)
     if not plants:
-        del plain["plants"]  # with an empty list, users could not add a [[plants]] section
+        del plain["plants"]  # if the file had an empty list, users could not add a [[plants]] section
     write_text(path, key_descriptions.to_commented_toml(_without_none(plain)), new=new)
 
 
 def _resolve(specimen: Specimen | None, folder: Path) -> Specimen | None:
-    """Return a specimen with an absolute path, if it is a file."""
+    """Make the path of a specimen's file absolute, if the specimen is stored in a file."""
     if not isinstance(specimen, MeshSpecimen | RsmlSpecimen):
         return specimen
     return replace(specimen, file=str((folder / specimen.file).resolve()))
 
 
 def scene_to_dict(scene: Scene) -> dict[str, Any]:
-    """Return a scene as plain dicts, lists and scalars for JSON; `scene_from_dict` returns an equal scene."""
+    """Convert a scene to plain dicts, lists and scalars for JSON. `scene_from_dict` returns an equal scene."""
     plain: dict[str, Any] = to_plain(scene)
     return plain
 
 
 def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
-    """Build and check a scene from plain values.
+    """Create a scene from plain values, and check it.
 
     Parameters
     ----------
     mapping : mapping of object
-        Mapping as returned by `scene_to_dict`; missing keys take their defaults.
+        Mapping as returned by `scene_to_dict`. Missing keys take their default values.
     where : str
-        File or other origin, used in messages.
+        Name of the file or other origin, used in messages.
 
     Raises
     ------
     UserError
-        For an unknown key, a wrong type, a value beyond its limits, or inconsistent parts.
+        If there is an unknown key, a wrong type, a value beyond its limits, or an inconsistency between values.
     """
     scene = from_plain(Scene, mapping, Place(where))
     check_scene(scene, where=where)
@@ -114,24 +115,26 @@ def library() -> list[tuple[str, str]]:
 
 
 def profiles() -> list[tuple[str, str]]:
-    """Return name and description of every built-in disturbance profile, mildest first."""
+    """Return name and description of every built-in disturbance profile, from the mildest to the most severe."""
     order = {"clean": 0, "bench": 1, "camera": 2, "harsh": 3, "real": 4}
     return sorted(_list_files(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
 
 
 def load_profile(name: str) -> Disturbances:
-    """Load a disturbance profile: ``clean``, ``bench``, ``harsh``, or a TOML file with a ``[disturbances]`` section.
+    """Load a disturbance profile by its name, such as ``clean`` or ``bench``, or from a TOML file.
+
+    The file must have a ``[disturbances]`` section.
 
     Raises
     ------
     UserError
-        For an unknown name or an invalid file.
+        If the name is unknown or the file is invalid.
     """
     path = _PROFILES / f"{name}.toml"
     if _looks_like_path(name):
         path = Path(name)
     elif name not in (known := [row[0] for row in profiles()]):
-        raise UserError(f'there is no disturbance profile "{name}"{suggestion(name, known)}; there are {", ".join(known)}')
+        raise UserError(f'there is no disturbance profile "{name}"{suggestion(name, known)}; available profiles are {", ".join(known)}')
     table, text = read_toml(path)
     place = Place(str(path), text)
     allowed = ["name", "description", "disturbances"]
@@ -142,17 +145,19 @@ def load_profile(name: str) -> Disturbances:
 
 
 def _find_scene(name_or_path: str | Path) -> Path:
-    """Return the path of a scene given by library name or path."""
+    """Return the path of a scene that is given by its library name or path."""
     name = str(name_or_path)
     if isinstance(name_or_path, Path) or _looks_like_path(name):
         return Path(name_or_path)
-    for candidate in (name, f"{name}a"):  # radish_day15 is radish_day15a
+    for candidate in (name, f"{name}a"):  # for example, radish_day15 for radish_day15a
         if (path := _LIBRARY / f"{candidate}.toml").is_file():
             return path
     if Path(name).is_file():
         return Path(name)
     near = suggestion(name, [row.stem for row in _LIBRARY.glob("*.toml")])
-    raise UserError(f'there is no scene "{name}"{near}; `rhizotwin scenes` lists the library; scene files end in .toml')
+    raise UserError(
+        f'there is no scene "{name}"{near}; list the available scenes with `rhizotwin scenes`, or specify a file that ends in .toml'
+    )
 
 
 def _looks_like_path(name: str) -> bool:
@@ -160,17 +165,17 @@ def _looks_like_path(name: str) -> bool:
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    """Read a TOML file; return its table and its text."""
+    """Read a TOML file, and return its table and its text."""
     if path.is_dir():
-        raise UserError(f"{path}: is a folder, but a TOML file is required")
+        raise UserError(f"{path}: the path is a folder, but a TOML file is required")
     try:
         text = read_file(path).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+        raise UserError(f"{path}: the file is not UTF-8 text (see byte {error.start}); save it as UTF-8") from error
     try:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers with thousands of digits
-        raise UserError(f"{path}: is not valid TOML: {parser_message(error)}") from error
+        raise UserError(f"{path}: the file is not valid TOML ({parser_message(error)})") from error
 
 
 def _list_files(folder: Path) -> list[tuple[str, str]]:
@@ -178,7 +183,10 @@ def _list_files(folder: Path) -> list[tuple[str, str]]:
 
 
 def _without_none(value: Any) -> Any:
-    """Remove None, which TOML does not support; it is the default wherever the model allows it."""
+    """Remove all entries that are None, which TOML does not support.
+
+    None is the default wherever the model permits it.
+    """
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None}
     if isinstance(value, list):

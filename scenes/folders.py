@@ -1,19 +1,19 @@
-"""Output folders of commands: locked during a run, built inside the target, and recovered after a kill.
+"""Output folders of commands, which are locked during a run, built inside the target, and recovered after a kill.
 
-While a folder is being written, it may contain, beside visible files,
+While a folder is being written, it may contain, in addition to visible files,
 
 .rhizotwin-lock   process that holds the folder (`scenes.lock`)
 .rhizotwin-new    new content, while `new_folder` builds it
 .rhizotwin-old    replaced content, while it is moved away
 .rhizotwin-whole  `.rhizotwin-new`, renamed when nothing remains but to move its files
 
-All of these are inside the target, so that a mount point, a linked folder and the current folder can be targets, and a
-target without write permission is reported before the work starts. Recovery after a kill depends only on the names of
-these marks: if there is a `.rhizotwin-whole`, its files are moved into the folder; otherwise those of `.rhizotwin-old`
-are moved back; the rest is removed (`_settle`). Folders may be of unknown origin: they are only recovered by a command
-that writes them, nothing in a mark is parsed, no link is followed, and only the contents of the marks are moved or
-removed. The files in `HEADS` are removed first and added last, so that a reader can conclude from them that all files
-are present (`check_readable`).
+All of these marks are inside the target. Thus a mount point, a linked folder or the current folder can be the target,
+and a target without write permission is reported before the work starts. Recovery after a kill depends only on the
+names of the marks. If there is a `.rhizotwin-whole`, its files are moved into the folder. Otherwise the files of
+`.rhizotwin-old` are moved back. All remaining marks are removed (`_settle`). Since folders may be of unknown origin,
+they are recovered only by a command that writes them, marks are not parsed, links are not followed, and only the
+contents of marks are moved or removed. The files in `HEADS` are removed first and added last, so that their presence
+implies that all files are present (`check_readable`).
 """
 
 import errno
@@ -32,20 +32,21 @@ from rhizotwin.scenes.lock import lock_file
 
 LOCK, NEW, OLD, WHOLE = ".rhizotwin-lock", ".rhizotwin-new", ".rhizotwin-old", ".rhizotwin-whole"
 HEADS = ("dataset.json", "result.json")
-"""Files that identify a folder as a dataset or result."""
+"""Names of the files that identify a folder as a dataset or result."""
 LEAST_FREE_MIB = 1
-"""Minimum free disk space; no dataset or result is smaller. A full disk is thus reported before the work starts."""
+"""Minimum free disk space, MiB. No dataset or result is smaller. Thus a full disk is reported before the work
+starts."""
 _OWN = ".rhizotwin-"
 _SYSTEM = ("lost+found", "System Volume Information")
-"""Folders that an empty disk contains."""
+"""Names of folders that an empty disk contains."""
 
 Stamp = tuple[int, int, int]
 
 
 def contents(folder: Path) -> list[str]:
-    """Return the sorted names in a folder, without this program's marks and the system's folders.
+    """Return the sorted names in a folder, without the marks of this program and the folders of the system.
 
-    None if the folder does not exist.
+    The list is empty if the folder does not exist.
     """
     if not folder.is_dir():
         return []
@@ -53,20 +54,20 @@ def contents(folder: Path) -> list[str]:
 
 
 def check_readable(folder: Path, *, deep: bool = True) -> None:
-    """Raise an error if files of a folder are missing, or (``deep``) if it contains links.
+    """Raise an error if files of a folder are missing, or, with ``deep``, if the folder contains links.
 
-    Nothing is written, locked or recovered.
+    The function does not write, lock or recover the folder.
 
     Raises
     ------
     UserError
-        If a run was killed while it moved its files into the folder, or the folder contains links, pipes or devices.
+        If a run was killed while it moved its files into the folder, or if the folder contains links, pipes or devices.
     """
     marks = [name for name in (OLD, WHOLE) if os.path.lexists(folder / name)]
     if marks and not any((folder / head).is_file() for head in HEADS):
         raise UserError(
-            f"{folder}: contains {marks[0]}: the run that wrote it was stopped while it moved its files into place; "
-            "run that command again (rhizotwin reconstruct, edit or import) to recover them"
+            f"{folder}: the folder contains {marks[0]}, because the run that wrote it was stopped while it moved its files into place; "
+            "run the same command again (rhizotwin reconstruct, edit or import) to recover the files"
         )
     if deep:
         refuse_links(folder)
@@ -78,33 +79,34 @@ def refuse_links(folder: Path) -> None:
     Raises
     ------
     UserError
-        If it contains a link, pipe or device, or folders are nested too deeply for the system.
+        If the folder contains a link, pipe or device, or if folders are nested too deeply for the system.
     """
     try:
         for entry in _entries(folder):
             if entry.is_symlink():
-                raise UserError(f"{entry.path}: is a link, and links are not followed; replace it by the file or folder itself")
+                raise UserError(f"{entry.path}: the entry is a link, and links are not followed; replace it with the file or folder itself")
             if not entry.is_dir() and not entry.is_file():
-                raise UserError(f"{entry.path}: is a pipe or device; remove it")
+                raise UserError(f"{entry.path}: the entry is a pipe or device; remove it")
     except OSError as error:
-        raise UserError(f"{folder}: cannot be read ({error.strerror}); check the permissions of its contents") from error
+        raise UserError(f"{folder}: the folder cannot be read ({error.strerror}); check the permissions of its contents") from error
 
 
 @contextmanager
 def lock_folder(folder: Path | str) -> Iterator[Path]:
-    """Lock a folder for exclusive use; it is created if it is missing, and removed again if it remains empty.
+    """Lock a folder for exclusive use, after recovering files that a killed run has left.
 
-    Files left by a killed run are first moved into place, moved back or removed.
+    The folder is created if it is missing, and removed again if it remains empty. Files of a killed run are moved into
+    place, moved back or removed.
 
     Yields
     ------
     Path
-        The folder; if ``folder`` is a link, its target.
+        Path of the folder or, if ``folder`` is a link, of its target.
 
     Raises
     ------
     UserError
-        If another process uses it, it is a file, it contains links, or it cannot be written.
+        If the folder is being used by another process, is a file, contains links, or cannot be written.
     """
     with _lock_folder(folder) as (goal, _):
         refuse_links(goal)
@@ -113,33 +115,34 @@ def lock_folder(folder: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[Path]:
-    """Build a folder atomically: it appears complete or not at all.
+    """Build a folder atomically, so that it is either complete or unchanged.
 
     Parameters
     ----------
     goal : path
-        Target folder: new, empty, or with no other files than those in ``replaces``.
+        Target folder, which must be new or empty, or contain only files in ``replaces``.
     replaces : collection of str
-        Names of files in the target that are replaced. They remain until the new folder is complete; files that are
-        added or changed by others in the meantime are kept.
+        Names of files in the target that are replaced. They remain until the new folder is complete. Files that are
+        added or changed by other programs in the meantime are kept.
 
     Yields
     ------
     Path
-        Folder inside the target to write into.
+        Folder inside the target, into which the caller writes.
 
     Raises
     ------
     UserError
-        If the target contains other files, another process uses it, the disk is full, or it cannot be written; or if
-        others added a file with the name of a new one, which is then kept under another name.
+        If the target contains other files, is being used by another process or cannot be written, or the disk is full.
+        Also if another program has added a file with the same name as a new file, which is then kept under a different
+        name.
     """
     with _lock_folder(goal) as (folder, finished):
         strange = [name for name in contents(folder) if name not in replaces]
         if strange and finished:
-            raise UserError(f"{goal}: is complete, although the run that wrote it was stopped; use it, or choose another name")
+            raise UserError(f"{goal}: the output is complete, although the run that wrote it was stopped; use it, or choose another name")
         if strange:
-            beside = f"contains {strange[0]}" if replaces else "already exists and is not empty"
+            beside = f"the folder contains {strange[0]}" if replaces else "the folder already exists and is not empty"
             raise UserError(f"{goal}: {beside}; choose another name or remove it")
         before = _files(folder)
         building = folder / NEW
@@ -159,10 +162,10 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
                 raise write_error(error, goal) from error
         except BaseException as error:
             if not (isinstance(error, KeyboardInterrupt) and (folder / WHOLE).is_dir()):
-                with suppress(OSError, UserError):  # the next run does it
+                with suppress(OSError, UserError):  # otherwise the next run does this
                     _settle(folder)
                 raise
-            _settle(folder)  # too late to stop
+            _settle(folder)  # the output is already complete
 
 
 def recover(folder: Path) -> None:
@@ -171,7 +174,7 @@ def recover(folder: Path) -> None:
     Raises
     ------
     UserError
-        If another process uses the folder, or recovery fails.
+        If the folder is being used by another process, or the recovery fails.
     """
     if any(os.path.lexists(folder / name) for name in (LOCK, NEW, OLD, WHOLE)):
         with _lock_folder(folder):
@@ -183,7 +186,7 @@ def _lock_folder(folder: Path | str) -> Iterator[tuple[Path, bool]]:
     """Implement `lock_folder`; also yield whether a killed run had completed its output."""
     goal = Path(os.path.realpath(folder))
     if os.path.lexists(goal) and not goal.is_dir():
-        raise UserError(f"{folder}: is a file, but the output is a folder; choose another name")
+        raise UserError(f"{folder}: the path is a file, but the output is a folder; choose another name")
     new = not goal.exists()
     try:
         with ExitStack() as stack:
@@ -199,7 +202,7 @@ def _lock_folder(folder: Path | str) -> Iterator[tuple[Path, bool]]:
                 raise write_error(error, folder) from error
             except RecursionError:
                 raise UserError(
-                    f"{folder}: a killed run left folders that are nested too deeply to be removed; remove them manually"
+                    f"{folder}: a killed run left folders that are nested too deeply to be removed automatically; remove them manually"
                 ) from None
             yield goal, finished
     finally:
@@ -209,7 +212,7 @@ def _lock_folder(folder: Path | str) -> Iterator[tuple[Path, bool]]:
 
 
 def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None:
-    """Replace previous files by new ones, unless others changed them in the meantime."""
+    """Replace previous files by new files, except for files that other programs have changed in the meantime."""
     building, now = folder / NEW, _files(folder)
     made = list(_files(building))
     theirs = [path for path in now if before.get(path) != now[path]]
@@ -218,12 +221,12 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
         number = next(k for k in range(1, 1000) if not os.path.lexists(folder / f"made-{k}"))
         building.rename(folder / f"made-{number}")
         raise UserError(
-            f"{goal}: {in_the_way[0]} was added or changed by others during the run, and is left unchanged; the output is in "
+            f"{goal}: {in_the_way[0]} was added or changed by another program during the run, and is left unchanged; the output is in "
             f"{goal}/made-{number}"
         )
     for path in theirs:
         logging.getLogger(__name__).warning(
-            "%s: %s was added or changed by others during the run, and is kept", printable(goal), printable(str(path))
+            "%s: %s was added or changed by another program during the run, and is kept", printable(goal), printable(str(path))
         )
     replaced = [path for path in now if path not in theirs]
     if replaced:
@@ -232,7 +235,7 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
         _move(path, folder, folder / OLD)
     for place in sorted({parent for path in replaced for parent in path.parents}, key=lambda path: -len(path.parts)):
         if place.parts:
-            with suppress(OSError):  # a file of another user is in it
+            with suppress(OSError):  # the folder contains a file of another user
                 (folder / place).rmdir()
     for place in [building, *(path for path in building.rglob("*") if path.is_dir()), folder]:
         sync_folder(place)
@@ -242,21 +245,21 @@ def _put_in_place(folder: Path, before: dict[Path, Stamp], *, goal: str) -> None
 
 
 def _settle(folder: Path) -> bool:
-    """Complete or revert an interrupted run; return whether its output is now in place.
+    """Complete or revert an interrupted run, and return whether its output is now in place.
 
-    Every step can be repeated.
+    Every step can be repeated after an interruption.
     """
     marks = [folder / name for name in (OLD, NEW, WHOLE) if os.path.lexists(folder / name)]
     for mark in marks:
         if mark.is_symlink() or not mark.is_dir():
-            raise UserError(f"{mark}: was not created by this program; remove it and run again")
+            raise UserError(f"{mark}: the entry was not created by this program; remove it and run the command again")
     whole = folder / WHOLE in marks
     moved = folder / (WHOLE if whole else OLD)
     if moved in marks:
         for path in sorted(_files(moved), key=lambda path: (path.name in HEADS, path)):
             _move(path, moved, folder)
         sync_folder(folder)
-    for mark in marks:  # the mark that determines the action is the last
+    for mark in marks:  # the mark that determines the action is removed last
         shutil.rmtree(mark)
     if marks:
         sync_folder(folder)
@@ -269,22 +272,26 @@ def _move(path: Path, source: Path, goal: Path) -> None:
     Raises
     ------
     UserError
-        If there is another file of that name.
+        If a file with the same name already exists there.
     """
     place = goal
     for name in path.parts[:-1]:
         place /= name
         if place.is_symlink() or not place.is_dir():
             if os.path.lexists(place):
-                raise UserError(f"{place}: has the same name as a folder in {source}; move it away and run again")
+                raise UserError(
+                    f"{place}: the entry has the same name as a folder in {source}; move it to another place and run the command again"
+                )
             place.mkdir()
     if os.path.lexists(goal / path):
-        raise UserError(f"{goal / path}: has the same name as a file in {source}; move it away and run again")
+        raise UserError(
+            f"{goal / path}: the entry has the same name as a file in {source}; move it to another place and run the command again"
+        )
     (source / path).rename(goal / path)
 
 
 def _clear(folder: Path) -> None:
-    """Remove temporary files of a killed run."""
+    """Remove the temporary files of a killed run."""
     for entry in [entry for entry in _entries(folder) if re.fullmatch(TEMPORARY, entry.name)]:
         if entry.is_dir(follow_symlinks=False):
             shutil.rmtree(entry.path, ignore_errors=True)
@@ -293,7 +300,7 @@ def _clear(folder: Path) -> None:
 
 
 def _files(folder: Path) -> dict[Path, Stamp]:
-    """Return all files in a folder by relative path, with a stamp that changes when they are written."""
+    """Return all files in a folder by relative path, each with a stamp that changes when the file is written."""
     found = {}
     for entry in _entries(folder):
         if not entry.is_dir(follow_symlinks=False) and not _is_own(entry.name):
@@ -303,9 +310,9 @@ def _files(folder: Path) -> dict[Path, Stamp]:
 
 
 def _entries(folder: Path) -> Iterator["os.DirEntry[str]"]:
-    """Yield the entries of a folder at any depth, without this program's marks and the system's folders.
+    """Yield the entries of a folder at any depth, without the marks of this program and the folders of the system.
 
-    Links are not followed.
+    Links are yielded but not followed.
     """
     waiting = [str(folder)]
     while waiting:

@@ -1,6 +1,7 @@
 """Formatting of numbers and errors for users.
 
-Numbers have the significant digits that their uncertainty allows, without exponents; an error is one sentence.
+Numbers are written without exponents, with as many significant digits as their uncertainty permits. Errors are written
+as one sentence.
 """
 
 import errno
@@ -10,30 +11,30 @@ from rhizotwin.scenes.errors import UserError
 
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 FULL = (errno.ENOSPC, errno.EDQUOT)
-"""Error numbers of a disk without free space."""
+"""Error numbers that indicate a disk without free space."""
 
 
 def decimals(half: float) -> int:
-    """Return the number of decimals of a value with a 90 % interval of this half-width.
+    """Return the number of decimals with which to write a value whose 90 % interval has the given half-width.
 
-    The last decimal is that of the second significant digit of the half-width.
+    The last decimal corresponds to the second significant digit of the half-width.
     """
     return 3 if not half > 0.0 else min(6, max(0, 1 - math.floor(math.log10(half))))
 
 
 def ml(mm3: float, *, half_mm3: float) -> str:
-    """Return a volume in ml, rounded according to the half-width of its interval."""
+    """Format a volume in ml, rounded according to the half-width of its interval (mm3)."""
     return f"{mm3 / 1000.0:.{decimals(half_mm3 / 1000.0)}f}"
 
 
 def interval_ml(low_mm3: float, high_mm3: float) -> str:
-    """Return an interval in ml: ``0.82 to 0.95 ml``."""
+    """Format an interval of a volume in ml, such as ``0.82 to 0.95 ml``."""
     half = 0.5 * (high_mm3 - low_mm3)
     return f"{ml(low_mm3, half_mm3=half)} to {ml(high_mm3, half_mm3=half)} ml"
 
 
 def round_digits(value: float, digits: int = 3) -> str:
-    """Return a number with the given number of significant digits."""
+    """Format a number with the given number of significant digits."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else "-"
     last = digits - 1 - math.floor(math.log10(abs(value)))
@@ -41,7 +42,7 @@ def round_digits(value: float, digits: int = 3) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text with each control code replaced by a question mark, so that it cannot control a terminal."""
+    """Replace each control code in a text by a question mark, so that the text cannot control a terminal."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
@@ -50,12 +51,12 @@ def error_sentence(error: BaseException) -> str:
     if isinstance(error, UserError):
         return str(error)
     if isinstance(error, MemoryError):
-        return "not enough memory; use larger voxels (--voxel-mm) or smaller pictures"
+        return "there is not enough memory; use larger voxels (--voxel-mm) or smaller pictures"
     text = " ".join(str(error).split())[:300]
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         if error.errno in FULL:
             return f"{where}the disk is full; free some space and run the same command again"
         return f"{where}{error.strerror or text}; check the path and its permissions"
-    what = f"stopped by an unexpected error ({type(error).__name__}: {text})"
-    return f"{what}; run it again with {DEBUG_VARIABLE}=1 for a traceback"
+    what = f"the program was stopped by an unexpected error ({type(error).__name__}: {text})"
+    return f"{what}; run the command again with {DEBUG_VARIABLE}=1 for a traceback"

@@ -1,7 +1,7 @@
-"""Rigid transforms between the project's frames.
+"""Coordinate frames of the project, and rigid transforms between them.
 
-Transforms are 4x4 float64 arrays named ``a_from_b`` with ``p_a = a_from_b @ p_b``; lengths are millimetres, angles
-radians.
+Transforms are 4x4 float64 arrays named ``a_from_b``, with ``p_a = a_from_b @ p_b``. Lengths are in millimetres, and
+angles in radians.
 
 Frames
 ------
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
-    """Assemble a 4x4 transform from a 3x3 rotation and a translation (3,) in mm."""
+    """Assemble a 4x4 transform from a 3x3 rotation and a translation (3,), mm."""
     a_from_b = np.eye(4)
     a_from_b[:3, :3] = rotation
     a_from_b[:3, 3] = translation_mm
@@ -26,40 +26,40 @@ def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
 
 
 def translation(x_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return the translation by (x, y, z) mm.
+    """Return the transform of a translation by (x, y, z).
 
     Parameters
     ----------
     x_mm, y_mm, z_mm : float
-        Components along the axes.
+        Components of the translation along the axes.
 
     Returns
     -------
     (4, 4) array
-        The transform.
+        Transform.
     """
     return from_rotation_translation(np.eye(3), np.array([x_mm, y_mm, z_mm]))
 
 
 def rotation_z(angle_rad: float) -> Array:
-    """Return the 4x4 rotation about +z, counter-clockwise seen from above."""
+    """Return the 4x4 transform of a rotation about +z, counter-clockwise seen from above."""
     return from_rotation_translation(_rotation([0.0, 0.0, angle_rad]), np.zeros(3))
 
 
 def from_rotvec(rotvec_rad: Array, translation_mm: Array) -> Array:
-    """Return the 4x4 transform with the given rotation vector (3,) rad and translation (3,) mm."""
+    """Return the 4x4 transform with a rotation vector (3,), rad, and a translation (3,), mm."""
     return from_rotation_translation(_rotation(rotvec_rad), np.asarray(translation_mm))
 
 
 def to_rotvec(a_from_b: Array) -> Array:
-    """Return the rotation vector (3,) rad of a 4x4 transform."""
+    """Return the rotation vector (3,) of a 4x4 transform, rad."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(a_from_b[:3, :3]).as_rotvec()
 
 
 def invert(a_from_b: Array) -> Array:
-    """Return ``b_from_a`` (4, 4) of a rigid ``a_from_b`` (4, 4)."""
+    """Invert a rigid transform ``a_from_b`` (4, 4), and return ``b_from_a`` (4, 4)."""
     rotation = a_from_b[:3, :3].T
     return from_rotation_translation(rotation, -rotation @ a_from_b[:3, 3])
 
@@ -92,19 +92,19 @@ def twist(points: Array, share: Array, twist_deg: float) -> Array:
 
 
 def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Array:
-    """Return ``cam_from_rig`` of a camera on the +x side whose optical axis crosses the table's axis.
+    """Return ``cam_from_rig`` (4, 4) of an upright camera on the +x side that points to the table's axis.
 
     Parameters
     ----------
     distance_mm, height_mm : float
-        Distance of the camera's centre from the table's axis, and its z.
+        Distance of the camera's centre from the table's axis, and its z coordinate.
     tilt_deg : float
         Angle of the optical axis below the horizon.
 
     Returns
     -------
     (4, 4) array
-        Pose of the camera.
+        Pose of the camera, ``cam_from_rig``.
     """
     tilt = np.deg2rad(tilt_deg)
     forward = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
@@ -115,7 +115,7 @@ def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Ar
 
 
 def pose_error(cam_from_x: Array, cam_from_x_true: Array) -> tuple[float, float]:
-    """Return the distance of the camera centres (mm) and the angle (degrees) between two poses (4, 4)."""
+    """Return the distance between camera centres (mm) and the angle (deg) between two poses (4, 4)."""
     difference = cam_from_x[:3, :3].T @ cam_from_x_true[:3, :3]
     angle_rad = float(np.linalg.norm(to_rotvec(difference)))
     centre_mm = invert(cam_from_x)[:3, 3] - invert(cam_from_x_true)[:3, 3]

@@ -1,22 +1,22 @@
-"""Declaration of the limits of numeric fields; `scenes.schema` enforces them."""
+"""Declaration of limits for numeric fields, which `scenes.schema` enforces."""
 
 from dataclasses import field
 from typing import Any
 
 
 def bounded(default: Any, low: float, high: float) -> Any:
-    """Declare a numeric field with inclusive limits (for tuples: of each element).
+    """Declare a numeric field with inclusive limits. For a tuple, the limits apply to each element.
 
     Parameters
     ----------
     default : Any
-        Value used if a file has none.
+        Value used if the file does not contain the key.
     low, high : float
-        Minimum and maximum.
+        Minimum and maximum permitted values.
 
     Returns
     -------
     Field
-        Field with the limits in its metadata.
+        Dataclass field with the limits in its metadata.
     """
     return field(default=default, metadata={"limits": (low, high)})

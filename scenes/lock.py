@@ -1,6 +1,6 @@
-"""Lock file that states the process which holds a folder; the lock itself is held by the operating system.
+"""Lock files that state which process uses a folder. The lock itself is managed by the operating system.
 
-A killed process holds no lock, even if its file remains.
+The lock of a killed process is released, even if its lock file remains.
 """
 
 import errno
@@ -25,48 +25,52 @@ else:
     import fcntl
 
 MOST_TRIES = 100
-"""Maximum number of attempts; an attempt fails if another process acquires or releases the lock at the same moment."""
+"""Maximum number of attempts to acquire a lock. An attempt fails if another process acquires or releases the lock at
+the same moment."""
 MOST_LETTERS = 64
-"""Maximum length of each word in a lock file; names of computers have at most 64 characters on Linux."""
+"""Maximum number of characters of each word in a lock file. Computer names have at most 64 characters on Linux."""
 BYTES = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-"""Flags to open a file as raw bytes (Windows otherwise translates line ends) and only for this process."""
+"""Flags for opening a file as raw bytes (Windows otherwise translates line ends) and only for this process."""
 NO_WAIT = getattr(os, "O_NONBLOCK", 0) | BYTES
-"""Flags to open a possible pipe without waiting."""
+"""Flags for opening a file that may be a pipe, without waiting."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | NO_WAIT
-"""Flags to open a file in a folder of unknown origin."""
+"""Flags for opening a file in a folder of unknown origin, without following links."""
 _WINDOWS_LOCK_AT = 2**30
-"""Offset of the locked byte; Windows also locks against reading, so it is far beyond the content."""
-_NO_LOCK = "{path}: is a link or not a regular file, so it was not created by this program; remove it and run again"
+"""Offset of the locked byte in a lock file. It is far beyond the content, because Windows also prevents reading of
+locked bytes."""
+_NO_LOCK = "{path}: the entry is not a regular file and was not created by this program; remove it and run the command again"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 @contextmanager
 def lock_file(path: Path, *, what: str) -> Iterator[bool]:
-    """Hold a lock file; its folder is created if it is missing, and the file is removed at the end.
+    """Hold a lock file as a context, and remove the file at the end. Its folder is created if it is missing.
 
     Parameters
     ----------
     path : path
-        Path of the file, which contains process, computer and time as JSON.
+        Path of the lock file, which contains process, computer and time as JSON.
     what : str
         Name of the locked object, used in messages.
 
     Yields
     ------
     bool
-        Whether the file was left by a run that was killed; it is taken over with a warning.
+        Whether the lock file was left by a killed run. In this case it is reused with a warning.
 
     Raises
     ------
     UserError
-        If another process holds it (the message states process and computer), or if it is a link or not a regular file.
+        If another process holds the lock (the message states process and computer), or the file is not a regular file.
     OSError
         If the file cannot be created.
     """
     descriptor, left = _acquire(path, what)
     try:
         if left is not None:
-            logging.getLogger(__name__).warning("%s: %s left it unfinished; continuing", printable(what), _holder(left))
+            logging.getLogger(__name__).warning(
+                "%s: %s was stopped before it finished; its remaining files are recovered", printable(what), _holder(left)
+            )
         said = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
@@ -77,7 +81,10 @@ def lock_file(path: Path, *, what: str) -> Iterator[bool]:
 
 
 def try_lock(descriptor: int) -> bool | None:
-    """Lock an open file without waiting; False if another process holds it, None if this file system has no locks."""
+    """Lock an open file without waiting.
+
+    Return False if another process has locked it, and None if the file system does not support locks.
+    """
     if sys.platform == "win32":
         os.lseek(descriptor, _WINDOWS_LOCK_AT, os.SEEK_SET)
         try:
@@ -99,7 +106,7 @@ def try_lock(descriptor: int) -> bool | None:
 
 
 def remove_open(path: Path, descriptor: int) -> None:
-    """Remove a file and close it; on Windows it is closed first, as open files cannot be removed."""
+    """Remove a file and close it. On Windows it is closed first, because open files cannot be removed."""
     if sys.platform == "win32":
         os.close(descriptor)
     with suppress(OSError):
@@ -109,7 +116,7 @@ def remove_open(path: Path, descriptor: int) -> None:
 
 
 def _acquire(path: Path, what: str) -> tuple[int, bytes | None]:
-    """Return the locked file, and the content left by a previous process; None if the file is new."""
+    """Return the descriptor of the locked file, and the content left by a previous process; None if the file is new."""
     for _ in range(MOST_TRIES):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -117,13 +124,13 @@ def _acquire(path: Path, what: str) -> tuple[int, bytes | None]:
         except FileExistsError:
             try:
                 descriptor, new = os.open(path, os.O_RDWR | NO_LINK), False
-            except FileNotFoundError:  # released by its holder
+            except FileNotFoundError:  # released by the process that held it
                 continue
             except OSError as error:
                 if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
                     raise UserError(_NO_LOCK.format(path=path)) from None
                 raise
-        except FileNotFoundError:  # its folder was removed
+        except FileNotFoundError:  # the folder was removed
             continue
         try:
             status = os.fstat(descriptor)
@@ -135,14 +142,16 @@ def _acquire(path: Path, what: str) -> tuple[int, bytes | None]:
             if free is None:
                 free = new or _is_over(said)
             if not free:
-                raise UserError(f"{what}: {_holder(said)} is using it; wait until it ends or choose another (see {path.name})")
+                raise UserError(
+                    f"{what}: {_holder(said)} is using it; wait until this process has ended, or choose another path (see {path.name})"
+                )
             if os.fstat(descriptor).st_nlink:
                 return descriptor, None if new else said
         except BaseException:
             os.close(descriptor)
             raise
         os.close(descriptor)  # released and removed between opening and locking
-    raise UserError(f"{what}: is repeatedly locked by other processes; try again")
+    raise UserError(f"{what}: other processes lock it repeatedly; try again")
 
 
 def _words(said: bytes) -> dict[str, Any]:
@@ -162,7 +171,7 @@ def _holder(said: bytes) -> str:
 
 
 def _is_over(said: bytes) -> bool:
-    """Return whether the process recorded in a lock file has ended, for file systems without locks."""
+    """Return whether the process recorded in a lock file has ended. Only needed for file systems without locks."""
     words = _words(said)
     if words.get("host") != socket.gethostname() or not isinstance(words.get("pid"), int) or sys.platform == "win32":
         return False

@@ -1,4 +1,4 @@
-"""ArUco markers as cells and as black rectangles, for printing and rendering."""
+"""ArUco markers as cells, and as black rectangles for printing and rendering."""
 
 import cv2
 import numpy as np
@@ -9,43 +9,43 @@ from rhizotwin.scenes.frames import Array
 
 
 def get_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """Return OpenCV's ArUco dictionary by its name without ``DICT_``.
+    """Return an ArUco dictionary of OpenCV by its name without ``DICT_``.
 
     Raises
     ------
     UserError
-        If OpenCV has no such dictionary.
+        If OpenCV has no dictionary with this name.
     """
     if not hasattr(cv2.aruco, f"DICT_{name}"):
-        raise UserError(f"{name!r} is not an ArUco dictionary of OpenCV; use for example APRILTAG_36h11 or 5X5_100")
+        raise UserError(f"{name!r} is not an ArUco dictionary of OpenCV; use, for example, APRILTAG_36h11 or 5X5_100")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
 
 
 def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
-    """Return a marker's cells (n, n), True for white, row 0 at the top, including its black border.
+    """Return the cells (n, n) of a marker, True for white, including its black border. Row 0 is at the top.
 
     Raises
     ------
     UserError
-        If the dictionary is unknown or has no such marker.
+        If the dictionary is unknown, or has no marker with this number.
     """
     known = get_dictionary(dictionary)
     if not 0 <= marker_id < len(known.bytesList):
-        raise UserError(f"marker {marker_id} does not exist: {dictionary} has the markers 0 to {len(known.bytesList) - 1}")
+        raise UserError(f"marker {marker_id} does not exist, because {dictionary} has only the markers 0 to {len(known.bytesList) - 1}")
     return np.asarray(known.generateImageMarker(marker_id, known.markerSize + 2)) > 127
 
 
 def black_rectangles(dictionary: str, marker_id: int, *, left_mm: float, top_mm: float, side_mm: float) -> Array:
-    """Return the black parts of an upright marker as rectangles (N, 4): left, top, right, bottom, y downwards.
+    """Return the black parts of an upright marker as rectangles (N, 4): left, top, right and bottom, with y downwards.
 
     Parameters
     ----------
     dictionary, marker_id : str, int
-        OpenCV's name of the dictionary, and number of the marker.
+        Name of the dictionary in OpenCV, and number of the marker.
     left_mm, top_mm : float
         Position of the upper left corner.
     side_mm : float
-        Side of the marker.
+        Side length of the marker.
 
     Returns
     -------

@@ -9,14 +9,14 @@ MIB = 2.0**20
 
 
 def total_mib() -> float:
-    """Return the computer's memory in MiB."""
+    """Return the total memory of the computer, MiB."""
     if sys.platform == "win32":
         return _windows_memory().total_bytes / MIB
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / MIB
 
 
 def available_mib() -> float:
-    """Return the available memory in MiB, within the limits of the system and of this process's control group."""
+    """Return the available memory, MiB, within the limits of the system and of the control group of this process."""
     if sys.platform == "win32":
         return _windows_memory().free_bytes / MIB
     free = total_mib()
@@ -30,7 +30,7 @@ def available_mib() -> float:
 
 
 def peak_mib() -> float:
-    """Return the peak resident memory of this process in MiB; 0 if Windows does not report it."""
+    """Return the peak resident memory of this process, MiB; 0 if Windows does not report it."""
     if sys.platform == "win32":
         return _windows_peak_bytes() / MIB
     import resource
@@ -40,7 +40,7 @@ def peak_mib() -> float:
 
 
 class _MemoryStatus(ctypes.Structure):
-    """MEMORYSTATUSEX of the Windows API (sysinfoapi.h)."""
+    """Structure MEMORYSTATUSEX of the Windows API (sysinfoapi.h)."""
 
     _fields_ = (
         ("size", ctypes.c_uint32),
@@ -52,7 +52,7 @@ class _MemoryStatus(ctypes.Structure):
 
 
 class _ProcessMemory(ctypes.Structure):
-    """PROCESS_MEMORY_COUNTERS of the Windows API (psapi.h)."""
+    """Structure PROCESS_MEMORY_COUNTERS of the Windows API (psapi.h)."""
 
     _fields_ = (
         ("size", ctypes.c_uint32),

@@ -1,7 +1,7 @@
-"""Data model of the rig: typed, frozen descriptions. The defaults are the rig of the thesis (section 3.2).
+"""Data model of the rig: typed, frozen descriptions, whose defaults are those of the thesis (section 3.2).
 
-The unit of a field is part of its name. ``limits`` in the metadata of a field are inclusive bounds that `scenes.schema`
-enforces.
+The unit of a field is part of its name. Inclusive limits are stored as ``limits`` in the metadata of a field, and
+enforced by `scenes.schema`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -21,28 +21,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Canister:
-    """Round acrylic canister, 6 in wide and tall as in the thesis; its rim lies in the plane z = 0."""
+    """Round acrylic canister, 6 in wide and tall as in the thesis. Its rim is in the plane z = 0."""
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
-    """Outer radius of the wall; together with the refractive indices it determines the magnification by the water.
-    Measure it with calipers."""
+    """Outer radius of the canister, to be measured with callipers. Together with the refractive indices it determines
+    the magnification by the water."""
     wall_mm: float = bounded(3.175, 0.2, 50.0)
-    """Thickness of the wall."""
+    """Thickness of the canister's wall."""
     height_mm: float = bounded(152.4, 10.0, 2000.0)
-    """Height from the underside of the base to the rim."""
+    """Height of the canister, from the underside of its base to the rim."""
     base_mm: float = bounded(6.0, 0.5, 100.0)
-    """Thickness of the base; its inner face, opaque and matt, is the floor of the water."""
+    """Thickness of the base. Its inner face, which is assumed opaque and matt, is the floor of the water."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
-    """Refractive index of the wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
+    """Refractive index of the canister's wall: 1.49 for acrylic, 1.52 for glass, 1.58 for polycarbonate."""
 
     @property
     def inner_radius_mm(self) -> float:
-        """Radius of the water column."""
+        """Radius of the water column, mm."""
         return self.outer_radius_mm - self.wall_mm
 
     @property
     def floor_z_mm(self) -> float:
-        """Height (z) of the water's floor in the canister frame."""
+        """Height (z) of the water's floor in the canister frame, mm."""
         return self.base_mm - self.height_mm
 
 
@@ -51,35 +51,35 @@ class Water:
     """Nutrient solution in the canister."""
 
     level_mm: float = bounded(-4.0, -2000.0, 0.0)
-    """z of the water surface; must be above the net pot's grid."""
+    """Height (z) of the water surface, which must be above the net pot's grid."""
     n_water: float = bounded(1.333, 1.0, 2.0)
-    """Refractive index of the water, 1.333 for pure water; an error of 0.001 moves a root by 0.03 mm at a depth of 40
-    mm."""
+    """Refractive index of the water, 1.333 for pure water. An error of 0.001 displaces a root by 0.03 mm at a depth of
+    40 mm."""
     absorption_per_mm: float = bounded(0.0, 0.0, 0.1)
-    """Absorption coefficient of the water; negligible in visible light, 0.004 per mm at 850 nm."""
+    """Absorption coefficient of the water. It is negligible in visible light, and 0.004 per mm at 850 nm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetPot:
-    """Net pot over the rim; an opaque skirt outside the canister carries the marker strip."""
+    """Net pot on the canister's rim, with an opaque skirt around the canister to which the marker strip is attached."""
 
     outer_radius_mm: float = bounded(79.6, 5.0, 600.0)
-    """Radius at which the marker strip lies; it determines the scale of the reconstruction, so measure it with the
-    strip attached."""
+    """Radius of the marker strip on the net pot. It determines the scale of the reconstruction, and must therefore be
+    measured with the strip attached."""
     skirt_bottom_mm: float = bounded(-6.0, -1000.0, 500.0)
-    """z of the skirt's lower edge; the canister is hidden above it."""
+    """Height (z) of the skirt's lower edge, above which the canister is hidden."""
     top_mm: float = bounded(31.0, -1000.0, 500.0)
-    """z of the net pot's upper edge."""
+    """Height (z) of the net pot's upper edge."""
     grid_z_mm: float = bounded(-8.0, -1000.0, 0.0)
-    """z of the underside of the opaque grid and felt inside the canister: roots are visible below it."""
+    """Height (z) of the underside of the opaque grid and felt inside the canister. Roots are visible below it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerStrip:
-    """Strip of ArUco markers around the net pot, rows from the top, columns counter-clockwise seen from above.
+    """Strip of ArUco markers around the net pot, with rows from the top and columns counter-clockwise seen from above.
 
-    Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x); the marker in row j, column k has the
-    id ``first_id + j * columns + k``. Seen from outside, ids increase to the right.
+    Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x). The marker in row j and column k has
+    the id ``first_id + j * columns + k``. Seen from outside, ids increase to the right.
     """
 
     dictionary: str = "APRILTAG_36h11"
@@ -87,93 +87,94 @@ class MarkerStrip:
     columns: int = bounded(31, 4, 500)
     """Number of markers in a row, evenly spaced around the net pot."""
     rows: int = bounded(2, 0, 10)
-    """Number of rows; 0 if there is no strip, in which case cameras are found from the canister's edges and the roots.
-    """
+    """Number of rows of markers; 0 if there is no strip. Cameras are then determined from the canister's edges and the
+    roots."""
     marker_mm: float = bounded(13.0, 1.0, 200.0)
-    """Side of a marker's black square, measured on the print: if the printer scales by 1 %, every length is wrong by 1
-    %."""
+    """Side length of a marker's black square, to be measured on the print. If the print is scaled by 1 %, so is every
+    reconstructed length."""
     row_pitch_mm: float = bounded(16.5, 1.0, 300.0)
-    """Distance from the lower edge of a row to that of the row above."""
+    """Distance between the lower edges of adjacent rows."""
     bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
-    """z of the lower edge of the lowest row's markers."""
+    """Height (z) of the lower edge of the markers in the lowest row."""
     first_id: int = bounded(0, 0, 10000)
-    """Id of the first marker; strips with different ids identify different plants."""
+    """Id of the first marker. Strips with different ids identify different plants."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Medium between the camera and the canister."""
+    """Medium between camera and canister."""
 
     n: float = bounded(1.0, 1.0, 2.0)
-    """Refractive index, 1 for air. Otherwise that of the liquid in a tank about the canister (close to that of the
-    water, to reduce refraction by the wall), for a telecentric camera perpendicular to the tank's flat window: parallel
-    rays pass such a window without refraction."""
+    """Refractive index of the medium; 1 for air. Other values are for a liquid in a tank around the canister, which
+    reduces refraction by the wall, and require a telecentric camera perpendicular to the tank's flat window, because
+    only parallel rays pass such a window without refraction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tank:
-    """Rectangular tank of liquid in which the canister rotates (T5.3), filled to its rim.
+    """Rectangular tank filled with liquid to its rim, in which the canister rotates (T5.3).
 
-    It is static in the rig, with one wall towards the camera, which sees the roots through that wall and the marker
-    strip in air above it.
+    The tank is static in the rig, with one wall towards the camera. The camera views the roots through this wall, and
+    the marker strip through the air above it.
     """
 
     front_mm: float = bounded(100.0, 10.0, 2000.0)
-    """x of the outside of the front wall; the back wall is at -front_mm."""
+    """Position (x) of the outside of the front wall. The back wall is at -front_mm."""
     half_width_mm: float = bounded(130.0, 10.0, 2000.0)
-    """y of the outside of the side walls, at +half_width_mm and -half_width_mm."""
+    """Position (y) of the outside of the side walls, which are at +half_width_mm and -half_width_mm."""
     wall_mm: float = bounded(5.0, 0.2, 50.0)
     """Thickness of the tank's walls."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
     """Refractive index of the tank's walls."""
     n_liquid: float = bounded(1.333, 1.0, 2.0)
-    """Refractive index of the liquid; water is sufficient, and an index equal to that of the canister's water reduces
-    refraction most."""
+    """Refractive index of the liquid. Water is sufficient. An index equal to that of the canister's water minimises
+    refraction."""
     level_mm: float = bounded(-8.0, -2000.0, 0.0)
-    """z of the liquid's surface and of the tank's rim, below the marker strip."""
+    """Height (z) of the liquid's surface and of the tank's rim, below the marker strip."""
     turn_deg: float = bounded(0.0, -10.0, 10.0)
-    """Rotation of the tank from square to the rig, counter-clockwise seen from above; it is measured from the
+    """Rotation of the tank relative to the rig's axes, counter-clockwise seen from above. It is measured from the
     canister's edges if they are visible."""
 
 
 FAR_MM = 1.5e5
-"""Distance of the pinhole that approximates a telecentric camera.
+"""Distance of the pinhole that approximates a telecentric camera, mm.
 
 An object 50 mm nearer than the axis is magnified by an additional 1/3000, which is 0.08 px at 250 px from the axis. At
-a much larger distance, single precision no longer resolves heights to 1e-4 mm for a camera that is tilted by a degree.
+much larger distances, single precision cannot resolve heights to 1e-4 mm for a camera that is tilted by a degree.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """Camera with OpenCV distortion; pixel centres have integer coordinates."""
+    """Camera with the OpenCV distortion model. Pixel centres have integer coordinates."""
 
     kind: Literal["pinhole", "telecentric"] = "pinhole"
-    """``telecentric``: parallel rays, ``mm_per_px`` apart; ``focal_px`` and ``distortion`` are not used."""
+    """Projection of the camera. ``telecentric``: parallel rays at a distance of ``mm_per_px``; ``focal_px`` and
+    ``distortion`` are not used."""
     mm_per_px: float = bounded(0.1, 1e-5, 100.0)
-    """Size of a pixel at the specimen; only for a telecentric camera."""
+    """Size of a pixel at the specimen; only used for a telecentric camera."""
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
-    """Width and height of the pictures in pixels; roots should be at least three pixels wide."""
+    """Width and height of the pictures. Roots should be at least three pixels wide."""
     focal_px: tuple[float, float] = bounded((1300.0, 1300.0), 1.0, 1e6)
-    """Focal lengths in x and y in pixels, as measured by `rhizotwin calibrate camera`."""
+    """Focal lengths in x and y, as measured by `rhizotwin calibrate camera`."""
     principal_px: tuple[float, float] = bounded((399.5, 299.5), -1e6, 1e6)
-    """Principal point, where the optical axis meets the picture; pixel centres have integer coordinates."""
+    """Principal point, at which the optical axis intersects the picture. Pixel centres have integer coordinates."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
     """Distortion coefficients k1, k2, p1, p2, k3 of the OpenCV model."""
     bits: int = bounded(12, 8, 16)
-    """Bit depth of the analog-to-digital converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG.
-    """
+    """Bit depth of the analogue-to-digital converter. Pictures with more than 8 bits are stored left-aligned in 16-bit
+    PNG files."""
     transfer: Literal["linear", "srgb", "table"] = "linear"
-    """Transfer curve from light to pixel values, used if the file does not state one: linear, sRGB, or
+    """Transfer curve from light to pixel values, used if the file does not state a curve: linear, sRGB, or
     ``transfer_table``."""
     transfer_table: tuple[float, ...] = bounded((), 0.0, 1.0)
-    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale (written by `rhizotwin
+    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale (determined by `rhizotwin
     calibrate transfer`)."""
     bands: tuple[Band, ...] = ()
-    """Bands in which every view is taken, in this order; none for one picture per view with all light."""
+    """Bands in which every view is taken, in order of capture; empty for one picture per view in white light."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
-        """Return the same camera with ``image_wh`` pixels over the same horizontal field of view."""
+        """Return the camera with ``image_wh`` pixels over the same horizontal field of view."""
         scale = image_wh[0] / self.image_wh[0]
         cx, cy = self.principal_px
         margin_y = (image_wh[1] - scale * self.image_wh[1]) / 2.0
@@ -186,16 +187,16 @@ class Camera:
         )
 
     def as_pinhole(self) -> "Camera":
-        """Return the camera itself, or for a telecentric camera the pinhole at `FAR_MM` that approximates it."""
+        """Return the camera itself, or the pinhole camera at `FAR_MM` that approximates a telecentric camera."""
         if self.kind == "pinhole":
             return self
         focal = FAR_MM / self.mm_per_px
         return replace(self, kind="pinhole", focal_px=(focal, focal), distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def pinhole_pose(self, cam_from_canister: "Array") -> "Array":
-        """Return the pose (4, 4) of `as_pinhole`.
+        """Return the pose (4, 4) for use with `as_pinhole`.
 
-        For a telecentric camera this is the pose moved back along the optical axis, which does not change the picture.
+        A telecentric camera is moved back along its optical axis, which does not change the picture.
         """
         if self.kind == "pinhole":
             return cam_from_canister
@@ -204,32 +205,33 @@ class Camera:
         return pose
 
     def focused(self, scale: float) -> "Camera":
-        """Return the camera with focal lengths multiplied by ``scale``, as focusing changes them."""
+        """Return the camera with focal lengths multiplied by ``scale``, which is the effect of focusing."""
         return replace(self, focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale), mm_per_px=self.mm_per_px / scale)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lights:
-    """A diffuse backlight panel and a strip light above the front, both in the rig frame.
+    """Diffuse backlight panel, and strip light above the front, both in the rig frame.
 
-    The panel is at x = -backlight_distance_mm.
+    The panel is in the plane x = -backlight_distance_mm.
     """
 
     backlight_distance_mm: float = bounded(160.0, 10.0, 5000.0)
-    """Distance from the table's axis to the panel behind the canister."""
+    """Distance between the table's axis and the panel behind the canister."""
     backlight_wh_mm: tuple[float, float] = bounded((700.0, 500.0), 1.0, 10000.0)
-    """Width and height of the illuminated panel; it must fill the picture behind the canister, otherwise its edge is
-    mistaken for a root."""
+    """Width and height of the illuminated panel. It must fill the picture behind the canister; otherwise its edge would
+    be detected as a root."""
     backlight_z_mm: float = bounded(-60.0, -5000.0, 5000.0)
-    """z of the panel's centre."""
+    """Height (z) of the panel's centre."""
     backlight_level: float = bounded(0.75, 0.0, 1.0)
-    """Brightness of the bare panel as a fraction of the camera's full scale."""
+    """Brightness of the bare panel, as a fraction of the camera's full scale."""
     front_xz_mm: tuple[float, float] = bounded((260.0, 260.0), -5000.0, 5000.0)
-    """x and z of the front light; it should be above the camera, so that the canister does not reflect it."""
+    """Position (x and z) of the front light. It should be above the camera, so that the canister does not reflect
+    it."""
     front_wh_mm: tuple[float, float] = bounded((300.0, 60.0), 1.0, 10000.0)
     """Width and height of the front light."""
     front_level: float = bounded(0.5, 0.0, 1.0)
-    """Brightness of white paper on the strip, facing the camera, as a fraction of full scale."""
+    """Brightness of white paper on the strip that faces the camera, as a fraction of full scale."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,62 +239,64 @@ class Turntable:
     """Turntable that rotates the canister."""
 
     direction: Literal[1, -1] = 1
-    """+1 if positive angles rotate the canister counter-clockwise seen from above, else -1."""
+    """Sense of rotation: +1 if positive angles rotate the canister counter-clockwise seen from above, otherwise -1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """One turn of the table, or a part of one, with a static camera."""
+    """Full or partial revolution of the table with a static camera."""
 
     views: int = bounded(40, 1, 10000)
-    """Number of pictures in the turn; an odd number gives about as much information as twice as many, since opposite
-    pictures show nearly the same outline."""
+    """Number of views in the ring. An odd number provides about as much information as twice as many views, because
+    views from opposite sides show nearly the same outline."""
     height_mm: float = bounded(-42.0, -2000.0, 2000.0)
-    """z of the camera in the rig frame."""
+    """Height (z) of the camera in the rig frame."""
     distance_mm: float = bounded(400.0, 20.0, 10000.0)
-    """Horizontal distance from the camera to the table's axis."""
+    """Horizontal distance between the camera and the table's axis."""
     tilt_deg: float = bounded(0.0, -89.0, 89.0)
     """Angle of the optical axis below the horizon."""
     first_deg: float = bounded(0.0, -360.0, 360.0)
-    """Table angle of the first view; the others are spaced evenly over `span_deg`."""
+    """Table angle of the first view. All views are spaced evenly over `span_deg`."""
     span_deg: float = bounded(360.0, 1.0, 360.0)
-    """Rotation of the table during the ring; a part of a turn adds closely spaced views to another ring that is a full
-    turn."""
+    """Rotation of the table during the ring. A partial revolution can add closely spaced views to another ring with a
+    full revolution."""
     jitter_mm: float = bounded(0.0, 0.0, 50.0)
-    """Standard deviation of a commanded change of the camera's position per view and axis."""
+    """Standard deviation of a commanded change of the camera's position, per view and axis."""
     jitter_deg: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation of a commanded change of the camera's orientation per view and axis."""
+    """Standard deviation of a commanded change of the camera's orientation, per view and axis."""
     kind: Literal["root", "shoot"] = "root"
-    """Subject of the ring: the roots through the water, or the shoot in air."""
+    """Subject of the ring: the roots in the water, or the shoot in air."""
     bands: tuple[str, ...] = ()
-    """Names of the camera's bands in which the views are taken; none for all bands."""
+    """Names of the camera's bands in which the views are taken; empty for all bands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """The rings of a scan, in order."""
+    """Rings of a scan, in order of capture."""
 
     rings: tuple[Ring, ...] = (Ring(),)
-    """Rings, each with one turn of the table; a second height resolves horizontal roots that one height cannot."""
+    """Rings of the scan. A second ring at a different height resolves horizontal roots that one height cannot
+    resolve."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """Errors of a real rig. Zero (or None) means no error; profiles are files of these values with reasons."""
+    """Errors of a real rig. Zero (or None) means no error. Profiles are files with these values and their reasons."""
 
     full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
-    """Full-well capacity in electrons, at full scale, of Poisson photon noise. None for no photon noise."""
+    """Full-well capacity, reached at full scale, from which the photon (Poisson) noise is computed. None for no photon
+    noise."""
     read_noise_e: float = bounded(0.0, 0.0, 1000.0)
-    """Standard deviation of the read noise of a pixel, in electrons."""
+    """Standard deviation of the read noise of a pixel."""
     aperture_mm: float = bounded(0.0, 0.0, 50.0)
-    """Diameter of the lens aperture; 0 is a pinhole, otherwise objects outside the focus distance are blurred."""
+    """Diameter of the lens aperture; 0 for a pinhole. Otherwise objects outside the focus distance are blurred."""
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
-    """Focus distance minus the distance from the camera to the table's axis."""
+    """Focus distance minus the distance between the camera and the table's axis."""
     focal_error: float = bounded(0.0, -0.05, 0.05)
-    """Relative error of the focal length (true over given, minus 1), as after refocusing a calibrated lens; unknown to
-    the reconstruction."""
+    """Relative error of the focal length (true over nominal, minus 1), such as after refocusing a calibrated lens;
+    unknown to the reconstruction."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
-    """Lens distortion added to that of the camera; known to the reconstruction (calibrated lens)."""
+    """Lens distortion that is added to the camera's distortion; known to the reconstruction (calibrated lens)."""
     arm_deg: float = bounded(0.0, 0.0, 10.0)
     """Standard deviation of the camera's orientation about each axis, drawn once per ring; unknown to the
     reconstruction."""
@@ -300,17 +304,18 @@ class Disturbances:
     """Standard deviation of the camera's position along each axis, drawn once per ring; unknown to the reconstruction.
     """
     table_deg: float = bounded(0.0, 0.0, 10.0)
-    """Standard deviation of the table angle, drawn per view; unknown to the reconstruction."""
+    """Standard deviation of the table angle, drawn for each view; unknown to the reconstruction."""
     canister_offset_mm: float = bounded(0.0, 0.0, 20.0)
-    """Distance of the canister (with net pot, strip and plant) from the table's axis, in a random direction."""
+    """Distance between the canister's axis (with net pot, strip and plant) and the table's axis, in a random
+    direction."""
     canister_tilt_deg: float = bounded(0.0, 0.0, 10.0)
-    """Tilt of the canister, in a random direction."""
+    """Tilt of the canister in a random direction."""
     strip_offset_mm: float = bounded(0.0, 0.0, 10.0)
-    """Distance of the net pot with its strip from the canister's axis, in a random direction."""
+    """Distance between the net pot's axis (with the strip) and the canister's axis, in a random direction."""
     strip_tilt_deg: float = bounded(0.0, 0.0, 5.0)
-    """Tilt of the net pot with its strip relative to the canister's axis, in a random direction."""
+    """Tilt of the net pot (with the strip) relative to the canister's axis, in a random direction."""
     backlight_unevenness: float = bounded(0.0, 0.0, 0.9)
-    """Peak-to-peak relative variation of the backlight over the panel (smooth, random)."""
+    """Peak-to-peak relative variation of the backlight over the panel, which is smooth and random."""
     n_water_error: float = bounded(0.0, -0.1, 0.1)
     """True minus nominal refractive index of the water."""
     transfer: Literal["linear", "srgb"] = "linear"
@@ -321,50 +326,52 @@ class Disturbances:
     jpeg_quality: int | None = field(default=None, metadata={"limits": (1, 100)})
     """Quality of the JPEG files in which pictures are stored; None for PNG."""
     exposure_wander: float = bounded(0.0, 0.0, 0.9)
-    """Exposure variation: the exposure of each picture is drawn uniformly from 1 - this to 1 + this; unknown to the
+    """Relative variation of the exposure, drawn uniformly for each picture in both directions; unknown to the
     reconstruction."""
     white_balance_wander: float = bounded(0.0, 0.0, 0.9)
-    """Variation of the gains of red and blue, drawn separately in the same way; above 0 the pictures are in colour."""
+    """Relative variation of the gains of red and blue, drawn uniformly for each picture in both directions. If it is
+    above 0, the pictures are in colour."""
     vignetting: float = bounded(0.0, 0.0, 0.95)
-    """Fraction of the light that the lens loses in the corners of the picture, proportional to the squared distance
-    from the centre."""
+    """Fraction of the light that the lens loses in the corners of the picture. The loss is proportional to the squared
+    distance from the centre."""
     root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
-    """Attenuation of root tissue per mm of path. None for opaque roots."""
+    """Attenuation coefficient of root tissue. None for opaque roots."""
     root_n: float | None = field(default=None, metadata={"limits": (1.0, 2.0)})
-    """Refractive index of root tissue, which then refracts and attenuates by ``root_mu_per_mm``. None if roots only
-    attenuate."""
+    """Refractive index of root tissue, which then refracts and attenuates light (``root_mu_per_mm``). None if roots
+    only attenuate light."""
     root_hair_mm: float = bounded(0.0, 0.0, 10.0)
     """Length of the root hairs, which surround every root as a grey sleeve."""
     root_hair_mu_per_mm: float = bounded(0.0, 0.0, 100.0)
-    """Attenuation in the sleeve of root hairs."""
+    """Attenuation coefficient of the sleeve of root hairs."""
     sway_mm: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation, in each direction, of the displacement of the lowest tip in a view; it decreases towards the
-    top, which does not move."""
+    """Standard deviation of the displacement of the lowest tip between views, in each horizontal direction. The
+    displacement decreases towards the top, which does not move."""
     canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
-    """True minus nominal outer radius of the canister; unknown to the reconstruction, as are the next three."""
+    """True minus nominal outer radius of the canister; unknown to the reconstruction."""
     canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
     """Half the difference between the largest and smallest outer radius of the canister, whose cross-section is an oval
-    that rotates with it."""
+    that rotates with it; unknown to the reconstruction."""
     wall_error: float = bounded(0.0, -0.5, 0.5)
-    """Relative error of the thickness of the canister's wall (true over nominal, minus 1)."""
+    """Relative error of the thickness of the canister's wall (true over nominal, minus 1); unknown to the
+    reconstruction."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
-    """True minus nominal refractive index of the wall."""
+    """True minus nominal refractive index of the canister's wall; unknown to the reconstruction."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Fraction of light absorbed by the seam of a rolled tube, 1 mm wide, in a random direction; it rotates with the
-    canister."""
+    """Fraction of light absorbed by the seam of a rolled tube, which is 1 mm wide, in a random direction, and rotates
+    with the canister."""
     dust_specks: int = bounded(0, 0, 100000)
     """Number of opaque specks on the outside of the canister."""
     scratches: int = bounded(0, 0, 10000)
     """Number of scratches on the outside of the canister, which absorb half of the light."""
     highlight: float = bounded(0.0, 0.0, 1.0)
-    """Light added by the reflection of a lamp in the wall, as a fraction of full scale, in a streak that is static
-    while the canister rotates."""
+    """Light added by the reflection of a lamp in the wall, as a fraction of full scale. The reflection is a streak that
+    is static while the canister rotates."""
     algae_patches: int = bounded(0, 0, 1000)
-    """Number of algae films on the inner wall; they rotate with the canister."""
+    """Number of algae films on the inner wall, which rotate with the canister."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)
     """Fraction of light absorbed in the middle of an algae film."""
     turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
-    """Extinction coefficient of the water per mm."""
+    """Extinction coefficient of the water."""
     felt_fibres: int = bounded(0, 0, 10000)
     """Number of black fibres that hang from the net pot into the water."""
     bubbles: int = bounded(0, 0, 10000)
@@ -376,7 +383,7 @@ class Scene:
     """Complete rig with a specimen and a capture plan."""
 
     name: str = "scene"
-    """Name shown in lists and reports; by default that of the file."""
+    """Name shown in lists and reports. The default is the name of the file."""
     description: str = ""
     """One-line description for lists and reports."""
     subject: Subject = Subject()
@@ -387,21 +394,22 @@ class Scene:
     strip: MarkerStrip = MarkerStrip()
     surroundings: Surroundings = Surroundings()
     tank: Tank | None = None
-    """Tank about the canister; None for a canister in air."""
+    """Tank around the canister; None for a canister in air."""
     camera: Camera = Camera()
     lights: Lights = Lights()
     turntable: Turntable = Turntable()
     plan: CapturePlan = CapturePlan()
     specimen: Specimen | None = None
-    """Specimen; None if unknown, as on a real rig and in every dataset."""
+    """Specimen in the canister; None if unknown, as on a real rig and in every dataset."""
     plants: tuple[Plant, ...] = ()
-    """Plants, if there are several in one canister; none for a single plant, that of ``specimen``."""
+    """Plants, if there are several in one canister; empty for a single plant, which is then described by
+    ``specimen``."""
     shoot: Shoot | None = None
-    """Shoot above the net pot; None if there is none or it is unknown."""
+    """Shoot above the net pot; None if there is none, or if it is unknown."""
     disturbances: Disturbances = Disturbances()
 
     def lights_in(self, band: str) -> Lights:
-        """Return the lights in the camera's band of that name; for an empty name, as given."""
+        """Return the lights in the camera's band with the given name; for an empty name, the lights of the scene."""
         lights = self.lights
         for one in self.camera.bands:
             if one.name == band:
@@ -411,11 +419,11 @@ class Scene:
         return lights
 
     def is_lit(self, band: str) -> bool:
-        """Return whether panel and front light are both on in a band, as outlines and markers require."""
+        """Return whether panel and front light are both on in a band, which outlines and markers require."""
         lights = self.lights_in(band)
         return lights.backlight_level > 0.0 and lights.front_level > 0.0
 
     @property
     def is_planted(self) -> bool:
-        """Return whether the content of the canister is known."""
+        """Whether the content of the canister is known."""
         return self.specimen is not None or any(plant.specimen is not None for plant in self.plants)

@@ -1,4 +1,4 @@
-"""Monitoring of long work: progress, time per stage, and cancellation."""
+"""Monitoring of long computations: progress, time per stage, and cancellation."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 Listener = Callable[[str, int, int], object]
-"""Function that is called with the name of the stage, the number of completed steps and their total."""
+"""Type of a function that is called with the name of the stage, the number of completed steps, and the total number."""
 
 
 class Cancelled(Exception):  # noqa: N818 - nothing went wrong
-    """Raised inside work whose monitor was cancelled; nothing was written."""
+    """Raised within a computation whose monitor was cancelled. No output was written."""
 
 
 class Monitor:
-    """Progress, timing and cancellation of one piece of work.
+    """Progress, timing and cancellation of a computation.
 
     Parameters
     ----------
     progress : type of tqdm, callable, or None
-        A tqdm class shows bars: ``tqdm.tqdm`` on a terminal's stderr, ``tqdm.notebook.tqdm`` or ``tqdm.auto.tqdm`` in a
-        notebook. A callable is called with ``(stage, done, total)`` at every step. None shows nothing.
+        A tqdm class shows progress bars: ``tqdm.tqdm`` in a terminal (on stderr), ``tqdm.notebook.tqdm`` or
+        ``tqdm.auto.tqdm`` in a notebook. A callable is called with ``(stage, done, total)`` at every step. None shows
+        no progress.
 
     Attributes
     ----------
     timings_s : dict of str to float
-        Duration of each stage in seconds, in the order in which they ended.
+        Duration of each stage in seconds, in the order in which the stages ended.
     after_stage : callable or None
-        Called at the end of every stage, for example to release memory.
+        Function that is called at the end of every stage, for example to release memory.
     """
 
     def __init__(self, progress: type[Any] | Listener | None = None) -> None:
@@ -46,27 +47,27 @@ class Monitor:
 
     @staticmethod
     def of(given: Monitor | type[Any] | Listener | None) -> Monitor:
-        """Return a monitor unchanged, or create one from a tqdm class, a callable or None."""
+        """Return a monitor unchanged, or create a monitor from a tqdm class, a callable or None."""
         return given if isinstance(given, Monitor) else Monitor(given)
 
     def cancel(self) -> None:
-        """Stop the work at its next step; can be called from another thread or from the listener."""
+        """Stop the computation at its next step. Can be called from another thread or from the listener."""
         self._cancelled = True
 
     def check(self) -> None:
-        """Raise an error if the work was cancelled.
+        """Raise an error if the computation was cancelled.
 
         Raises
         ------
         Cancelled
-            After `cancel`.
+            If `cancel` was called.
         """
         if self._cancelled:
-            raise Cancelled("stopped by its monitor")
+            raise Cancelled("the computation was cancelled")
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the time of a stage; the times of a repeated stage are added."""
+        """Measure the duration of a stage as a context. The durations of a repeated stage are added."""
         self.check()
         begin = time.perf_counter()
         yield
@@ -76,19 +77,19 @@ class Monitor:
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
-        """Show a progress bar with the remaining time.
+        """Show a progress bar with the remaining time as a context.
 
         Parameters
         ----------
         name : str
-            Name of the work.
+            Name of the computation.
         total, unit : int, str
-            Number of steps, and their unit.
+            Number of steps, and the unit in which they are counted.
 
         Yields
         ------
         callable
-            Function to call after each step.
+            Function that the caller calls after each step.
         """
         bar = None if self._bars is None else self._bars(total=total, desc=name, unit=unit, dynamic_ncols=True)
         done = 0
@@ -114,16 +115,16 @@ class Monitor:
         Parameters
         ----------
         work : callable
-            Function applied to each item.
+            Function that is applied to each item.
         name, unit : str
-            Name of the work, and unit of the items.
+            Name of the computation, and unit in which the items are counted.
         items : sequence of T
             Items to process.
 
         Returns
         -------
         list
-            Results, in the order of the items.
+            Results in the order of the items.
         """
         with ThreadPoolExecutor(max_workers=threads()) as pool, self.steps(name, len(items), unit) as step:
             done = []

@@ -1,18 +1,18 @@
-"""Suggestion of the known name that a misspelt one most resembles."""
+"""Suggestion of the known name that is most similar to a misspelt name."""
 
 import difflib
 import re
 from collections.abc import Iterable
 
 ALIKE = 0.6
-"""Minimum similarity (`difflib`) of a suggestion."""
+"""Minimum similarity (`difflib`) between the given name and a suggestion."""
 
 
 def most_similar(word: str, known: Iterable[str]) -> str | None:
     """Return the known name that is most similar to a word, or None.
 
-    Names that begin with the word come first (``wall``: ``wall_mm``, not ``n_wall``), ignoring leading zeros of numbers
-    (``radish_day5``: ``radish_day05a``, not ``radish_day15a``), then the most similar name.
+    Names that begin with the word are preferred (``wall``: ``wall_mm``, not ``n_wall``), ignoring leading zeros of
+    numbers (``radish_day5``: ``radish_day05a``, not ``radish_day15a``).
     """
     names = list(known)
     typed = _plain(word)
@@ -24,7 +24,7 @@ def most_similar(word: str, known: Iterable[str]) -> str | None:
 
 
 def _plain(name: str) -> str:
-    """Return a name with its numbers written without leading zeros."""
+    """Return a name in lower case, with numbers without leading zeros."""
     return re.sub(r"\d+", lambda number: str(int(number[0])), name.casefold())
 
 

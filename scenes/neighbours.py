@@ -1,7 +1,7 @@
 """Spatial relation of root systems that share a canister: contact, proximity and common space.
 
-Two roots touch if their surfaces meet. The zone of a root extends to `ZONE_MM` from its surface, about the width of the
-zone from which roots take up immobile nutrients and in which they exchange exudates.
+Two roots are in contact if their surfaces meet. The zone of a root extends to `ZONE_MM` from its surface. This is about
+the width of the zone in which roots take up immobile nutrients and exchange exudates.
 """
 
 from __future__ import annotations
@@ -23,48 +23,50 @@ Array = NDArray[np.float64]
 
 ZONE_MM = 2.0
 _STEP_MM = 0.25
-"""Spacing of the points at which centre lines are compared: half the diameter of a fine root."""
+"""Spacing of the points at which centre lines are compared, mm (half the diameter of a fine root)."""
 _OTHERS = 16
-"""Number of points of the other plant that are compared, as the nearest centre need not have the nearest surface."""
+"""Number of nearest points of the other plant that are compared, because the nearest centre may not have the nearest
+surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neighbours:
-    """Comparison of two plants in one canister; pairs of numbers belong to the first and the second plant."""
+    """Comparison of two plants in one canister. The elements of each pair refer to the first and the second plant."""
 
     plants: tuple[str, str]
     nearest_mm: float
-    """Minimum distance of their roots' surfaces; 0 if they touch."""
+    """Minimum distance between the root surfaces of the two plants, mm; 0 if they touch."""
     contact_mm: tuple[float, float]
-    """Length of each plant's roots in contact with the other."""
+    """Length of each plant's roots that touch the other plant, mm."""
     zone_mm: tuple[float, float]
-    """Length of each plant's roots within `ZONE_MM` of the other."""
+    """Length of each plant's roots within `ZONE_MM` of the other plant, mm."""
     zone_share: tuple[float, float]
-    """`zone_mm` as a fraction of each plant's length."""
+    """Length `zone_mm` as a fraction of each plant's root length."""
     zone_share_by_depth: tuple[tuple[float, ...], tuple[float, ...]]
-    """`zone_share` in bins of 10 mm below the higher plant's top; 0 if there is no root."""
+    """Fraction `zone_share` in depth bins of 10 mm below the top of the higher plant; 0 in bins without a root."""
     hulls_overlap_mm3: float
-    """Common volume of the two convex hulls."""
+    """Volume of the intersection of the two convex hulls, mm3."""
     hulls_overlap_share: tuple[float, float]
-    """`hulls_overlap_mm3` as a fraction of each plant's convex hull."""
+    """Volume `hulls_overlap_mm3` as a fraction of each plant's convex hull."""
 
     def lines(self, verdict: Verdict) -> list[str]:
-        """Return the values as lines of text.
+        """Format the comparison as lines of text.
 
         Parameters
         ----------
         verdict : Verdict
-            Verdict on the length of the roots, on which all values depend; the first line states it unless it is
+            Verdict on the length of the roots, on which all values depend. The first line states it unless it is
             "reliable".
         """
         (a, b), percent = self.plants, [f"{100.0 * share:.1f} %" for share in self.zone_share]
-        nearest = "their roots touch" if self.nearest_mm == 0.0 else f"nearest roots {self.nearest_mm:.2f} mm apart"
+        nearest = "their roots touch" if self.nearest_mm == 0.0 else f"the minimum distance of their roots is {self.nearest_mm:.2f} mm"
         shares = [f"{100.0 * share:.0f} %" for share in self.hulls_overlap_share]
         return [
             f"{a} and {b}{'' if verdict == 'reliable' else f' ({verdict})'}: {nearest}",
             f"  length in contact: {self.contact_mm[0]:.1f} mm of {a}, {self.contact_mm[1]:.1f} mm of {b}",
-            f"  length within {ZONE_MM:g} mm of the other: {percent[0]} of {a}, {percent[1]} of {b}",
-            f"  convex hulls: {self.hulls_overlap_mm3 / 1000.0:.3g} ml in common, {shares[0]} of {a}'s, {shares[1]} of {b}'s",
+            f"  length within {ZONE_MM:g} mm of the other plant: {percent[0]} of {a}, {percent[1]} of {b}",
+            f"  intersection of the convex hulls: {self.hulls_overlap_mm3 / 1000.0:.3g} ml, {shares[0]} of the hull of {a}, {shares[1]} "
+            f"of the hull of {b}",
         ]
 
 
@@ -80,11 +82,11 @@ HEAD = (
     "depth_from_mm",
     "depth_zone_share",
 )
-"""Column names of `rows`."""
+"""Column names of the table returned by `rows`."""
 
 
 def rows(found: Sequence[Neighbours]) -> list[list[str]]:
-    """Return table rows for each ordered pair of plants: one for the whole (no depth), and one per bin of depth."""
+    """Return table rows for each ordered pair of plants: one row for all depths, and one row per depth bin."""
     made = []
     for one in found:
         for k in (0, 1):
@@ -104,17 +106,17 @@ def rows(found: Sequence[Neighbours]) -> list[list[str]]:
 
 
 def find_neighbours(roots: Sequence[Root]) -> tuple[Neighbours, ...]:
-    """Compare every pair of plants.
+    """Compare every pair of plants in a canister.
 
     Parameters
     ----------
     roots : sequence of Root
-        Roots of all plants with the plants' names; those without a name are ignored.
+        Roots of all plants, with the names of their plants. Roots without a plant's name are ignored.
 
     Returns
     -------
     tuple of Neighbours
-        Pairs in the order of the plants; empty if there are fewer than two.
+        Comparison of each pair, in the order of the plants; empty if there are fewer than two plants.
     """
     names = list(dict.fromkeys(root.plant for root in roots if root.plant))
     plants = {name: _Plant.of([root for root in roots if root.plant == name]) for name in names}
@@ -124,10 +126,10 @@ def find_neighbours(roots: Sequence[Root]) -> tuple[Neighbours, ...]:
 @dataclass(frozen=True)
 class _Plant:
     points_mm: Array
-    """(P, 3) points along the centre lines."""
+    """Points along the centre lines, mm, shape (P, 3)."""
     radius_mm: Array
     length_mm: Array
-    """(P,) length represented by each point."""
+    """Length of the centre line represented by each point, mm, shape (P,)."""
     tree: cKDTree
 
     @staticmethod
@@ -136,7 +138,7 @@ class _Plant:
         return _Plant(along.points_mm, along.radius_mm, along.length_mm, cKDTree(along.points_mm))
 
     def away_mm(self, other: _Plant) -> Array:
-        """Return the distance (P,) from the root's surface at each point to the other plant's; 0 where they meet."""
+        """Return the distance (P,) between the surfaces of both plants at each point, mm; 0 where they meet."""
         count = min(_OTHERS, len(other.points_mm))
         away, nearest = other.tree.query(self.points_mm, k=count)
         away, nearest = away.reshape(-1, count), nearest.reshape(-1, count)
@@ -171,13 +173,16 @@ def _by_depth(plant: _Plant, away_mm: Array, top_mm: float) -> tuple[float, ...]
 
 
 def _common_hull(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the common volume of two convex hulls, and its fraction of each; 0 if one is flat or they are disjoint."""
+    """Return the common volume of two convex hulls, mm3, and its fraction of each hull.
+
+    All values are 0 if a hull is flat or the hulls are disjoint.
+    """
     try:
         hulls = ConvexHull(a), ConvexHull(b)
     except (QhullError, ValueError):
         return 0.0, 0.0, 0.0
     planes = np.concatenate([hull.equations for hull in hulls])
-    # centre of the largest ball inside both: the point with the greatest distance from all planes
+    # centre of the largest ball inside both hulls, which is the point with the greatest distance from all planes
     found = linprog(
         [0.0, 0.0, 0.0, -1.0], A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]), b_ub=-planes[:, 3], bounds=(None, None)
     )

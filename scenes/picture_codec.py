@@ -1,6 +1,7 @@
-"""Encoding and decoding of pictures, with rejection of damaged files that OpenCV would silently repair.
+"""Encoding and decoding of pictures.
 
-OpenCV returns truncated files padded, without an error.
+Damaged files, which OpenCV would repair silently, are rejected. For example, OpenCV pads truncated files without an
+error.
 """
 
 import struct
@@ -14,7 +15,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_damage import UnfitError, check_picture
 from rhizotwin.scenes.transfer import LINEAR, Curve
 
-# suppress OpenCV's own messages; `decode_grey` raises an error
+# suppresses messages of OpenCV, because `decode_grey` raises an error
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Grey = np.ndarray[tuple[int, int], np.dtype[np.uint8 | np.uint16]]
@@ -23,7 +24,8 @@ Grey = np.ndarray[tuple[int, int], np.dtype[np.uint8 | np.uint16]]
 def encode_png(image: Grey) -> bytes:
     """Encode a picture as PNG.
 
-    OpenCV's default setting (a filter, then weak compression) is the fastest and the smallest for noisy pictures.
+    For noisy pictures, the default settings of OpenCV (a filter and weak compression) are the fastest and result in the
+    smallest files.
     """
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
     if not encoded:
@@ -32,7 +34,10 @@ def encode_png(image: Grey) -> bytes:
 
 
 def encode_light_png(light: Grey) -> bytes:
-    """Encode light as a PNG that states linear pixel values, by a gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2)."""
+    """Encode light as PNG.
+
+    A gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2) states that pixel values are linear in light.
+    """
     data, name = encode_png(light), b"gAMA" + struct.pack(">I", 100000)
     first = 8 + 25  # the signature, and IHDR, which is the first chunk
     return data[:first] + struct.pack(">I", 4) + name + struct.pack(">I", zlib.crc32(name)) + data[first:]
@@ -48,17 +53,18 @@ def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = N
     where : str
         File name, used in messages.
     image_wh : tuple of int or None
-        Required size, checked before decoding.
+        Required width and height, which are checked before decoding.
 
     Returns
     -------
     ndarray
-        (H, W), uint8 or uint16 as in the file; colours by luminance (Rec. 601), transparency dropped.
+        Grey levels (H, W), uint8 or uint16 as in the file. Colours are converted to luminance (Rec. 601), and
+        transparency is ignored.
 
     Raises
     ------
     UserError
-        If the data are empty, truncated, damaged, of another size, or not a picture of 8 or 16 bits.
+        If the data are empty, truncated or damaged, the size differs, or the data are not a picture with 8 or 16 bits.
     """
     image = _decode(data, where, image_wh)
     if image.ndim == 2:
@@ -79,8 +85,9 @@ def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, 
     Returns
     -------
     ndarray
-        (H, W), uint16, or for a linear curve uint8 or uint16 as in the file. Colours are decoded to light, then
-        weighted as in `decode_grey`; pixels with a saturated colour are set to full scale, as their light is unknown.
+        Light (H, W), uint16; for a linear curve uint8 or uint16 as in the file. Colours are decoded to light, then
+        weighted as in `decode_grey`. Pixels with a saturated colour are set to full scale, since their light is
+        unknown.
 
     Raises
     ------
@@ -97,7 +104,7 @@ def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, 
 
 
 def _decode(data: bytes, where: str, image_wh: tuple[int, int] | None) -> NDArray[np.uint8 | np.uint16]:
-    """Decode a picture to (H, W) grey or (H, W, 3) blue, green, red."""
+    """Decode a picture to grey (H, W) or to blue, green and red (H, W, 3)."""
     try:
         whole = check_picture(data, image_wh=image_wh)
     except UnfitError as error:
@@ -107,9 +114,11 @@ def _decode(data: bytes, where: str, image_wh: tuple[int, int] | None) -> NDArra
     except cv2.error:
         image = None
     if image is None:
-        raise UserError(f"{where}: is not a supported picture; use PNG, JPEG or TIFF")
+        raise UserError(f"{where}: the file is not a supported picture; use PNG, JPEG or TIFF")
     if image.dtype not in (np.uint8, np.uint16):
-        raise UserError(f"{where}: has {image.dtype} pixels, but 8 or 16-bit integers are required; convert it to a 16-bit PNG")
+        raise UserError(
+            f"{where}: the picture has {image.dtype} pixels, but 8- or 16-bit integers are required; convert it to a 16-bit PNG"
+        )
     if image.ndim == 2:
         return np.asarray(image)
     if image.shape[2] == 1:

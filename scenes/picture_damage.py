@@ -1,9 +1,9 @@
-"""Integrity check and size of picture files, from their bytes before decoding, checksums and strict decoders.
+"""Integrity and size checks of picture files, using their bytes before decoding, checksums, and strict decoders.
 
-OpenCV's decoders silently repair damage: missing parts are returned grey or black. PNG has a CRC per chunk and a
-checksum over all pixels, as has Deflate in TIFF. JPEG, LZW and PackBits have none: for them, violations of their coding
-are detected, and strips of a TIFF that do not contain exactly their pixels. For uncompressed pixels only a wrong number
-is detected. `is_sealed` returns whether a file has a checksum.
+The decoders of OpenCV repair damage silently, and return missing parts grey or black. PNG has a CRC per chunk and a
+checksum over all pixels, as has Deflate in TIFF. JPEG, LZW and PackBits have no checksums. For these formats,
+violations of the coding are detected, as are strips of a TIFF that do not contain exactly their pixels. For
+uncompressed pixels, only a wrong number of pixels is detected. `is_sealed` returns whether a file has a checksum.
 """
 
 import io
@@ -19,59 +19,59 @@ import simplejpeg
 import tifffile
 
 MOST_PIXELS = 2**27
-"""Maximum number of pixels, larger than the largest sensors (100 to 150 million); in 16-bit colour this takes 0.8 GB.
-"""
-_NO_PICTURE = "is not a supported picture; use PNG, JPEG or TIFF"
+"""Maximum number of pixels of a picture. It exceeds the largest sensors (100 to 150 million pixels), and requires 0.8
+GB in 16-bit colour."""
+_NO_PICTURE = "the file is not a supported picture; use PNG, JPEG or TIFF"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
 """Compression schemes of TIFF (TIFF 6.0, section 3 and supplement 2)."""
 _WITHOUT_CODECS = (_BARE, *_DEFLATE, _PACKBITS)
-"""Compression schemes that tifffile decodes itself; others require imagecodecs, an optional dependency of 80 MB."""
+"""Compression schemes that tifffile decodes without imagecodecs, which is an optional dependency of 80 MB."""
 _MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
-"""Each byte value with its bits reversed (TIFF 6.0, FillOrder 2)."""
+"""Byte values with their bits in reverse order (TIFF 6.0, FillOrder 2)."""
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-"""Channels and bit depths of a PNG by its colour type (ISO/IEC 15948, table 11.1)."""
+"""Numbers of channels and permitted bit depths of a PNG by its colour type (ISO/IEC 15948, table 11.1)."""
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 """First column, first row and steps of the passes of an interlaced PNG (ISO/IEC 15948, section 8.2)."""
 
-logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # its messages are replaced by one sentence
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # the messages of tifffile are replaced by one sentence
 
 
 class UnfitError(Exception):
-    """A file that is not a picture of the required kind and size; the message follows the file's name."""
+    """Raised if a file is not a picture of the required kind and size. The message is appended to the file's name."""
 
 
 class DamagedError(UnfitError):
-    """A picture that is incomplete or damaged."""
+    """Raised if a picture is incomplete or damaged."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"the picture is {what}; copy or take it again, or exclude it")
 
 
 def check_picture(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
-    """Check a picture's file.
+    """Check the integrity and size of a picture file.
 
     Parameters
     ----------
     data : bytes
         Content of a PNG, JPEG or TIFF file.
     image_wh : tuple of int or None
-        Required size; None for any size up to `MOST_PIXELS`.
+        Required width and height; None for any size up to `MOST_PIXELS`.
 
     Returns
     -------
     bytes
-        Content of the file; for PNG without chunks that do not affect its pixels (libpng prints warnings about some of
-        them).
+        Content of the file. For PNG, chunks that do not affect the pixels are omitted, because libpng prints warnings
+        about some of them.
 
     Raises
     ------
     UnfitError
-        If the file is empty, truncated, damaged, or of another size or kind.
+        If the file is empty, truncated or damaged, or if it has a different size or kind.
     """
     if not data:
         raise DamagedError("empty (0 bytes)")
@@ -89,17 +89,19 @@ def check_picture(data: bytes, *, image_wh: tuple[int, int] | None = None) -> by
 def _check_size(width: int, height: int, image_wh: tuple[int, int] | None) -> None:
     if image_wh is not None and (width, height) != image_wh:
         raise UnfitError(
-            f"the picture is {width}x{height} pixels, but the scene's camera has image_wh {image_wh[0]}x{image_wh[1]}; correct the scene "
+            f"the picture has {width}x{height} pixels, but the scene's camera has image_wh {image_wh[0]}x{image_wh[1]}; correct the scene "
             "or remove the picture"
         )
     if width < 1 or height < 1:
-        raise UnfitError(f"the picture is empty ({width}x{height} pixels); remove it")
+        raise UnfitError(f"the picture has no pixels ({width}x{height}); remove it")
     if width * height > MOST_PIXELS:
-        raise UnfitError(f"the picture is {width}x{height} pixels, more than {MOST_PIXELS / 1e6:.0f} million; reduce its size")
+        raise UnfitError(
+            f"the picture has {width}x{height} pixels, more than the maximum of {MOST_PIXELS / 1e6:.0f} million; reduce its size"
+        )
 
 
 def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
-    """Read the chunks of a PNG up to IEND, and decompress the pixels (ISO/IEC 15948, sections 5, 9 and 10)."""
+    """Check chunks and pixels of a PNG, and return it without other chunks (ISO/IEC 15948, sections 5, 9 and 10)."""
     damaged = DamagedError("damaged (the content of the PNG file is inconsistent)")
     chunks: dict[bytes, list[memoryview]] = {}
     for kind, content in _chunks(data):
@@ -134,7 +136,7 @@ def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
 
 
 def _chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
-    """Yield kind and content of a PNG's chunks up to IEND."""
+    """Yield kind and content of the chunks of a PNG up to IEND."""
     view = memoryview(data)
     at = len(_PNG)
     while at + 12 <= len(data):
@@ -158,23 +160,23 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
 
 
 def _inflate(packed: list[memoryview], count: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-    """Return the rows of a PNG after checking their number of bytes and their checksum."""
+    """Decompress the rows of a PNG, and check their number of bytes and their checksum."""
     unpacker = zlib.decompressobj()
     try:
         found = unpacker.decompress(b"".join(packed), count + 1)
         if len(found) == count and not unpacker.eof:
             found += unpacker.decompress(unpacker.unconsumed_tail, 1)
     except zlib.error:
-        raise DamagedError("damaged (its pixels cannot be decompressed)") from None
+        raise DamagedError("damaged (the pixels cannot be decompressed)") from None
     if len(found) < count and not unpacker.eof:
         raise DamagedError("truncated (the PNG file ends too early)")
     if len(found) != count or not unpacker.eof:
-        raise DamagedError("damaged (its number of pixels does not match its header)")
+        raise DamagedError("damaged (the number of pixels does not match the header)")
     return np.frombuffer(found, np.uint8)
 
 
 def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
-    """Read the segments and scans of a JPEG up to its end marker, and decode it strictly (ITU-T T.81, annex B)."""
+    """Check the segments and scans of a JPEG up to its end marker, and decode it strictly (ITU-T T.81, annex B)."""
     truncated = DamagedError("truncated (the JPEG file ends too early)")
     at = 2
     while True:
@@ -201,7 +203,7 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
 
 
 def is_sealed(data: bytes) -> bool:
-    """Return whether a file that `check_picture` has passed has a checksum over its pixels."""
+    """Return whether a file accepted by `check_picture` has a checksum over its pixels."""
     if data.startswith(_TIFF):
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             return int(file.pages.first.compression) in _DEFLATE
@@ -209,21 +211,23 @@ def is_sealed(data: bytes) -> bool:
 
 
 def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
-    """Decode the first picture of a TIFF strictly, strip by strip or tile by tile (TIFF 6.0)."""
+    """Decode the first picture of a TIFF strictly, by strips or tiles (TIFF 6.0)."""
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages[0]
             if not isinstance(page, tifffile.TiffPage):
-                raise DamagedError("damaged (its directory cannot be read)")
+                raise DamagedError("damaged (the directory of the TIFF file cannot be read)")
             _check_size(page.imagewidth, page.imagelength, image_wh)
             if page.samplesperpixel * page.bitspersample > 128:
-                raise UnfitError(f"has {page.samplesperpixel} times {page.bitspersample} bits per pixel; convert it to a 16-bit PNG")
+                raise UnfitError(
+                    f"the picture has {page.samplesperpixel} times {page.bitspersample} bits per pixel; convert it to a 16-bit PNG"
+                )
             codecs = None if page.compression in _WITHOUT_CODECS else _codecs(page.compression)
             for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
                 if count <= 0 or offset + count > len(data):
                     raise DamagedError("truncated (the TIFF file ends too early)")
             _tiff_pieces(data, page, codecs)
-            if page.compression != _PACKBITS:  # decompressed above; newer versions of imagecodecs have no codec for it
+            if page.compression != _PACKBITS:  # PackBits was decompressed above; newer versions of imagecodecs have no codec for it
                 page.asarray()
     except UnfitError:
         raise
@@ -233,19 +237,20 @@ def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
 
 
 def _codecs(compression: int) -> Any:
-    """Return the module imagecodecs, which is required for this compression of a TIFF."""
+    """Return the module imagecodecs, which is required for the given compression of a TIFF."""
     try:
         import imagecodecs
     except ImportError:
         name = getattr(compression, "name", compression)
         raise UnfitError(
-            f"is a TIFF compressed by {name}, which requires another package: pip install 'rhizotwin[tiff]', or convert it to PNG"
+            f"the file is a TIFF with {name} compression, which requires another package; run pip install 'rhizotwin[tiff]', or convert "
+            "it to PNG"
         ) from None
     return imagecodecs
 
 
 def _packbits(packed: bytes) -> bytes:
-    """Decompress a piece compressed by PackBits (TIFF 6.0, section 9), as far as possible."""
+    """Decompress data compressed with PackBits (TIFF 6.0, section 9), as far as possible."""
     found, at = bytearray(), 0
     while at < len(packed):
         header, at = packed[at], at + 1
@@ -259,7 +264,10 @@ def _packbits(packed: bytes) -> bytes:
 
 
 def _tiff_pieces(data: bytes, page: tifffile.TiffPage, codecs: Any) -> None:
-    """Decompress each strip or tile and check its number of bytes, as decoders pad or truncate without an error."""
+    """Decompress each strip or tile, and check its number of bytes.
+
+    Decoders pad or truncate without an error.
+    """
     high, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
     across = -(-page.imagewidth // wide)
     down = -(-page.imagelength // high)

@@ -1,4 +1,7 @@
-"""Reduction of large pictures for OpenCV's detection of markers; their corners are measured in the full picture."""
+"""Reduction of large pictures for the detection of markers with OpenCV.
+
+Corners of the markers are measured in the full picture.
+"""
 
 import cv2
 import numpy as np
@@ -7,19 +10,19 @@ from numpy.typing import NDArray
 Picture = NDArray[np.uint8 | np.uint16]
 
 LONGEST_PX = 2100
-"""Maximum length of a side; larger pictures are halved repeatedly: the Pi HQ camera's 4056 px once, its binned 2028 px
-not at all."""
+"""Maximum length of a picture's side, px. Larger pictures are halved repeatedly: 4056 px of the Pi HQ camera once, but
+its binned 2028 px not at all."""
 
 
 def reduce_picture(image: Picture) -> tuple[Picture, NDArray[np.float64]]:
-    """Halve a picture (H, W), by averaging, until no side is longer than `LONGEST_PX`.
+    """Halve a picture (H, W) by averaging until no side is longer than `LONGEST_PX`.
 
     Returns
     -------
     small : (h, w) uint8 or uint16 array
-        Reduced picture; the picture itself if it is small enough.
+        Reduced picture, or the picture itself if it is small enough.
     scale : (2,) float64 array
-        W / w and H / h: position x in ``small`` corresponds to (x + 0.5) scale - 0.5 in the picture.
+        Ratios W / w and H / h. Position x in ``small`` corresponds to (x + 0.5) scale - 0.5 in the picture.
     """
     small, shrink = image, 1
     while max(image.shape) / shrink > LONGEST_PX:

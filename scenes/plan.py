@@ -1,4 +1,4 @@
-"""Nominal camera of every view of a capture plan."""
+"""Nominal views of a capture plan, and the visibility of markers from their cameras."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,11 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 SLANT = 0.5
-"""Minimum cosine between a marker's normal and the direction to the camera for a detection to be expected."""
+"""Minimum cosine of the angle between a marker's normal and the direction to the camera at which detection is
+expected."""
 LEAST_MARKERS = 4
-"""Minimum number of complete markers for a pose: sixteen corners for six unknowns; with fewer, a wrongly identified
-marker cannot be detected."""
+"""Minimum number of complete markers from which a pose is estimated: sixteen corners for six unknowns. With fewer
+markers, a wrongly identified marker could not be detected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +30,7 @@ class View:
 def views(scene: Scene, *, seed: int = 0) -> list[View]:
     """Expand the plan of a scene into its views, in the order of capture.
 
-    The per-view jitter of view k depends on ``seed``, its ring and k only.
+    The random displacement of view k depends only on ``seed``, the ring and k.
     """
     found: list[View] = []
     for ring_index, ring in enumerate(scene.plan.rings):
@@ -54,12 +55,12 @@ def views(scene: Scene, *, seed: int = 0) -> list[View]:
 
 
 def ring_bands(scene: Scene, ring: int) -> tuple[str, ...]:
-    """Return the names of the bands in which the views of a ring are taken; one empty name if there are no bands."""
+    """Return the names of the bands in which a ring is taken; a single empty name if there are no bands."""
     return scene.plan.rings[ring].bands or tuple(band.name for band in scene.camera.bands) or ("",)
 
 
 def main_band(scene: Scene, ring: int) -> str:
-    """Return the band of a ring's views that shows outlines and markers: the first with both lights on."""
+    """Return the band of a ring that shows outlines and markers, which is the first band with both lights on."""
     return next(band for band in ring_bands(scene, ring) if not band or scene.is_lit(band))
 
 
@@ -69,14 +70,16 @@ def picture_name(view: int, band: str) -> str:
 
 
 def rig_from_table(scene: Scene, table_deg: float) -> frames.Array:
-    """Return the 4x4 transform from the table frame to the rig frame at a table angle."""
+    """Return the 4x4 transform from the table frame to the rig frame at a table angle (deg)."""
     return frames.rotation_z(scene.turntable.direction * np.deg2rad(table_deg))
 
 
 def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Array]:
-    """Return each marker's corners (4, 3) in the strip's frame (the canister frame of a well-seated pot), in mm.
+    """Return the corners (4, 3) of each marker by id, in the strip's frame, mm.
 
-    Corners are ordered as OpenCV returns them: top left, top right, bottom right, bottom left, seen from outside.
+    The strip's frame equals the canister frame if the net pot is seated correctly.
+
+    Corners are ordered as in OpenCV: top left, top right, bottom right, bottom left, seen from outside.
     """
     half_rad = strip.marker_mm / net_pot.outer_radius_mm / 2.0
     corners: dict[int, frames.Array] = {}
@@ -93,7 +96,9 @@ def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Arra
 
 
 def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
-    """Count the markers that a camera sees completely and at a sufficient angle, on an untilted strip at table angle 0.
+    """Return the number of markers that a camera sees completely and at a sufficient angle.
+
+    The strip is assumed to be untilted and at table angle 0.
 
     Parameters
     ----------
@@ -105,7 +110,7 @@ def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
     Returns
     -------
     int
-        Number of markers.
+        Number of visible markers.
     """
     centre = frames.invert(cam_from_rig)[:3, 3]
     width, height = scene.camera.image_wh
@@ -122,9 +127,9 @@ def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
 
 
 def marker_warnings(scene: Scene) -> list[str]:
-    """Return a warning for each ring of roots that sees fewer complete markers than a pose requires.
+    """Return a warning for each ring of the roots that sees fewer complete markers than a pose estimate requires.
 
-    From a low or horizontal camera near the wall, the strip is only visible if the camera is high enough.
+    The strip is visible from a short distance only if the camera is high enough or tilted up.
     """
     found = []
     for number, ring in enumerate(scene.plan.rings, start=1):
@@ -132,6 +137,6 @@ def marker_warnings(scene: Scene) -> list[str]:
         if scene.strip.rows and ring.kind == "root" and visible_markers(scene, level) < LEAST_MARKERS:
             found.append(
                 f"ring {number} ({ring.distance_mm:g} mm away, height {ring.height_mm:g} mm) sees fewer than {LEAST_MARKERS} complete "
-                "markers, so that its cameras cannot be calibrated: raise the camera, tilt it up, or increase its distance"
+                "markers, so that its cameras cannot be calibrated; raise the camera, tilt it up, or increase its distance"
             )
     return found

@@ -1,4 +1,4 @@
-"""Several plants in one canister: their names and attachment points in the net pot's grid."""
+"""Several plants in one canister, with their names and attachment points in the net pot's grid."""
 
 from dataclasses import dataclass, replace
 
@@ -8,32 +8,32 @@ from rhizotwin.scenes.specimens import GrownSpecimen, PlacedFile, Specimen, Sphe
 from rhizotwin.scenes.subject import Subject, check_subject
 
 APART_MM = 2.0
-"""Minimum distance of two plants: closer plants share a hole of the net pot's grid, and their bases cannot be
-distinguished."""
+"""Minimum distance between two plants, mm. Closer plants share a hole of the net pot's grid, so that their bases cannot
+be distinguished."""
 
 NAMELESS = "plant"
-"""Name in RSML files of a plant without a name (`scenes.rsml`)."""
+"""Name used in RSML files for a plant without a name (`scenes.rsml`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
-    """One of several plants in the canister."""
+    """Plant in a canister with several plants."""
 
     plant: str = ""
-    """Name of the plant, the same on every day and unique in the scene."""
+    """Name of the plant. It must be unique in the scene and the same on every day."""
     species: str = ""
-    """Latin name; empty for that of [subject]."""
+    """Latin name of the species; empty for the species of [subject]."""
     treatment: str = ""
-    """Treatment of this plant; empty for that of [subject]."""
+    """Treatment of this plant; empty for the treatment of [subject]."""
     at_mm: tuple[float, float] = bounded((0.0, 0.0), -500.0, 500.0)
-    """Attachment point in the net pot's grid: x and y in the canister frame, whose x axis passes through the strip's
+    """Attachment point (x, y) in the net pot's grid, in the canister frame, whose x axis passes through the strip's
     seam."""
     specimen: Specimen | None = None
-    """Specimen grown in the twin, as in [specimen], moved horizontally by `at_mm`; None if unknown, as on a real rig
-    and in every dataset."""
+    """Specimen in the twin, as in [specimen], displaced horizontally by `at_mm`; None if unknown, as on a real rig and
+    in every dataset."""
 
     def placed(self) -> Specimen | None:
-        """Return the specimen, moved to the plant's attachment point."""
+        """Return the specimen displaced to the plant's attachment point; None if it is unknown."""
         x, y = self.at_mm
         one = self.specimen
         if isinstance(one, GrownSpecimen):
@@ -48,13 +48,13 @@ class Plant:
         return None
 
     def subject(self, whole: Subject) -> Subject:
-        """Return the subject of this plant: its name, species and treatment, and otherwise that of the canister."""
+        """Return the canister's subject with the name, species and treatment of this plant."""
         own = {name: getattr(self, name) for name in ("species", "treatment") if getattr(self, name)}
         return replace(whole, plant=self.plant, **own)
 
 
 def check_plants(plants: tuple[Plant, ...], subject: Subject, *, radius_mm: float, place: Place) -> None:
-    """Reject plants that cannot be distinguished or are outside the canister.
+    """Raise an error if plants cannot be distinguished or are outside the canister.
 
     Parameters
     ----------
@@ -63,30 +63,32 @@ def check_plants(plants: tuple[Plant, ...], subject: Subject, *, radius_mm: floa
     subject : Subject
         Subject of the scene.
     radius_mm : float
-        Radius of the water.
+        Radius of the water column.
     place : Place
-        Place of the scene, used in messages.
+        Place of the scene in its file, used in messages.
 
     Raises
     ------
     UserError
-        With the plant, its value and the condition.
+        If a value is invalid; the message states the plant, the value and the condition.
     """
     if plants and subject.plant:
-        raise place.at("subject", "plant").error("must be omitted if [[plants]] name the plants", subject.plant)
+        raise place.at("subject", "plant").error("must be omitted if there are [[plants]], which have their own names", subject.plant)
     for number, one in enumerate(plants):
         here, before = place.at("plants", number), plants[:number]
         check_subject(one.subject(subject), here)
         if not one.plant:
-            raise here.at("plant").error("must name the plant: roots, tables and files are identified by it", one.plant)
+            raise here.at("plant").error("must not be empty, because roots, tables and files are identified by the plant's name", one.plant)
         if one.plant == NAMELESS:
             raise here.at("plant").error("is reserved for plants without a name; choose another name", one.plant)
         if any(other.plant == one.plant for other in before):
-            raise here.at("plant").error("is the name of another plant of this scene; each must have a different name", one.plant)
+            raise here.at("plant").error(
+                "is already the name of another plant in this scene; each plant must have a unique name", one.plant
+            )
         x, y = one.at_mm
         if x * x + y * y >= radius_mm**2:
             raise here.at("at_mm").error(f"must be within {radius_mm:g} mm of the axis, inside the canister's wall", [x, y])
         near = [other for other in before if (other.at_mm[0] - x) ** 2 + (other.at_mm[1] - y) ** 2 < APART_MM**2]
         if near:
-            must = f"must be at least {APART_MM:g} mm from {near[0].plant}, so that their bases can be distinguished"
+            must = f"must be at least {APART_MM:g} mm from {near[0].plant}, so that the bases of the plants can be distinguished"
             raise here.at("at_mm").error(must, [x, y])

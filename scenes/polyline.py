@@ -7,7 +7,7 @@ Array = NDArray[np.float64]
 
 
 def steps_mm(points_mm: Array) -> Array:
-    """Return the lengths (N - 1,) of the segments between points (N, 3)."""
+    """Return the lengths (N - 1,) of the segments between successive points (N, 3)."""
     return np.asarray(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))
 
 
@@ -17,21 +17,21 @@ def length_mm(points_mm: Array) -> float:
 
 
 def arc_length_mm(points_mm: Array) -> Array:
-    """Return the arc length (N,) at each point (N, 3) of a polyline, 0 at the first."""
+    """Return the arc length (N,) at each point (N, 3) of a polyline, beginning with 0."""
     return np.concatenate([[0.0], np.cumsum(steps_mm(points_mm))])
 
 
 def interpolate(points_mm: Array, way: Array, at: Array) -> Array:
-    """Interpolate the points (M, 3) at given arc lengths of a polyline.
+    """Interpolate points (M, 3) at given arc lengths of a polyline.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
         Points of the polyline.
     way : (N,) float64 array
-        Arc length of each point, as from `arc_length_mm`.
+        Arc length at each point, as returned by `arc_length_mm`.
     at : (M,) float64 array
-        Arc lengths of the interpolated points; values beyond the ends are clipped.
+        Arc lengths of the interpolated points. Values beyond the ends are clipped.
 
     Returns
     -------
@@ -42,19 +42,19 @@ def interpolate(points_mm: Array, way: Array, at: Array) -> Array:
 
 
 def middles(way: Array, step_mm: float) -> Array:
-    """Return the arc lengths (M,) of the middles of equal pieces of a polyline.
+    """Return the arc lengths (M,) of the midpoints of equal pieces of a polyline.
 
     Parameters
     ----------
     way : (N,) float64 array
-        Arc length at each point, as from `arc_length_mm`.
+        Arc length at each point, as returned by `arc_length_mm`.
     step_mm : float
         Approximate length of a piece.
 
     Returns
     -------
     (M,) array
-        Arc lengths of the middles.
+        Arc lengths of the midpoints.
     """
     pieces = max(1, round(way[-1] / step_mm))
     return np.asarray((np.arange(pieces) + 0.5) * way[-1] / pieces)

@@ -1,4 +1,4 @@
-"""Versions of the program and its libraries, recorded in output files."""
+"""Versions of the program and its libraries, which are recorded in output files."""
 
 import platform
 from collections.abc import Iterable
@@ -6,17 +6,17 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def versions(names: Iterable[str] = ()) -> dict[str, str]:
-    """Return the versions of rhizotwin, Python and the named distributions.
+    """Return the versions of rhizotwin, Python and the given distributions, by name.
 
     Parameters
     ----------
     names : iterable of str
-        Names of distributions in pip, such as ``opencv-python-headless``.
+        Names of distributions in the package index, such as ``opencv-python-headless``.
 
     Returns
     -------
     dict
-        ``rhizotwin`` and ``python`` first; ``unknown`` for a distribution that is not installed.
+        Versions, beginning with ``rhizotwin`` and ``python``; ``unknown`` for a distribution that is not installed.
     """
     return {"rhizotwin": _version("rhizotwin"), "python": platform.python_version()} | {name: _version(name) for name in names}
 

@@ -1,4 +1,4 @@
-"""Reading of files of unknown origin: regular files only, whose size is checked first."""
+"""Reading of files of unknown origin. Only regular files whose size is below a limit are read."""
 
 import os
 import stat
@@ -8,23 +8,23 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import NO_WAIT
 
 MOST_TEXT_MIB = 32
-"""Maximum size of TOML, JSON, XML and tables: 20,000 pictures of a dataset or 300,000 points of roots. Python objects
-take up to 25 times as much (an empty list takes 3 bytes in a file, 64 in memory), which remains below 1 GiB."""
+"""Maximum size of TOML, JSON, XML and table files, MiB. It is sufficient for 20,000 pictures of a dataset or 300,000
+points of roots. Python objects require up to 25 times as much memory as the file (an empty list takes 3 bytes in the
+file and 64 in memory), which is below 1 GiB."""
 MOST_PICTURE_MIB = 1024
-"""Maximum size of a picture: 20,000 pixels per side, the maximum for a camera, with two bytes per pixel take 763 MiB.
-"""
+"""Maximum size of a picture file, MiB. A picture with the maximum of 20,000 pixels per side and two bytes per pixel has
+763 MiB."""
 MOST_MESH_MIB = 128
-"""Maximum size of a mesh: 2.7 million triangles in binary STL."""
+"""Maximum size of a mesh file, MiB. It is sufficient for 2.7 million triangles in binary STL."""
 
 
 def read_file(path: Path | str, *, most_mib: int = MOST_TEXT_MIB) -> bytes:
-    """Return the bytes of a file.
+    """Read a file of unknown origin, and return its bytes.
 
     Parameters
     ----------
     path : path
-        Path of the file. Links are followed; whether a folder contains links is checked for the whole folder
-        (`scenes.folders.check_readable`).
+        Path of the file. Links are followed. `scenes.folders.check_readable` checks whether a folder contains links.
     most_mib : int
         Maximum size of the file.
 
@@ -40,24 +40,26 @@ def read_file(path: Path | str, *, most_mib: int = MOST_TEXT_MIB) -> bytes:
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no such file") from error
     except IsADirectoryError as error:
-        raise UserError(f"{path}: is a folder, but a file is required") from error
+        raise UserError(f"{path}: the path is a folder, but a file is required") from error
     except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        raise UserError(f"{path}: the file cannot be read ({getattr(error, 'strerror', None) or error})") from error
 
 
 def check_size(path: Path | str, status: os.stat_result, *, most_mib: int) -> None:
-    """Reject a file that is not regular or is too large.
+    """Raise an error if a file is not regular or is too large.
 
     Parameters
     ----------
     path : path
-        Path, used in messages.
+        Path of the file, used in messages.
     status : os.stat_result
         Status of the file.
     most_mib : int
         Maximum size of the file.
     """
     if not stat.S_ISREG(status.st_mode):
-        raise UserError(f"{path}: is a pipe or device, but a regular file is required; save its content as a file")
+        raise UserError(f"{path}: the path is a pipe or device, but a regular file is required; save the content as a file")
     if status.st_size > most_mib * 2**20:
-        raise UserError(f"{path}: has {status.st_size / 2**20:.0f} MiB, more than the maximum of {most_mib} MiB for such a file")
+        raise UserError(
+            f"{path}: the file has {status.st_size / 2**20:.0f} MiB, more than the maximum of {most_mib} MiB for this type of file"
+        )

@@ -1,7 +1,8 @@
 """Roots as polylines with diameters, and RSML files (Root System Markup Language).
 
-RSML: Lobet et al. 2015, Plant Physiol. 167:617. Many files deviate from the schema; they are read as far as they can be
-interpreted. If the unit or the diameter is unknown, the error message names the option that supplies it.
+Reference for RSML: Lobet et al. 2015, Plant Physiol. 167:617. Since many files deviate from the schema, they are read
+as far as they can be interpreted. If the unit or the diameter is unknown, the error message states the option with
+which it can be specified.
 """
 
 import xml.etree.ElementTree as ET
@@ -27,50 +28,53 @@ _SIGMA = "diameter-sigma"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Root:
-    """One root of a plant, in the canister frame."""
+    """Root of a plant, in the canister frame."""
 
     points_mm: Array
-    """Centre line (N, 3)."""
+    """Points of the centre line, mm, shape (N, 3)."""
     diameters_mm: Array
-    """Diameter at each point (N,)."""
+    """Diameter at each point, mm, shape (N,)."""
     order: int
     parent: int
-    """Index of the parent in the list of roots, -1 for a taproot."""
+    """Index of the parent in the list of roots; -1 for a taproot."""
     label: str = ""
     tip_seen: bool = True
     """Whether the last point is the root's tip; False if other roots hide the tip."""
     plant: str = ""
-    """Name of the plant, if there are several; empty for a single or unknown plant."""
+    """Name of the plant, if there are several plants; empty for a single or unknown plant."""
     diameter_sigma_mm: Array | None = None
-    """Standard deviation of the diameter at each point (N,); None if unknown."""
+    """Standard deviation of the diameter at each point, mm, shape (N,); None if unknown."""
 
 
 def length_mm(roots: Iterable[Root]) -> float:
-    """Return the total length of all roots."""
+    """Return the total length of roots, mm."""
     return float(sum(polyline.length_mm(root.points_mm) for root in roots))
 
 
 def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
-    """Return the roots of one plant, with parents as indices among themselves; parents on another plant become -1."""
+    """Return the roots of one plant, with parents renumbered within this plant. Parents on another plant become -1."""
     number = {index: place for place, index in enumerate(k for k, root in enumerate(roots) if root.plant == plant)}
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in number)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CentrePoints:
-    """Points (P, 3) along centre lines, each the middle of a piece."""
+    """Points along centre lines, each in the middle of a piece of its centre line."""
 
     points_mm: Array
     radius_mm: Array
-    """(P,) radius at each point."""
+    """Radius at each point, mm, shape (P,)."""
     length_mm: Array
-    """(P,) length of each piece."""
+    """Length of each piece, mm, shape (P,)."""
     root: NDArray[np.int64]
-    """(P,) index of the root of each point."""
+    """Index of the root of each point, shape (P,)."""
 
 
 def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
-    """Return points along at least one root, about ``step_mm`` apart and at least one on each root."""
+    """Sample points along the centre lines of at least one root.
+
+    The points are about ``step_mm`` apart, with at least one point on each root.
+    """
     points, radii, lengths = [], [], []
     for root in roots:
         way = polyline.arc_length_mm(root.points_mm)
@@ -88,12 +92,12 @@ def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """One of several files of a growing plant, in which a root keeps its id."""
+    """Time of a file in a series of files of a growing plant, in which a root keeps its id."""
 
     sequence: str
-    """Name of the time series."""
+    """Name of the time series to which the file belongs."""
     index: int
-    """Time index: the day, rounded."""
+    """Time index, which is the day rounded to an integer."""
 
 
 def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> tuple[Root, ...]:
@@ -105,59 +109,59 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         Path of the file.
     unit : str or None
         Unit of the coordinates, and of diameters without a unit: mm, cm, m, um or inch, or a number and one of these
-        for the size of one step, as in ``0.1 mm``; None for the unit stated in the file. A resolution in the file other
-        than 1 is interpreted as steps per unit if above 1 (inch with 300: 300 dpi), and as units per step if below (m
-        with 0.0001: steps of 0.1 mm).
+        units for the size of one step, as in ``0.1 mm``. None for the unit stated in the file. If the file states a
+        resolution above 1, it is interpreted as steps per unit (inch with 300: 300 dpi). If it is below 1, it is
+        interpreted as units per step (m with 0.0001: steps of 0.1 mm).
     diameter_mm : float or None
-        Diameter of roots without one in the file; None to reject such files.
+        Diameter of roots for which the file states none; None to reject such files.
 
     Returns
     -------
     tuple of Root
         Roots of all plants in the order of the file, parents before children, with the name of the plant if it has a
-        label. Coordinates are the x, y, z of the file in mm, without rotation or translation. 2-D points (x, y), with y
-        pointing down in a picture, become (x, 0, -y). Roots with fewer than two points are omitted, and their children
-        are assigned to their parent.
+        label. Coordinates are the x, y, z of the file converted to mm, without rotation or translation. Points in 2-D
+        (x, y), with y downwards as in a picture, become (x, 0, -y). Roots with fewer than two points are omitted, and
+        their children are assigned to their parent.
 
     Raises
     ------
     UserError
-        If the file cannot be read, is not RSML, has no roots, or its unit or diameters are unknown.
+        If the file cannot be read, is not RSML, or has no roots, or if its unit or diameters are unknown.
     """
     return read_file(path, unit=unit, diameter_mm=diameter_mm).roots
 
 
 @dataclass(frozen=True, kw_only=True)
 class RsmlFile:
-    """Content of an RSML file, with its units and the nodes of attachment."""
+    """Content of an RSML file, with its unit and the points of attachment."""
 
     roots: tuple[Root, ...]
     parent_nodes: tuple[int | None, ...]
-    """For each root the index of the parent's point at which it is attached; None if the file does not state it."""
+    """Index of the parent's point at which each root is attached; None if the file does not state it."""
     step_mm: float
-    """Size of one step of the file's coordinates."""
+    """Size of one step of the file's coordinates, mm."""
     unit: str
-    """Unit as stated in the file; empty if there is none."""
+    """Unit as stated in the file; empty if the file states none."""
     resolution: str
-    """Resolution as stated in the file; empty if there is none."""
+    """Resolution as stated in the file; empty if the file states none."""
 
 
 def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
-    """Read an RSML file as `read_rsml` does, with additional information on its roots and its unit.
+    """Read an RSML file like `read_rsml`, with additional information about its roots and its unit.
 
     Parameters
     ----------
     path : Path or str
         Path of the file.
     unit : str or None
-        Unit of the coordinates; None for the one stated in the file.
+        Unit of the coordinates; None for the unit stated in the file.
     diameter_mm : float or None
-        Diameter of roots without one; None to reject such files.
+        Diameter of roots for which the file states none; None to reject such files.
 
     Returns
     -------
     RsmlFile
-        Roots with their parents, unit and resolution.
+        Roots with their parents, and the file's unit and resolution.
     """
     reader = _Reader(Path(path), unit, diameter_mm)
     roots = reader.roots()
@@ -173,29 +177,30 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
 def write_rsml(
     path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None, moment: Moment | None = None
 ) -> None:
-    """Write roots by plant, in mm, according to the RSML schema; the file is written atomically.
+    """Write roots, grouped by plant, to an RSML file with coordinates in mm. The file is written atomically.
 
-    Numbers are written exactly, as decimals of the schema without exponents. Each root has the property
-    ``parent-node``, the index of the parent's point at which it is attached, which CPlantBox and OpenAlea read; it is 0
-    for taproots, because both require a number for every root. Roots with hidden tips have the property ``tip-seen`` =
-    false. Standard deviations of diameters are written as the function ``diameter-sigma``. `read_rsml` returns the
-    roots depth first.
+    Numbers are written exactly, as decimals without exponents according to the schema. Each root has the property
+    ``parent-node``, the index of the parent's point at which it is attached, which CPlantBox and OpenAlea read. The
+    index is 0 for taproots, because both programs require a number for every root. Roots with hidden tips have the
+    property ``tip-seen`` = false. Standard deviations of diameters are written as the function ``diameter-sigma``.
+    `read_rsml` returns the roots in depth-first order.
 
     Parameters
     ----------
     path : path
         Path of the file.
     roots : tuple of Root or list of Root
-        Parents as indices into this sequence.
+        Roots, whose parents are indices into this sequence.
     modified : datetime or None
         Time for the metadata; None for the current time.
     moment : Moment or None
-        Entry of a time series (a unified time sequence in RSML); the ids are then the labels of the roots.
+        Entry of a time series (a unified time sequence in RSML). In this case the labels of the roots are written as
+        their ids.
 
     Raises
     ------
     ValueError
-        For a parent that is not in the list, or a cycle of parents.
+        If a parent is not in the list, or the parents form a cycle.
     UserError
         If the file cannot be written.
     """
@@ -220,7 +225,7 @@ def write_rsml(
 
 
 def _describe(document: ET.Element, key: str, modified: datetime | None, moment: Moment | None) -> None:
-    """Write the metadata of a document, with the definitions of its properties."""
+    """Write the metadata of a document, including the definitions of its properties."""
     metadata = ET.SubElement(document, "metadata")
     when = (modified or datetime.now(UTC)).isoformat(timespec="seconds")
     entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
@@ -241,7 +246,7 @@ def _describe(document: ET.Element, key: str, modified: datetime | None, moment:
 def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
     """Return the XML element of one root, without its laterals."""
     if root.points_mm.ndim != 2 or root.points_mm.shape[1] != 3 or root.diameters_mm.shape != root.points_mm.shape[:1]:
-        raise ValueError(f"{root.points_mm.shape=} {root.diameters_mm.shape=} but expected (N, 3) and (N,)")
+        raise ValueError(f"{root.points_mm.shape=} {root.diameters_mm.shape=} but shapes (N, 3) and (N,) are required")
     element = ET.Element("root", {"id": f"1.{index + 1}", "label": root.label})
     node = 0 if parent is None else int(np.argmin(np.sum((parent.points_mm - root.points_mm[0]) ** 2, axis=1)))
     properties = ET.SubElement(element, "properties")
@@ -261,12 +266,12 @@ def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
 
 
 def _decimal(value: np.floating) -> str:
-    """Return the shortest text without an exponent that is read back as the same number."""
+    """Format a number as the shortest text without an exponent from which the same number is read."""
     return np.format_float_positional(value, trim="0")
 
 
 def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, list[ET.Element]]]:
-    """Yield name, element and samples of each function along a root, from the root's own elements."""
+    """Yield name, element and samples of each function along a root, from the root's elements without laterals."""
     for element in own:
         samples = [child for child in element if rsml_xml.local_name(child) == "sample"]
         if rsml_xml.local_name(element).startswith("function") and samples:
@@ -274,7 +279,7 @@ def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, lis
 
 
 class _Reader:
-    """Reader of one RSML file."""
+    """Reader of an RSML file."""
 
     def __init__(self, path: Path, unit: str | None, diameter_mm: float | None) -> None:
         self.path = path
@@ -282,13 +287,15 @@ class _Reader:
         self.parent_nodes: list[int | None] = []
         self.document = rsml_xml.parse(path)
         if rsml_xml.local_name(self.document) != "rsml":
-            raise UserError(f"{path}: is not an RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
+            raise UserError(
+                f"{path}: the file is not an RSML file, because its outermost element is <{self.document.tag}> instead of <rsml>"
+            )
         self.units = Units(path, self.document)
         self.step_mm = self.units.step_mm(unit)
         self.property_mm = self.units.properties_mm()
 
     def roots(self) -> tuple[Root, ...]:
-        """Collect the roots, parents before children."""
+        """Return the roots, with parents before children."""
         found: list[Root] = []
         stack: list[tuple[ET.Element, int, str]] = [(self.document, -1, "")]
         number = 0
@@ -309,7 +316,7 @@ class _Reader:
                     self.parent_nodes.append(int(node) if node.isdecimal() else None)
             stack.extend((child, below, plant) for child in reversed(element))
         if not found:
-            raise UserError(f"{self.path}: contains no root with two or more points")
+            raise UserError(f"{self.path}: the file contains no root with at least two points")
         return tuple(found)
 
     def _root(self, element: ET.Element, name: str, order: int, parent: int, plant: str) -> Root | None:
@@ -320,7 +327,7 @@ class _Reader:
         if not polylines:
             return None
         if len(polylines) > 1:
-            raise UserError(f"{self.path}: {name} has {len(polylines)} polylines; a root must have one")
+            raise UserError(f"{self.path}: {name} has {len(polylines)} polylines, but a root must have exactly one")
         points = [p for p in polylines[0] if rsml_xml.local_name(p) == "point"]
         if len(points) < 2:
             return None
@@ -343,14 +350,17 @@ class _Reader:
         )
 
     def _sigma(self, own: list[ET.Element], points_mm: Array, name: str) -> Array | None:
-        """Return the standard deviations of a root's diameters (N,), mm; None if the file has none."""
+        """Return the standard deviations of a root's diameters (N,), mm; None if the file states none."""
         for written, element, samples in _functions(own):
             if written == _SIGMA:
                 return np.abs(self._along(element, samples, points_mm, f"{_SIGMA} of {name}")) * self.step_mm
         return None
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
-        """Return a root's diameters (N,): from a function along it, else from its property, else from the option."""
+        """Return the diameters of a root (N,), mm.
+
+        They are read from a function along the root, otherwise from its property, otherwise taken from the option.
+        """
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
             for written, element, samples in _functions(own):
@@ -366,12 +376,13 @@ class _Reader:
                 return self._check_diameters(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
             raise UserError(
-                f"{self.path}: {name} has no diameter; set one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
+                f"{self.path}: {name} has no diameter; specify a diameter with --specimen-diameter-mm D, or with diameter_mm in a scene "
+                "file"
             )
         return np.full(len(points_mm), self.diameter_mm)
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
-        """Return a function's values at the points (N,): one per point, or interpolated over the root's length."""
+        """Return the values of a function at the points (N,): one per point, or interpolated along the root."""
         values = np.array([self.units.number(rsml_xml.attribute(s, "value") or s.text, what) for s in samples])
         positions = [rsml_xml.attribute(s, "position") for s in samples]
         by_point = (rsml_xml.attribute(function, "domain") or "").lower() == "polyline"
@@ -380,14 +391,16 @@ class _Reader:
         if len(values) == 1:
             return np.full(len(points_mm), values[0])
         if by_point:
-            raise UserError(f"{self.path}: {what} has {len(values)} samples for {len(points_mm)} points; it must have one for each")
+            raise UserError(
+                f"{self.path}: {what} has {len(values)} samples for {len(points_mm)} points, but must have one sample per point"
+            )
         way_mm = polyline.arc_length_mm(points_mm)
         if None in positions:
             at_mm = np.linspace(0.0, way_mm[-1], len(values))
         else:
             at_mm = np.array([self.units.number(position, f"position in {what}") for position in positions]) * self.step_mm
             if np.any(np.diff(at_mm) < 0.0):
-                raise UserError(f"{self.path}: the positions of the {what} do not increase")
+                raise UserError(f"{self.path}: the positions of {what} do not increase")
         along: Array = np.interp(way_mm, at_mm, values)
         return along
 

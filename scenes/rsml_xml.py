@@ -1,4 +1,7 @@
-"""Tolerant parsing of RSML's XML: undeclared prefixes, names in any case, but no document types."""
+"""Tolerant parsing of the XML in RSML files.
+
+Undeclared prefixes and names in any case are accepted, but document types are not.
+"""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -11,33 +14,36 @@ from rhizotwin.scenes.reading import read_file
 
 
 def parse(path: Path) -> ET.Element:
-    """Parse XML without document types or entities; undeclared prefixes are accepted."""
+    """Parse XML without document types or entities. Undeclared prefixes are accepted."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
-    parser.buffer_text = True  # otherwise the space between two lines arrives in three parts
+    parser.buffer_text = True  # otherwise the space between two lines is reported in three parts
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
 
     def refuse(*_: object) -> None:
-        raise UserError(f"{path}: declares a document type, which is not supported; remove <!DOCTYPE ...>")
+        raise UserError(f"{path}: the file declares a document type, which is not supported; remove <!DOCTYPE ...>")
 
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(read_file(path), True)
         return builder.close()
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise UserError(f"{path}: is not an RSML file: not valid XML ({error})") from error
+        raise UserError(f"{path}: the file is not an RSML file, because it is not valid XML ({error})") from error
 
 
 def local_name(element: ET.Element) -> str:
-    """Return an element's name without its prefix, in lower case."""
+    """Return the name of an element without its prefix, in lower case."""
     return _local(element.tag)
 
 
 @lru_cache(maxsize=1024)
 def _local(tag: str) -> str:
-    """Return a tag without namespace, cached: files have hundreds of thousands of elements with a dozen names."""
+    """Return a tag without its namespace.
+
+    Results are cached, because files have many elements but only about a dozen names.
+    """
     return tag.rsplit(":", 1)[-1].lower()
 
 
@@ -48,7 +54,7 @@ def attribute(element: ET.Element, name: str) -> str | None:
 
 
 def own_elements(root: ET.Element) -> Iterator[ET.Element]:
-    """Yield the elements that belong to a root itself, not to its laterals."""
+    """Yield the elements of a root, without the elements of its laterals."""
     stack = list(reversed(root))
     while stack:
         element = stack.pop()
@@ -58,7 +64,7 @@ def own_elements(root: ET.Element) -> Iterator[ET.Element]:
 
 
 def read_property(own: list[ET.Element], name: str) -> str:
-    """Return the text of a root's first non-empty property of a name; empty if there is none."""
+    """Return the text of the first non-empty property with a given name; empty if there is none."""
     for holder in (element for element in own if local_name(element) == "properties"):
         for child in holder:
             called = (attribute(child, "name") or "").lower() or local_name(child)

@@ -2,9 +2,9 @@
 
 Invalid values are reported in one sentence.
 
-Supported types: bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested
-dataclasses, Any, and unions of dataclasses named ``...Specimen``, distinguished by the key ``kind`` (``SphereSpecimen``
-is kind "sphere").
+Supported types are bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested
+dataclasses, Any, and unions of dataclasses named ``...Specimen``. Members of such a union are distinguished by the key
+``kind`` (``SphereSpecimen`` has the kind "sphere").
 """
 
 import math
@@ -25,20 +25,20 @@ T = TypeVar("T", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Place:
-    """Position of a value in a file, for error messages."""
+    """Place of a value in a file, for error messages."""
 
     where: str
-    """File, or other origin of the values."""
+    """Name of the file, or other origin of the values."""
     text: str = ""
-    """Text of the file (TOML), used to find line numbers."""
+    """Text of the file (TOML), used to determine line numbers."""
     path: tuple[str | int, ...] = ()
 
     def at(self, *steps: str | int) -> "Place":
-        """Return the place of a nested value, by its keys or indices."""
+        """Return the place of a nested value, given by its keys or indices."""
         return replace(self, path=(*self.path, *steps))
 
     def error(self, must: str, *value: Any) -> UserError:
-        """Return the error ``WHERE, line N: [section] key = value: must ...``."""
+        """Return an error with the message ``WHERE, line N: [section] key = value: must ...``."""
         line = _find_line(self.text, self.path)
         start = self.where if line is None else f"{self.where}, line {line}"
         section, key = _split_path(self.path)
@@ -53,7 +53,7 @@ def suggestion(name: str, known: list[str]) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Return dataclasses as dicts and tuples as lists, ready for JSON; members of unions get their ``kind``."""
+    """Convert dataclasses to dicts and tuples to lists, for JSON. Members of unions get the key ``kind``."""
     if is_dataclass(value) and not isinstance(value, type):
         plain = {"kind": union_tag(type(value))} if union_tag(type(value)) else {}
         return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
@@ -65,16 +65,16 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
-    """Build a dataclass from a mapping; missing keys take their defaults.
+    """Create a dataclass from a mapping. Missing keys take their default values.
 
     Parameters
     ----------
     kind : type[T]
-        Dataclass to build.
+        Dataclass to create.
     mapping : Any
         Mapping as read from TOML or JSON.
     place : Place
-        Place of the mapping, used in messages.
+        Place of the mapping in its file, used in messages.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
     Raises
     ------
     UserError
-        For an unknown or missing key, a wrong type, or a value beyond its field's limits.
+        If a key is unknown or missing, or a value has a wrong type or is beyond the limits of its field.
     """
     if not isinstance(mapping, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(mapping)}", mapping)
@@ -95,12 +95,12 @@ def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
             raise place.at(str(key)).error(f"unknown key{suggestion(str(key), list(known))}; known keys are {', '.join(known)}")
     for name, f in known.items():
         if name not in mapping and f.default is MISSING and f.default_factory is MISSING:
-            raise place.at(name).error("is missing, and has no default")
+            raise place.at(name).error("is missing, but has no default value")
     return kind(**{name: _value(hints[name], mapping[name], known[name], place.at(name)) for name in known if name in mapping})
 
 
 def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
-    """Check a value against its type and the limits of its field."""
+    """Check a value against its type and the limits of its field, and return it converted."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return value
@@ -126,7 +126,7 @@ def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
 
 
 def _scalar(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
-    """Check a bool, int, float or str; integers are accepted as floats."""
+    """Check a bool, int, float or str, and return it. Integers are accepted as floats."""
     wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}[hint]
     if not isinstance(value, (int, float) if hint is float else hint) or (isinstance(value, bool) and hint is not bool):
         raise place.error(f"must be {wanted}, not {_type_name(value)}", value)
@@ -146,7 +146,7 @@ def _scalar(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
 
 
 def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) -> tuple[Any, ...]:
-    """Check a list against a tuple type."""
+    """Check a list against a tuple type, and return the tuple."""
     endless = len(arguments) == 2 and arguments[1] is Ellipsis
     if not isinstance(value, (list, tuple)):
         count = "" if endless else f" of {len(arguments)}"
@@ -158,13 +158,13 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
 
 
 def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
-    """Select one of several dataclasses by the key ``kind``."""
+    """Create one of several dataclasses, which is selected by the key ``kind``."""
     kinds = {union_tag(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
     named = ", ".join(f'"{k}"' for k in kinds)
     if "kind" not in value:
-        raise place.at("kind").error(f"is missing; must be one of {named}")
+        raise place.at("kind").error(f"is missing, but must be one of {named}")
     kind = value["kind"]
     if not isinstance(kind, str) or kind not in kinds:
         raise place.at("kind").error(f"must be one of {named}{suggestion(str(kind), list(kinds))}", kind)
@@ -172,7 +172,7 @@ def _choose_kind(choices: list[Any], value: Any, place: Place) -> Any:
 
 
 def union_tag(choice: type) -> str:
-    """Return the tag of a member of a union: ``sphere`` for ``SphereSpecimen``; empty for other classes."""
+    """Return the tag of a member of a union, such as ``sphere`` for ``SphereSpecimen``; empty for other classes."""
     name = choice.__name__
     return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""
 
@@ -184,7 +184,7 @@ def _type_name(value: Any) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Return a value as written in the file, shortened."""
+    """Format a value as it is written in the file, shortened to 60 characters."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -192,7 +192,7 @@ def _format_value(value: Any) -> str:
 def _split_path(path: tuple[str | int, ...]) -> tuple[str, str]:
     """Split a path into the section and the key.
 
-    Examples are ("plan.rings 2", "views") and ("camera", "image_wh element 1"); indices start at 1.
+    Examples are ("plan.rings 2", "views") and ("camera", "image_wh element 1"). Indices start at 1.
     """
     depth = max((i for i, step in enumerate(path) if isinstance(step, str)), default=-1)
     if depth < 0:
@@ -203,7 +203,7 @@ def _split_path(path: tuple[str | int, ...]) -> tuple[str, str]:
 
 
 def _find_line(text: str, path: tuple[str | int, ...]) -> int | None:
-    """Find the line of a TOML text that contains a path, or its deepest part found; None if nothing is found."""
+    """Return the line of a path, or of its deepest part that is found, in a TOML text; None if nothing is found."""
     best: tuple[int, int | None] = (0, None)
     table: tuple[str | int, ...] = ()
     counts: dict[tuple[str | int, ...], int] = {}

@@ -1,7 +1,8 @@
-"""Series of a grown plant: other ages, treatments and replicates.
+"""Series of a grown plant with different ages, treatments and replicates.
 
-With the same seed, an older plant contains the younger one. Radii of a series are scaled by one factor, that of the
-scene's own plant: the volume at another age is that of the scene, multiplied by the ratio of the plants' tube volumes.
+With the same seed, an older plant contains the younger plant. All radii of a series are scaled by the factor of the
+scene's plant. Thus the volume at a different age is the scene's volume, multiplied by the ratio of the tube volumes of
+both plants.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,37 +19,38 @@ from rhizotwin.scenes.solution import check_solution
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 SEEDS_APART = 1_000_003
-"""Difference of the seeds of successive replicates; no replicate coincides with another plant of the library."""
+"""Difference between the seeds of successive replicates. It is so large that no replicate coincides with another plant
+of the library."""
 
 Grow = Callable[[GrownSpecimen], Sequence[Root]]
 
 
 def require_grown(scene: Scene) -> GrownSpecimen:
-    """Return a scene's grown plant.
+    """Return the grown plant of a scene.
 
     Raises
     ------
     UserError
-        If the scene has none.
+        If the scene has no grown plant.
     """
     if not isinstance(scene.specimen, GrownSpecimen):
-        raise UserError(f"scene {scene.name} has no grown plant (specimen.kind), which other days, replicates and treatments require")
+        raise UserError(f"scene {scene.name} has no grown plant, which is required for different days, replicates and treatments")
     return scene.specimen
 
 
 def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
     """Return a scene with a replicate of its plant.
 
-    Number 0 is the scene's own plant, unless ``seed`` differs from the number.
+    Number 0 is the scene's own plant, unless ``seed`` differs from 0.
 
     Parameters
     ----------
     scene : Scene
         Scene with a grown plant.
     number : int
-        Number of the replicate, from 0.
+        Number of the replicate, starting at 0.
     seed : int or None
-        Random seed of the replicate; None for its number.
+        Random seed of the replicate; None to use its number.
 
     Returns
     -------
@@ -61,7 +63,7 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
 
 
 def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str, float] | None = None) -> Scene:
-    """Return a scene under another treatment, which scales root growth and the nutrient solution.
+    """Return a scene with a different treatment, which scales root growth and the nutrient solution.
 
     Parameters
     ----------
@@ -70,9 +72,9 @@ def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str
     name : str
         Name of the treatment.
     growth : float
-        Factor of the elongation rates and lengths of roots.
+        Factor for the elongation rates and lengths of roots.
     factors : mapping of float or None
-        Factors of the concentrations of the scene's nutrient solution, by element or formula.
+        Factors for concentrations of the scene's nutrient solution, by element or formula.
 
     Returns
     -------
@@ -82,7 +84,7 @@ def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str
     Raises
     ------
     UserError
-        If the scene has no compounds to which the factors apply.
+        If the nutrient solution has no compounds to which the factors apply.
     """
     plant = require_grown(scene)
     orders = tuple(
@@ -96,7 +98,7 @@ def apply_treatment(scene: Scene, name: str, growth: float, factors: Mapping[str
 
 
 def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None = None) -> Scene:
-    """Return a scene with the same plant at another age.
+    """Return a scene with the same plant at a different age.
 
     Parameters
     ----------
@@ -105,14 +107,14 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
     day : float
         Age of the plant in days.
     grow : Grow
-        Function that grows a plant's centre lines (`sim.growth.grow`).
+        Function that grows the centre lines of a plant (`sim.growth.grow`).
     like : GrownSpecimen or None
-        Plant that has the scene's volume at its age, and whose factor of radii is used; None for the scene's own.
+        Reference plant, whose volume at its age determines the scale of the radii; None for the scene's own plant.
 
     Returns
     -------
     Scene
-        Scene with the plant at that age.
+        Scene with the plant at the given age.
     """
     plant = require_grown(scene)
     reference = like or plant
@@ -123,7 +125,7 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
 
 
 def tube_mm3(roots: Sequence[Root]) -> float:
-    """Return the sum of the roots' volumes as truncated cones, overlaps counted twice."""
+    """Return the sum of the volumes of roots as truncated cones, mm3. Overlaps are counted twice."""
     total = 0.0
     for root in roots:
         length = polyline.steps_mm(root.points_mm)

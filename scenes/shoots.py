@@ -1,4 +1,4 @@
-"""Shoot above the net pot: a rosette of leaves on petioles."""
+"""Shoot above the net pot, modelled as a rosette of leaves on petioles."""
 
 from dataclasses import dataclass
 
@@ -18,52 +18,53 @@ GREEN_LEAF = (
     (900.0, 0.48),
     (1000.0, 0.47),
 )
-"""Reflectance of a healthy leaf by wavelength (nm), typical rounded values from Gates et al. 1965 (Appl. Opt. 4:11)."""
+"""Reflectance of a healthy leaf by wavelength (nm): typical rounded values from Gates et al. 1965 (Appl. Opt. 4:11)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shoot:
-    """A shoot with leaves in a spiral, described by its oldest leaf; younger leaves are smaller and steeper.
+    """Shoot with leaves in a spiral, described by its oldest leaf. Younger leaves are smaller and steeper.
 
-    The defaults describe a radish of two weeks: blades of 40 by 24 mm and 0.3 mm, petioles of 35 mm (leaves of Raphanus
-    sativus are 0.25 to 0.35 mm thick).
+    The defaults describe a radish of two weeks, with blades of 40 by 24 mm and 0.3 mm thickness, and petioles of 35 mm
+    (leaves of Raphanus sativus are 0.25 to 0.35 mm thick).
     """
 
     seed: int = bounded(0, 0, 2**63 - 1)
     """Random seed of the shoot."""
     leaves: int = bounded(6, 1, 60)
-    """Number of leaves."""
+    """Number of leaves of the shoot."""
     divergence_deg: float = bounded(137.508, 0.0, 360.0)
-    """Azimuth between successive leaves: the golden angle of spiral phyllotaxis."""
+    """Azimuth between successive leaves. The default is the golden angle of spiral phyllotaxis."""
     youngest: float = bounded(0.35, 0.05, 1.0)
-    """Size of the youngest leaf as a fraction of the oldest."""
+    """Size of the youngest leaf, as a fraction of the oldest leaf."""
     size_sd: float = bounded(0.08, 0.0, 0.5)
-    """Standard deviation of a leaf's size, as a fraction of that size."""
+    """Standard deviation of a leaf's size, as a fraction of its size."""
     stem_mm: float = bounded(12.0, 2.0, 500.0)
-    """Height of the stem, which bears the petioles, above the net pot's top."""
+    """Height above the net pot's top of the stem, to which the petioles are attached."""
     stem_diameter_mm: float = bounded(3.0, 0.2, 50.0)
     """Diameter of the stem."""
     petiole_mm: float = bounded(35.0, 1.0, 500.0)
-    """Length of the oldest petiole."""
+    """Length of the petiole of the oldest leaf."""
     petiole_diameter_mm: float = bounded(2.0, 0.2, 50.0)
-    """Diameter of the oldest petiole."""
+    """Diameter of the petiole of the oldest leaf."""
     elevation_deg: float = bounded(35.0, -60.0, 90.0)
-    """Angle of the oldest petiole above the horizon."""
+    """Angle of the petiole of the oldest leaf above the horizon."""
     youngest_elevation_deg: float = bounded(75.0, -60.0, 90.0)
-    """Angle of the youngest petiole above the horizon."""
+    """Angle of the petiole of the youngest leaf above the horizon."""
     elevation_sd_deg: float = bounded(6.0, 0.0, 45.0)
     """Standard deviation of the petiole angles."""
     blade_mm: float = bounded(40.0, 2.0, 1000.0)
-    """Length of the oldest blade along its midrib."""
+    """Length of the blade of the oldest leaf along its midrib."""
     blade_width_mm: float = bounded(24.0, 1.0, 1000.0)
-    """Maximum width of the oldest blade."""
+    """Maximum width of the blade of the oldest leaf."""
     thickness_mm: float = bounded(0.3, 0.05, 5.0)
     """Thickness of every blade."""
     droop_deg: float = bounded(50.0, -90.0, 170.0)
-    """Downward bend of a blade from its base to its tip."""
+    """Downward bend of a blade between its base and its tip."""
     fold_deg: float = bounded(12.0, -60.0, 60.0)
-    """Angle by which the two halves of a blade rise from the midrib."""
+    """Angle by which the two halves of a blade rise from its midrib."""
     reflectance: float = bounded(0.12, 0.0, 1.0)
-    """Fraction of visible light reflected by a green leaf (0.05 in blue and red, 0.15 to 0.2 in green)."""
+    """Fraction of visible light that a green leaf reflects (0.05 in blue and red, 0.15 to 0.2 in green)."""
     spectrum: tuple[tuple[float, float], ...] = GREEN_LEAF
-    """Pairs of wavelength (nm) and reflectance of the leaves, linearly interpolated, for a camera with bands."""
+    """Pairs of wavelength (nm) and reflectance of the leaves, which are interpolated linearly, for a camera with
+    bands."""

@@ -1,8 +1,8 @@
 """Nutrient solutions: mass concentrations of compounds, and the resulting ion concentrations.
 
-A compound is divided into the ions of `_IONS`; the masses of its atoms are from molmass (IUPAC). Phosphate and
-carbonate are counted in the form that prevails between pH 5 and 7, boron as boric acid; of organic compounds, such as
-iron chelates, only the metal is counted.
+A compound is divided into the ions of `_IONS`. Atomic masses are taken from molmass (IUPAC). Phosphate and carbonate
+are counted in the form that prevails between pH 5 and 7, and boron as boric acid. Of organic compounds, such as iron
+chelates, only the metal is counted.
 """
 
 import re
@@ -17,7 +17,7 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 UNIT = "mmol/l"
 Factors = tuple[tuple[str, float], ...]
-"""Elements or compounds with their factors."""
+"""Type of the factors of elements or compounds: pairs of name and factor."""
 
 RECIPES: Mapping[str, Mapping[str, float]] = {
     "kliman_2022": {
@@ -34,7 +34,7 @@ RECIPES: Mapping[str, Mapping[str, float]] = {
         "C14H21FeN3O10": 0.01,
     }
 }
-"""Grams per litre of each compound; ``kliman_2022`` is the thesis's table 3.1."""
+"""Mass concentration of each compound by recipe, g/l. ``kliman_2022`` is table 3.1 of the thesis."""
 
 _IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
     "NO3": ("NO3", 1, (-1,)),
@@ -65,16 +65,16 @@ _IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
     "H": ("", 0, (1,)),
     "OH": ("", 0, (-1,)),
 }
-"""For each group of a formula: the ion as which it is counted (none for acid and alkali), its number, and possible
-charges."""
+"""Ion as which each group of a formula is counted (empty for acid and alkali), the number of ions, and the possible
+charges of the group."""
 IONS = tuple(dict.fromkeys(name for name, _, _ in _IONS.values() if name))
-"""Every ion, in the order of tables."""
+"""Names of all ions, in the order of tables."""
 _METALS = frozenset({"K", "Ca", "Mg", "Fe", "Mn", "Zn", "Cu", "Ni", "Co", "Na"})
 _NUTRIENTS = _METALS | {"N", "P", "S", "B", "Mo", "Cl", "I", "Si", "C"}
-"""Elements that can have a factor."""
+"""Symbols of the elements for which a factor can be specified."""
 _GROUP = re.compile(rf"({'|'.join(sorted(_IONS, key=len, reverse=True))})(\d*)|\(({'|'.join(sorted(_IONS, key=len, reverse=True))})\)(\d*)")
 _MOST_LETTERS = 80
-"""Maximum length of a formula; the longest chelate in use has 25 characters."""
+"""Maximum length of a formula in characters. The longest chelate in use has 25 characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,19 +84,20 @@ class Solution:
     recipe: Literal["", "kliman_2022"] = ""
     """Base recipe; kliman_2022 is table 3.1 of the thesis."""
     grams_per_l: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 1000.0)})
-    """Grams of each compound per litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859; they override the recipe."""
+    """Mass concentration of each compound in grams per litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859. The values
+    replace those of the recipe."""
     factors: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 100.0)})
-    """Factors by element or formula, such as K = 0.5; every compound with an ion of the element is multiplied by it, or
-    by the product of several factors."""
+    """Factors by element or formula, such as K = 0.5. The concentration of every compound with an ion of the element is
+    multiplied by the factor, or by the product of several factors."""
 
     @property
     def known(self) -> bool:
-        """Whether any concentration is given."""
+        """Whether any concentration is specified."""
         return bool(self.recipe or self.grams_per_l)
 
     @property
     def compounds_g_per_l(self) -> dict[str, float]:
-        """Mass concentration of each compound after application of the factors, by formula."""
+        """Mass concentration of each compound after application of the factors, g/l, by formula."""
         found = {**RECIPES.get(self.recipe, {}), **self.grams_per_l}
         for what, factor in self.factors.items():
             found = {name: grams * (factor if _holds(name, what) else 1.0) for name, grams in found.items()}
@@ -104,7 +105,7 @@ class Solution:
 
     @property
     def ions_mmol_per_l(self) -> dict[str, float]:
-        """Concentration of each ion of `IONS` in mmol/l, 0 for absent ions; empty if the solution is unknown."""
+        """Concentration of each ion in `IONS`, mmol/l, 0 for absent ions; empty if the solution is unknown."""
         if not self.known:
             return {}
         total = dict.fromkeys(IONS, 0.0)
@@ -126,7 +127,7 @@ def check_solution(solution: Solution, place: Place) -> None:
     Raises
     ------
     UserError
-        With the invalid compound or factor, and the condition.
+        If a compound or factor is invalid; the message states the compound or factor and the condition.
     """
     for formula in solution.grams_per_l:
         try:
@@ -137,16 +138,18 @@ def check_solution(solution: Solution, place: Place) -> None:
     for what in solution.factors:
         if not any(_holds(formula, what) for formula in compounds):
             has = ", ".join(compounds) or "none"
-            raise place.at("factors", what).error(f"must be an element (K, N, potassium) or a compound of the solution; it has {has}")
+            raise place.at("factors", what).error(
+                f"must be an element (K, N, potassium) or a compound of the solution, whose compounds are {has}"
+            )
 
 
 def from_summary(summary: Mapping[str, Any], where: str) -> Solution:
-    """Return the solution of a ``result.json``; empty for results of earlier versions.
+    """Return the solution recorded in a ``result.json``; empty for results of earlier versions.
 
     Raises
     ------
     UserError
-        If the entry is damaged.
+        If the entry is invalid.
     """
     place = Place(where).at("solution")
     solution = from_plain(Solution, summary.get("solution") or {}, place)
@@ -160,18 +163,18 @@ def headings(many: Sequence[Mapping[str, float]]) -> dict[str, str]:
     Parameters
     ----------
     many : sequence of mapping
-        Concentrations as from `Solution.ions_mmol_per_l`.
+        Concentrations as returned by `Solution.ions_mmol_per_l`.
     """
     return {ion: f"{ion} ({UNIT})" for ion in IONS if any(own.get(ion) for own in many)}
 
 
 def read_solution(text: str) -> Solution:
-    """Parse a solution from the command line: a recipe or a TOML file, then factors, as ``kliman_2022,K=0.5``.
+    """Parse a command-line solution: a recipe or TOML file, followed by factors, as in ``kliman_2022,K=0.5``.
 
     Raises
     ------
     UserError
-        For an unknown recipe, a file that cannot be read, an invalid factor, or an invalid solution.
+        If the recipe is unknown, the file cannot be read, or a factor or the solution is invalid.
     """
     from rhizotwin.scenes.files import read_toml  # imported here, as that module imports this one
 
@@ -187,19 +190,19 @@ def read_solution(text: str) -> Solution:
         try:
             factors[what.strip()] = float(factor)
         except ValueError:
-            raise UserError(f"--solution {text}: {change!r} is not a factor; write ELEMENT=FACTOR, such as K=0.5") from None
+            raise UserError(f"--solution {text}: {change!r} is not a factor; specify ELEMENT=FACTOR, such as K=0.5") from None
     solution = from_plain(Solution, {**table, **({"factors": factors} if changes else {})}, place)
     check_solution(solution, place)
     return solution
 
 
 def _holds(formula: str, what: str) -> bool:
-    """Return whether a compound has this name, or one of its ions contains this element."""
+    """Return whether a compound has the given name, or one of its ions contains the given element."""
     return formula == what or (_symbol(what) in _NUTRIENTS and any(_symbol(what) in _atoms(ion)[1] for ion in _divide(formula)[1]))
 
 
 def _symbol(element: str) -> str:
-    """Return the symbol of an element given by symbol or English name; otherwise the text itself."""
+    """Return the symbol of an element given by its symbol or English name; otherwise the text itself."""
     from molmass import ELEMENTS
 
     return next((str(one.symbol) for one in ELEMENTS if one.name.lower() == element.lower()), element)
@@ -207,21 +210,21 @@ def _symbol(element: str) -> str:
 
 @lru_cache(maxsize=256)
 def _atoms(formula: str) -> tuple[float, Mapping[str, int]]:
-    """Return the molar mass in g/mol and the number of atoms of each element."""
+    """Return the molar mass of a formula (g/mol), and the number of atoms of each element."""
     from molmass import Formula, FormulaError  # imported here, as loading it would slow down the start of every command
 
     if not formula or len(formula) > _MOST_LETTERS:
-        raise UserError(f"is not a formula of 1 to {_MOST_LETTERS} characters, such as KNO3")
+        raise UserError(f"must be a formula with 1 to {_MOST_LETTERS} characters, such as KNO3")
     try:
         found = Formula(_plain(formula))
         return float(found.mass), {str(one): item.count for one, item in found.composition().items()}
     except FormulaError as error:
-        raise UserError(f"is not a formula such as KNO3 or Ca(NO3)2.4H2O: {str(error).splitlines()[0]}") from None
+        raise UserError(f"must be a formula such as KNO3 or Ca(NO3)2.4H2O: {str(error).splitlines()[0]}") from None
 
 
 @lru_cache(maxsize=256)
 def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
-    """Return the molar mass in g/mol and the number of each ion in a compound."""
+    """Return the molar mass of a compound (g/mol), and the number of each of its ions."""
     mass, atoms = _atoms(formula)
     body = re.sub(r"\.\d*H2O$", "", _plain(formula))
     charges, ions, end = {0}, dict[str, int](), 0
@@ -234,7 +237,7 @@ def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
             ions[name] = ions.get(name, 0) + count * times
     if end == len(body) and 0 in charges:
         return mass, ions
-    if {"C", "H"} <= atoms.keys():  # organic compound: only the metals of a chelate are counted
+    if {"C", "H"} <= atoms.keys():  # in an organic compound, only the metals of a chelate are counted
         return mass, {name: count for name, count in atoms.items() if name in _METALS}
     raise UserError(f"cannot be divided into the ions {', '.join(IONS)} without a remaining charge")
 

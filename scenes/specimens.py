@@ -1,4 +1,4 @@
-"""Specimens: frozen descriptions of the object in the canister, one class per kind."""
+"""Specimens: frozen descriptions of the object in the canister, with one class per kind of object."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,7 +8,7 @@ from rhizotwin.scenes.limits import bounded
 
 @dataclass(frozen=True, kw_only=True)
 class SphereSpecimen:
-    """A sphere."""
+    """Sphere as a specimen."""
 
     diameter_mm: float = bounded(20.0, 0.1, 200.0)
     """Diameter of the sphere."""
@@ -18,24 +18,27 @@ class SphereSpecimen:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedFile:
-    """A file with coordinates in millimetres, and its placement in the canister frame: flip, then scale, then shift."""
+    """File with coordinates in millimetres, and its placement in the canister frame.
+
+    The coordinates are flipped, then scaled, then translated.
+    """
 
     file: str
-    """Path, absolute or relative to the folder of the scene file."""
+    """Path of the file, absolute or relative to the folder of the scene file."""
     place: Literal["given", "auto"] = "given"
-    """``given``: coordinates as in the file; ``auto``: upright, below the net pot's grid, in the middle of the water.
-    """
+    """Initial placement. ``given``: coordinates as in the file. ``auto``: upright, below the net pot's grid, in the
+    middle of the water."""
     flip: bool = False
-    """Whether to turn it upside down (half a turn about x), for files whose z points down."""
+    """Whether to turn the object upside down (by 180 degrees about x), for files in which z points down."""
     scale: float = bounded(1.0, 1e-6, 1e6)
-    """Scale factor, also of diameters."""
+    """Scale factor, which also applies to diameters."""
     shift_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -1e6, 1e6)
-    """Translation from the position according to ``place``."""
+    """Translation relative to the initial placement."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSpecimen(PlacedFile):
-    """A closed surface from a PLY, STL or OBJ file."""
+    """Closed surface from a PLY, STL or OBJ file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,98 +46,103 @@ class RsmlSpecimen(PlacedFile):
     """Traced roots from an RSML file (Lobet 2015)."""
 
     unit: str | None = None
-    """Unit: mm, cm, m, um, inch, or a step such as "0.1 mm"; None for the unit in the file's metadata (an error if
-    there is none)."""
+    """Unit of the coordinates: mm, cm, m, um, inch, or a step such as "0.1 mm"; None for the unit in the file's
+    metadata (an error if there is none)."""
     diameter_mm: float | None = field(default=None, metadata={"limits": (0.01, 50.0)})
-    """Diameter of roots without one in the file; None to reject such files."""
+    """Diameter of roots for which the file states none; None to reject such files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootOrder:
-    """Growth parameters of the roots of one order (0: taproot), with the names of architectural root models."""
+    """Growth parameters of the roots of one order (0: taproot), named as in architectural root models."""
 
     diameter_mm: float = bounded(0.3, 0.01, 50.0)
     """Mean diameter at the base of the root, before the radii of the plant are scaled to its volume."""
     diameter_sd: float = bounded(0.1, 0.0, 0.5)
-    """Standard deviation of that diameter between roots, as a fraction of the mean."""
+    """Standard deviation of the base diameter between roots, as a fraction of the mean."""
     taper: float = bounded(0.6, 0.05, 1.0)
-    """Diameter at the tip as a fraction of that at the base; linear along the root."""
+    """Ratio of tip diameter to base diameter. The diameter changes linearly along the root."""
     elongation_mm_per_day: float = bounded(3.0, 0.01, 200.0)
-    """Elongation rate of a new root; it decreases as the root approaches its final length."""
+    """Elongation rate of a new root. It decreases as the root approaches its final length."""
     max_length_mm: float = bounded(60.0, 0.5, 2000.0)
-    """Mean final length of a root."""
+    """Mean final length of a root of this order."""
     length_sd: float = bounded(0.3, 0.0, 1.0)
-    """Standard deviation of the final length between roots, as a fraction of the mean; elongation rates vary in
+    """Standard deviation of the final length between roots, as a fraction of the mean. Elongation rates vary in
     proportion."""
     interlateral_mm: float = bounded(4.0, 0.1, 1000.0)
-    """Mean distance between neighbouring laterals along a root of this order."""
+    """Mean distance between adjacent laterals along a root of this order."""
     interlateral_sd: float = bounded(0.4, 0.0, 1.0)
-    """Standard deviation of the distance between laterals, as a fraction of the mean."""
+    """Standard deviation of the distance between adjacent laterals, as a fraction of the mean."""
     base_mm: float = bounded(2.0, 0.0, 1000.0)
-    """Length without laterals at the base of the root."""
+    """Length of the zone without laterals at the base of the root."""
     apex_mm: float = bounded(10.0, 0.0, 1000.0)
-    """Length without laterals behind the tip; a lateral emerges when the tip has grown this far beyond it."""
+    """Length of the zone without laterals behind the tip. A lateral emerges when the tip has grown beyond it by this
+    length."""
     insertion_deg: float = bounded(70.0, 0.0, 180.0)
-    """Angle between roots of this order and their parent (not used for the taproot)."""
+    """Angle between a root of this order and its parent at the base; not used for the taproot."""
     insertion_sd_deg: float = bounded(12.0, 0.0, 90.0)
     """Standard deviation of the insertion angle."""
     gravitropism_per_mm: float = bounded(0.01, -0.5, 0.5)
-    """Rotation towards straight down (or the lean) per mm of growth, in radians per sine of the remaining angle."""
+    """Rotation of the growth direction towards straight down (or the lean) per mm of growth, in radians per sine of the
+    remaining angle."""
     wobble_deg: float = bounded(6.0, 0.0, 90.0)
-    """Random change of direction per 1 mm; it grows with the square root of the length."""
+    """Standard deviation of the random change of direction per 1 mm of growth. It increases with the square root of the
+    length."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BasalRoots(RootOrder):
     """Growth parameters of basal, seminal, nodal or adventitious roots, which emerge at the top of the taproot.
 
-    Their laterals are those of the taproot, the second of ``specimen.orders``.
+    Laterals of these roots have the parameters of the taproot's laterals, which are the second of ``specimen.orders``.
     """
 
     count: int = bounded(6, 1, 200)
-    """Number of roots of this kind."""
+    """Number of basal roots of this kind."""
     at_mm: float = bounded(0.0, 0.0, 1000.0)
     """Distance along the taproot from its base to the first of these roots."""
     zone_mm: float = bounded(2.0, 0.0, 1000.0)
     """Length of the taproot over which these roots are distributed."""
     delay_days: float = bounded(0.0, 0.0, 365.0)
-    """Days from the emergence of the taproot to that of these roots."""
+    """Time between the emergence of the taproot and the emergence of these roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GrownSpecimen:
-    """A root system grown from the parameters of an architectural root model."""
+    """Root system grown from the parameters of an architectural root model."""
 
     seed: int = bounded(0, 0, 2**63 - 1)
-    """Random seed of the plant; an older plant with the same seed continues the younger one."""
+    """Random seed of the plant. An older plant with the same seed continues the younger plant."""
     age_days: float = bounded(15.0, 0.1, 365.0)
-    """Days since the emergence of the taproot."""
+    """Time since the emergence of the taproot."""
     volume_ml: float = bounded(0.2, 1e-4, 500.0)
-    """Volume of the union of all roots; all radii are scaled by one factor to reach it exactly."""
+    """Volume of the union of all roots. All radii are scaled by a common factor so that the volume is exact."""
     orders: tuple[RootOrder, ...] = (
         RootOrder(diameter_mm=1.2, taper=0.3, elongation_mm_per_day=9.0, max_length_mm=95.0, interlateral_mm=2.0, wobble_deg=4.0),
         RootOrder(),
     )
-    """Parameters of the taproot, of its laterals, of their laterals and so on."""
+    """Growth parameters of the taproot, of its laterals, of their laterals, and so on."""
     basal: tuple[BasalRoots, ...] = ()
     """Further kinds of roots that emerge at the top of the taproot."""
     origin_mm: tuple[float, float, float] = bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
-    """Base of the taproot; its rounded end extends above it by its radius."""
+    """Position of the base of the taproot. The rounded end extends above it by the taproot's radius."""
     lean_deg: float = bounded(0.0, 0.0, 90.0)
-    """Angle between straight down and the preferred growth direction: the roots of a fallen plant lie on the wall."""
+    """Angle between straight down and the preferred growth direction. With a large angle, the roots of a fallen plant
+    lie on the wall."""
     lean_azimuth_deg: float = bounded(0.0, -360.0, 360.0)
     """Azimuth towards which the roots lean, counter-clockwise from +x seen from above."""
     hypocotyl_diameter_mm: float = bounded(0.0, 0.0, 50.0)
-    """Diameter of the thickened top of the taproot; 0: none."""
+    """Diameter of the thickened top of the taproot; 0 if there is none."""
     hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)
     """Length over which the thickened top tapers to the diameter of the taproot."""
     hypocotyl_shape: Literal["fading", "globe"] = "fading"
-    """``fading``: thickest at the base, as a carrot; ``globe``: thickest in the middle, as a bulb or a round radish."""
+    """Shape of the thickened top. ``fading``: thickest at the base, like a carrot. ``globe``: thickest in the middle,
+    like a bulb or a round radish."""
     buried_mm: float = bounded(1000.0, 0.0, 1000.0)
-    """Maximum depth below the surface of their parent at which laterals begin, otherwise on its axis; the tissue of a
-    storage root grows around them."""
+    """Maximum depth below the surface of the parent at which laterals begin. If the parent's axis is less deep, they
+    begin on the axis. The tissue of a storage root grows around its laterals."""
     wall_margin_mm: float = bounded(0.5, 0.0, 100.0)
-    """Minimum distance between a root's surface and the inner wall."""
+    """Minimum distance between a root's surface and the canister's inner wall."""
     floor_margin_mm: float = bounded(0.5, 0.0, 1000.0)
     """Minimum distance between a root's surface and the floor."""
     top_margin_mm: float = bounded(0.5, 0.0, 100.0)

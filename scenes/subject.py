@@ -1,6 +1,6 @@
 """Metadata of the plant in a canister: name, species, treatment and age, with the corresponding MIAPPE terms.
 
-MIAPPE 1.1: Papoutsoglou et al. 2020, New Phytologist 227:260.
+Reference for MIAPPE 1.1: Papoutsoglou et al. 2020, New Phytologist 227:260.
 """
 
 from collections.abc import Mapping
@@ -14,30 +14,30 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """The plant of a scan; unknown fields are empty."""
+    """Metadata of the plant in a scan. Unknown fields are empty."""
 
     plant: str = ""
-    """Name of the plant, the same on every day (MIAPPE: observation unit ID)."""
+    """Name of the plant, which is the same on every day (MIAPPE: observation unit ID)."""
     species: str = ""
-    """Latin name, such as Raphanus sativus (MIAPPE: organism)."""
+    """Latin name of the species, such as Raphanus sativus (MIAPPE: organism)."""
     treatment: str = ""
-    """Treatment, for example 'low N' (MIAPPE: observation unit factor value)."""
+    """Treatment of the plant, such as 'low N' (MIAPPE: observation unit factor value)."""
     day: float | None = field(default=None, metadata={"limits": (0.0, 36500.0)})
-    """Days since sowing (MIAPPE: time since the event 'sowing')."""
+    """Number of days since sowing (MIAPPE: time since the event 'sowing')."""
     date: str = ""
-    """Date of the scan, as 2022-10-06 (MIAPPE: observation date)."""
+    """Date of the scan, such as 2022-10-06 (MIAPPE: observation date)."""
     replicate: int | None = field(default=None, metadata={"limits": (0, 1000000)})
-    """Number among plants with the same treatment (MIAPPE: replicate of the observation unit)."""
+    """Number of the plant among plants with the same treatment (MIAPPE: replicate of the observation unit)."""
     notes: str = ""
-    """Additional notes."""
+    """Additional notes about the plant."""
 
     @property
     def known(self) -> dict[str, str]:
-        """Return the known fields as text, by name."""
+        """Known fields as text, by name."""
         return {name: text for name, text in as_text(self).items() if text}
 
     def __str__(self) -> str:
-        """Return the known fields as readable text; empty if there are none."""
+        """Return the known fields as readable text; empty if no field is known."""
         told = {"treatment": "treatment {}", "day": "day {}", "date": "{}", "replicate": "replicate {}", "notes": "{}"}
         known = self.known
         who = f"{known['plant']} ({known['species']})" if {"plant", "species"} <= known.keys() else self.plant or self.species
@@ -45,22 +45,22 @@ class Subject:
 
 
 NAMES = tuple(f.name for f in fields(Subject))
-"""Columns with the subject, in every table."""
+"""Names of the columns that describe the subject in every table."""
 
 
 def as_text(subject: Subject) -> dict[str, str]:
-    """Return all fields as text for a table; unknown fields are empty."""
+    """Return all fields as text for a table, by name. Unknown fields are empty."""
     values = {name: getattr(subject, name) for name in NAMES}
     return {name: "" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for name, value in values.items()}
 
 
 def check_subject(subject: Subject, place: Place) -> None:
-    """Reject an invalid date, and text that is unsuitable for a table cell.
+    """Raise an error for an invalid date, or text that is unsuitable for a table cell.
 
     Raises
     ------
     UserError
-        With the field, its value and the condition.
+        If a field is invalid; the message states the field, its value and the condition.
     """
     for name in ("plant", "species", "treatment", "notes"):
         text = getattr(subject, name)
@@ -70,16 +70,16 @@ def check_subject(subject: Subject, place: Place) -> None:
         try:
             date.fromisoformat(subject.date)
         except ValueError:
-            raise place.at("date").error("must be a date as 2022-10-06", subject.date) from None
+            raise place.at("date").error("must be a date such as 2022-10-06", subject.date) from None
 
 
 def from_summary(summary: Mapping[str, Any], where: str) -> Subject:
-    """Return the subject of a ``result.json``; empty for results of earlier versions.
+    """Return the subject recorded in a ``result.json``; empty for results of earlier versions.
 
     Raises
     ------
     UserError
-        If the entry is damaged.
+        If the entry is invalid.
     """
     place = Place(where).at("subject")
     subject = from_plain(Subject, summary.get("subject") or {}, place)
@@ -88,12 +88,12 @@ def from_summary(summary: Mapping[str, Any], where: str) -> Subject:
 
 
 def from_cells(cells: Mapping[str, str], where: str) -> Subject:
-    """Return the subject in a row of a table; fields without a column are unknown.
+    """Return the subject in a row of a table. Fields without a column are unknown.
 
     Raises
     ------
     UserError
-        For a day or replicate that is not a number, or a value beyond its limits.
+        If the day or replicate is not a number, or a value is beyond its limits.
     """
     given: dict[str, Any] = {name: cells[name].strip() for name in NAMES if (cells.get(name) or "").strip()}
     for name, read in (("day", float), ("replicate", int)):

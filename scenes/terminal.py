@@ -1,4 +1,4 @@
-"""Progress on a terminal: one bar for the whole work, with the current stage and the remaining time.
+"""Progress display in a terminal: one bar for the whole computation, with the current stage and the remaining time.
 
 If the output is not a terminal, one line per stage is written instead.
 """
@@ -20,13 +20,13 @@ from rhizotwin.scenes.monitor import Monitor
 COLOUR = "#2e8b57"
 _FORM = "{percentage:3.0f} %|{bar}| {desc}, {elapsed} so far, {remaining} left"
 BEAT_S = 1.0
-"""Interval between updates of the bar, so that the clock continues in stages without steps."""
+"""Interval between updates of the bar, s, so that the displayed time advances in stages without steps."""
 _UNKNOWN = 0.02
-"""Fraction of the time assumed for a stage with unknown duration."""
+"""Fraction of the total time that is assumed for a stage with unknown duration."""
 
 
 class OneBar(Monitor):
-    """A monitor with one bar.
+    """Monitor with a single progress bar for all stages.
 
     Parameters
     ----------
@@ -34,13 +34,13 @@ class OneBar(Monitor):
         Approximate relative durations of the stages, which determine the position of the bar. The remaining time is
         extrapolated from the elapsed time.
     quiet : bool
-        Show nothing.
+        Whether to suppress all output.
     verbose : bool
-        Also write a line with the time of each stage if a bar is shown.
+        Whether to write a line with the duration of each stage even if a bar is shown.
     stream : text stream, optional
-        Where to; default: stderr.
+        Stream to which the bar is written; stderr by default.
     bars : type of tqdm, optional
-        Class of the bar, which is then shown also without a terminal, such as ``tqdm.auto.tqdm`` in a notebook.
+        Class of the bar, such as ``tqdm.auto.tqdm`` in a notebook. The bar is then shown even without a terminal.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class OneBar(Monitor):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the time of a stage, and show its name."""
+        """Measure the duration of a stage as a context, and show its name."""
         with super().stage(name):
             self._stage, self._part = name, 0.0
             self._show()
@@ -86,19 +86,19 @@ class OneBar(Monitor):
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
-        """Move the bar within a stage.
+        """Advance the bar within a stage, as a context.
 
         Parameters
         ----------
         name : str
             Name of the stage.
         total, unit : int, str
-            Number of steps, and their unit.
+            Number of steps, and the unit in which they are counted.
 
         Returns
         -------
         iterator of callable
-            Function to call after each step.
+            Function that the caller calls after each step.
         """
         with super().steps(name, total, unit) as step:
             done = 0
@@ -113,7 +113,7 @@ class OneBar(Monitor):
             yield shown
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the bar from the terminal."""
         bar, self._bar = self._bar, None
         if bar is not None:
             bar.n = max(bar.n, self._done)

@@ -7,18 +7,18 @@ from typing import Any
 
 
 def dumps(table: Mapping[str, Any]) -> str:
-    """Return TOML for a dict of scalars, lists of scalars, dicts, and lists of dicts.
+    """Format a dict of scalars, lists of scalars, dicts, and lists of dicts as TOML.
 
     Raises
     ------
     TypeError
-        For a value that TOML does not support, including None.
+        If a value is not supported by TOML, such as None.
     """
     return "\n".join(_table(table, "")).strip("\n") + "\n"
 
 
 def _table(table: Mapping[str, Any], prefix: str) -> list[str]:
-    """Return the lines of one table: its own keys first, then its subtables."""
+    """Return the lines of a table: first its own keys, then its subtables."""
     lines = [f"{_key(key)} = {value(item)}" for key, item in table.items() if not _is_table(item) and not _is_tables(item)]
     for key, inner in table.items():
         name = f"{prefix}{_key(key)}"
@@ -31,7 +31,7 @@ def _table(table: Mapping[str, Any], prefix: str) -> list[str]:
 
 
 def _key(key: str) -> str:
-    """Return a key, quoted if TOML requires it."""
+    """Return a key, quoted if TOML requires quotes."""
     return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else value(key)
 
 
@@ -44,12 +44,15 @@ def _is_tables(value: Any) -> bool:
 
 
 def value(given: Any) -> str:
-    """Return one TOML scalar or list; Python's shortest representation of floats is exact and valid TOML."""
+    """Format a scalar or a list as TOML.
+
+    The shortest representation of floats in Python is exact, and is valid TOML.
+    """
     if isinstance(given, bool):
         return "true" if given else "false"
     if isinstance(given, (int, float)):
         return repr(float(given) if isinstance(given, float) else int(given))
-    if isinstance(given, str):  # JSON's escapes are valid in TOML, except for DEL
+    if isinstance(given, str):  # escapes of JSON are valid in TOML, except for DEL
         return json.dumps(given, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(given, (list, tuple)):
         return "[" + ", ".join(value(item) for item in given) + "]"

@@ -1,7 +1,7 @@
-"""Preparation of manually traced roots as truth.
+"""Preparation of manually traced roots for use as truth.
 
-Gaps to the parent are closed if the file states the node of attachment, and stretches shared by several roots are
-counted once.
+Gaps between a root and its parent are closed if the file states the node of attachment. Stretches that several roots
+share are counted once.
 """
 
 from collections.abc import Sequence
@@ -17,29 +17,29 @@ from rhizotwin.scenes.rsml import Root, RsmlFile
 Array = NDArray[np.float64]
 
 FARTHEST = 2.0
-"""Maximum ratio of the distance to the parent's named node and that to the nearest node; beyond it, the nodes are
-numbered differently, and no gap is closed."""
+"""Maximum ratio between the distances from a root's base to the stated node and to the nearest node of the parent. A
+larger ratio indicates that nodes are numbered differently, and the gap is not closed."""
 SHARED = 0.5
-"""Maximum distance of lines of one root, relative to the thinner one's radius; two real roots are at least a radius
-apart."""
+"""Maximum distance between lines of the same root, as a fraction of the thinner root's radius. Two different roots are
+at least one radius apart."""
 LEAST_SHARED_MM = 2.0
-"""Minimum length of a shared stretch, which exceeds any width of separately traced roots; shorter ones are crossings or
-branch points."""
+"""Minimum length of a shared stretch, mm. It exceeds the width of any separately traced root. Shorter stretches are
+crossings or branch points."""
 MOST_LATEST = 2000
-"""Maximum number of points collected before the search tree of all points is rebuilt; building a tree of this size
+"""Maximum number of points collected before the search tree of all points is rebuilt. Building a tree of this size
 takes a millisecond."""
 STEP_MM = 0.2
-"""Spacing of the points at which lines are compared."""
+"""Spacing of the points at which lines are compared, mm."""
 
 
 def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
-    """Connect roots that begin at a distance from their parent to the node stated in the file.
+    """Connect each root that begins at a distance from its parent to the node of the parent stated in the file.
 
     Returns
     -------
     roots : tuple of Root
     closed : int
-        Number of connected roots.
+        Number of roots that were connected.
     """
     closed, roots = 0, list(file.roots)
     for index, (root, node) in enumerate(zip(file.roots, file.parent_nodes, strict=True)):
@@ -57,14 +57,14 @@ def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
 
 @dataclass(frozen=True)
 class _Line:
-    """A centre line with equally spaced points."""
+    """Centre line with equally spaced points."""
 
     points_mm: Array
     diameters_mm: Array
 
     @staticmethod
     def of(root: Root) -> "_Line":
-        """Return a root's centre line with points `STEP_MM` apart."""
+        """Resample the centre line of a root at points `STEP_MM` apart."""
         along_mm = polyline.arc_length_mm(root.points_mm)
         at_mm = np.linspace(0.0, along_mm[-1], max(2, int(np.ceil(along_mm[-1] / STEP_MM)) + 1))
         points = polyline.interpolate(root.points_mm, along_mm, at_mm)
@@ -72,25 +72,25 @@ class _Line:
 
 
 def merge_shared_stretches(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
-    """Remove stretches that roots share with earlier ones in the list, so that each is counted once.
+    """Remove stretches that a root shares with earlier roots in the list, so that each stretch is counted once.
 
     The remainder of a partly shared root becomes a lateral of the root with which it shares the stretch. A completely
-    shared root is removed, and its laterals are assigned to the other root.
+    shared root is removed, and its laterals are assigned to the root with which it coincides.
 
     Parameters
     ----------
     roots : sequence of Root
-        Parents before children.
+        Roots in an order in which parents precede their children.
 
     Returns
     -------
     roots : tuple of Root
-        The same roots if nothing is shared.
+        Roots without shared stretches.
     shared_mm : float
-        Length that was counted more than once.
+        Total length of the stretches that were removed.
     """
     kept: list[Root] = []
-    owner: list[int] = []  # for each of ``roots``, the index in ``kept`` of the root of which it is a part
+    owner: list[int] = []  # index in ``kept`` of the root that represents each of ``roots``
     seen = _KnownLines()
     for root in roots:
         line = _Line.of(root)
@@ -111,9 +111,9 @@ def merge_shared_stretches(roots: Sequence[Root]) -> tuple[tuple[Root, ...], flo
 
 
 class _KnownLines:
-    """Previous lines, with a search for their nearest points.
+    """Lines found so far, with a search for their nearest points.
 
-    One search tree contains most of the points; a second one, with the latest points, is rebuilt.
+    One search tree contains most of the points. A second search tree, with the latest points, is rebuilt frequently.
     """
 
     def __init__(self) -> None:
@@ -122,14 +122,14 @@ class _KnownLines:
         self._owners: list[NDArray[np.int64]] = []
 
     def add(self, line: _Line, owner: int) -> None:
-        """Add a line with the index of its root."""
+        """Add a line, with the index of its root."""
         self._lines.append(line)
         self._owners.append(np.full(len(line.points_mm), owner))
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return distance, radius and root of the line point nearest to each of the points (N, 3).
+        """Return distance (mm), diameter (mm) and root index of the line point nearest to each of the points (N, 3).
 
-        The distance is infinite if there is none.
+        The distance is infinite if there are no lines.
         """
         found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm)), np.full(len(points_mm), -1)
         trees = [] if self._old is None else [self._old]
@@ -155,7 +155,7 @@ class _KnownLines:
 
 
 def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int, int]], int | None]:
-    """Return the unshared stretches of a line as (start, stop), and the root with which it shares the most."""
+    """Return the unshared stretches of a line as (start, stop), and the root that shares most of its length."""
     count = len(line.points_mm)
     away_mm, diameter_mm, owner = seen.nearest(line.points_mm)
     limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, diameter_mm) / 2.0, STEP_MM / 2.0)
@@ -166,7 +166,7 @@ def _unshared_stretches(line: _Line, seen: _KnownLines) -> tuple[list[tuple[int,
     if not long:
         return [(0, count)], None
     host = int(np.bincount(with_whom[np.concatenate([np.arange(a, b) for a, b in long])]).argmax())
-    # keep the joint with the shared stretch
+    # the point at which the shared stretch ends is kept
     bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]
     runs = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > least]
     return runs, host

@@ -12,42 +12,42 @@ from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
 Assessments = Mapping[str, Assessment]
-"""Assessments by the field in `Traits`; missing traits are not assessed."""
+"""Type of the assessments by the field of `Traits`. Traits without an entry are not assessed."""
 
 
 @dataclass(frozen=True)
 class Definition:
-    """Trait with a single value."""
+    """Definition of a trait with a single value."""
 
     field: str
-    """Field of `Traits`."""
+    """Name of the field of `Traits`."""
     name: str
-    """Name for display, without the unit."""
+    """Name of the trait for display, without the unit."""
     unit: str
-    """Unit; empty for ratios and counts."""
+    """Unit of the trait; empty for ratios and counts."""
     meaning: str
 
     @property
     def heading(self) -> str:
-        """Name and unit for display."""
+        """Name and unit of the trait for display."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
     @property
     def column(self) -> str:
-        """Name in files and tables, with the unit: ``total_length_mm``, ``specific_root_length_m_per_g``."""
+        """Name in files and tables, with the unit, such as ``total_length_mm`` or ``specific_root_length_m_per_g``."""
         return f"{self.name}_{self.unit.replace('/', '_per_')}" if self.unit else self.name
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """Trait that divides the length into bins."""
+    """Definition of a trait that divides the root length into bins."""
 
     field: str
     name: str
     meaning: str
     bin_unit: str
     bin_width: float
-    """Width of a bin; 0 if the bins are integers."""
+    """Width of a bin; 0 if each bin is an integer."""
 
     @property
     def column(self) -> str:
@@ -55,7 +55,7 @@ class Histogram:
         return f"{self.name}_mm"
 
     def edges(self, index: int) -> tuple[float, float]:
-        """Return the limits of a bin."""
+        """Return the lower and upper limit of a bin."""
         return (index * self.bin_width, (index + 1) * self.bin_width) if self.bin_width else (index, index)
 
 
@@ -63,45 +63,47 @@ DEFINITIONS = (
     Definition("total_length_mm", "total_length", "mm", "length of all centre lines"),
     Definition("volume_mm3", "volume", "mm3", "volume of the solid, overlaps counted once"),
     Definition("surface_mm2", "surface", "mm2", "surface area of the solid"),
-    Definition("mean_diameter_mm", "mean_diameter", "mm", "mean over the length (GiA Roots: average root width)"),
-    Definition("median_diameter_mm", "median_diameter", "mm", "half of the length is thinner"),
+    Definition("mean_diameter_mm", "mean_diameter", "mm", "length-weighted mean diameter (GiA Roots: average root width)"),
+    Definition("median_diameter_mm", "median_diameter", "mm", "length-weighted median diameter"),
     Definition("max_diameter_mm", "max_diameter", "mm", "largest diameter of a centre line"),
-    Definition("depth_mm", "depth", "mm", "highest to lowest point (GiA Roots: network depth)"),
+    Definition("depth_mm", "depth", "mm", "vertical distance from the highest to the lowest point (GiA Roots: network depth)"),
     Definition("width_mm", "width", "mm", "largest horizontal distance between any two points, at any heights"),
     Definition("convex_hull_mm3", "convex_hull_volume", "mm3", "volume of the convex hull"),
-    Definition("solidity", "solidity", "", "volume over the volume of the convex hull"),
+    Definition("solidity", "solidity", "", "ratio of the volume to the volume of the convex hull"),
     Definition(
-        "max_root_count", "max_root_count", "", "84th percentile of the number of roots crossing horizontal planes 1 mm apart (GiA Roots)"
+        "max_root_count", "max_root_count", "", "84th percentile of the number of roots that cross horizontal planes 1 mm apart (GiA Roots)"
     ),
-    Definition("median_root_count", "median_root_count", "", "median number of roots crossing these planes (GiA Roots)"),
-    Definition("bushiness", "bushiness", "", "max_root_count over median_root_count (GiA Roots)"),
+    Definition("median_root_count", "median_root_count", "", "median number of roots that cross horizontal planes 1 mm apart (GiA Roots)"),
+    Definition("bushiness", "bushiness", "", "ratio of max_root_count to median_root_count (GiA Roots)"),
     Definition(
         "lower_length_share",
         "lower_length_share",
         "",
-        "share of the length in the lower two thirds of the depth (GiA Roots: length distribution)",
+        "fraction of the length in the lower two thirds of the depth (GiA Roots: length distribution)",
     ),
     Definition("roots", "roots", "", "number of roots, taproots and laterals of every order"),
     Definition("tips", "tips", "", "number of visible root tips; tips hidden by other roots are not counted"),
-    Definition("branch_points", "branch_points", "", "number of points where laterals emerge; several at one point count once"),
-    Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 is straight down, 90 horizontal"),
+    Definition("branch_points", "branch_points", "", "number of points where laterals emerge; several laterals at one point count once"),
     Definition(
-        "angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals of the angle between their first 5 mm and the parent"
+        "angle_to_gravity_deg", "angle_to_gravity", "deg", "length-weighted mean angle to gravity; 0 is straight down, 90 is horizontal"
     ),
-    Definition("specific_root_length_m_per_g", "specific_root_length", "m/g", "total length over the given mass"),
-    Definition("tissue_density_g_per_ml", "tissue_density", "g/ml", "given mass over the volume"),
+    Definition("angle_to_parent_deg", "angle_to_parent", "deg", "mean angle between the first 5 mm of a lateral and its parent"),
+    Definition("specific_root_length_m_per_g", "specific_root_length", "m/g", "ratio of total length to the given mass"),
+    Definition("tissue_density_g_per_ml", "tissue_density", "g/ml", "ratio of the given mass to the volume"),
 )
 
 SHOOT = (
     Definition("height_mm", "shoot_height", "mm", "highest point above the net pot's top"),
-    Definition("leaf_area_mm2", "leaf_area", "mm2", "one side of all blades"),
+    Definition("leaf_area_mm2", "leaf_area", "mm2", "one-sided area of all blades"),
     Definition("leaves", "leaves", "", "number of separate blades; touching blades count once"),
-    Definition("surface_area_mm2", "shoot_surface", "mm2", "one side of blades and half the surface of stalks"),
-    Definition("projected_mean_mm2", "shoot_projected_area", "mm2", "mean over the pictures, at the scale of the canister's axis"),
+    Definition("surface_area_mm2", "shoot_surface", "mm2", "one-sided area of all blades and half the surface area of stalks"),
+    Definition(
+        "projected_mean_mm2", "shoot_projected_area", "mm2", "mean projected area in the pictures, at the scale of the canister's axis"
+    ),
     Definition("volume_mm3", "shoot_volume", "mm3", "volume of stalks, and leaf area times measured thickness"),
     Definition("convex_mm3", "shoot_convex_volume", "mm3", "volume of the shoot's convex hull"),
 )
-"""Traits of the shoot; the fields are those of ``shoot`` in ``result.json``."""
+"""Traits of the shoot. The fields are those of ``shoot`` in ``result.json``."""
 
 COLOUR = (
     Definition("ndvi", "ndvi", "", "normalised difference of the leaves' reflectance in near infrared and red"),
@@ -116,7 +118,7 @@ COLOUR = (
         for name, (low, _, high) in RANGES_NM.items()
     ),
 )
-"""Traits of the leaves for cameras with bands; the fields are those of ``shoot`` in ``result.json``."""
+"""Traits of the leaves for cameras with bands. The fields are those of ``shoot`` in ``result.json``."""
 COLOURS = tuple(d.field for d in COLOUR)
 
 HISTOGRAMS = (
@@ -129,24 +131,27 @@ HISTOGRAMS = (
 WITH_INTERVAL = frozenset(
     ("total_length_mm", "volume_mm3", "mean_diameter_mm", "tips", "specific_root_length_m_per_g", "tissue_density_g_per_ml")
 )
-"""Fields of the traits for which the method gives 90 % intervals."""
+"""Fields of the traits for which the method estimates 90 % intervals."""
 
 
 def column_names() -> dict[str, str]:
-    """Return the name of every trait by its names in files, including those of earlier versions, without the unit."""
+    """Return the display name of every trait by its names in files.
+
+    Earlier versions wrote names without the unit.
+    """
     every = (*DEFINITIONS, *SHOOT, *COLOUR)
     return {d.name: d.name for d in every} | {d.column: d.name for d in every}
 
 
 def to_csv(traits: Traits, assessed: Assessments) -> str:
-    """Return a table with one row per trait, and one row per bin of each histogram; unknown values are empty.
+    """Return a CSV table with one row per trait, and one row per bin of each histogram. Unknown values are empty.
 
     Parameters
     ----------
     traits : Traits
-        Values.
+        Values of the traits.
     assessed : dict of Assessment
-        90 % intervals and verdicts.
+        90 % intervals and verdicts, by the field of `Traits`.
     """
     return csv_text([_HEAD, *_rows(traits, assessed)])
 
@@ -172,21 +177,21 @@ def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
 
 
 def _trait_rows(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, Assessment]]:
-    """Yield definition, value, limits of the interval and assessment of each trait."""
+    """Yield definition, value, limits of the interval, and assessment of each trait."""
     for d in DEFINITIONS:
         one = assessed.get(d.field, NOT_ASSESSED)
         yield d, getattr(traits, d.field), *(one.interval or (None, None)), one
 
 
 def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
-    """Return lists of traits and histograms for JSON; unknown values are None.
+    """Return lists of traits and histograms for JSON. Unknown values are None.
 
     Parameters
     ----------
     traits : Traits
-        Values.
+        Values of the traits.
     assessed : dict of Assessment
-        90 % intervals and verdicts.
+        90 % intervals and verdicts, by the field of `Traits`.
     """
     return {
         "traits": [
@@ -219,14 +224,16 @@ def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
 
 
 def lines(traits: Traits, assessed: Assessments) -> list[str]:
-    """Format the traits with a single value as aligned lines with interval or verdict; a dash for an unknown value.
+    """Format the traits with a single value as aligned lines with interval or verdict.
+
+    Unknown values are shown as dashes.
 
     Parameters
     ----------
     traits : Traits
-        Values.
+        Values of the traits.
     assessed : dict of Assessment
-        90 % intervals and verdicts.
+        90 % intervals and verdicts, by the field of `Traits`.
     """
     width, rows = max(len(d.name) for d in DEFINITIONS) + 2, []
     for d in DEFINITIONS:
@@ -245,7 +252,10 @@ def format_assessment(one: Assessment) -> str:
 
 
 def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
-    """Return the traits of ``shoot`` in ``result.json`` by display name, colours if it has them; None if unknown."""
+    """Return the traits of ``shoot`` in ``result.json`` by display name.
+
+    Traits of leaf colour are included if they are known. Unknown traits are None.
+    """
     known = shoot or {}
     return {d.name: known.get(d.field) for d in (*SHOOT, *COLOUR) if d in SHOOT or d.field in known}
 
@@ -271,7 +281,7 @@ def format_number(value: Number) -> str:
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
-    """Return rows as CSV with commas, quoted if needed."""
+    """Format rows as CSV with commas, with quotes where needed."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()

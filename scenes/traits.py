@@ -1,10 +1,9 @@
 """Traits of a root system, computed from its centre lines and its solid by standard definitions.
 
-Truth and results use the same code.
-
-Sources: GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1), extended from pictures to three
-dimensions as by Rangarajan et al. 2021 (Plant Phenomics 2021:6953197, table 1); DynamicRoots (Symonova et al. 2015,
-PLoS ONE 10:e0127657) for branches and their angles. `scenes.trait_table` has the definitions in words.
+The same code is used for truth and results. The definitions are those of GiA Roots (Galkovskyi et al. 2012, BMC Plant
+Biology 12:116, table 1), extended from pictures to three dimensions as in Rangarajan et al. 2021 (Plant Phenomics
+2021:6953197, table 1). Branches and their angles are defined as in DynamicRoots (Symonova et al. 2015, PLoS ONE
+10:e0127657). `scenes.trait_table` contains the definitions in words.
 """
 
 from collections.abc import Sequence
@@ -19,72 +18,72 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 SLICE_MM = 1.0
-"""Distance of the horizontal planes in which roots are counted."""
+"""Distance between the horizontal planes in which roots are counted, mm."""
 MOST_PERCENT = 84.0
-"""Percentile of the counts that defines the largest number of roots (GiA Roots), robust against a single whorl of
+"""Percentile of the counts that defines the maximum number of roots (GiA Roots). It is robust against a single whorl of
 laterals."""
 UPPER_SHARE = 1.0 / 3.0
 """Fraction of the depth at which the lower part of a root system begins (GiA Roots)."""
 EMERGENCE_MM = 5.0
-"""Length of a lateral over which its angle to the parent is measured."""
+"""Length of a lateral over which its angle to the parent is measured, mm."""
 DEPTH_BIN_MM = 10.0
 DIAMETER_BIN_MM = 0.1
-"""Bin widths of the histograms: one centimetre of depth; half a pixel at 800x600."""
+"""Widths of histogram bins, mm: one centimetre of depth, and half a pixel of diameter at 800x600 pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Traits:
-    """Traits of a root system. Depth is measured downward from the highest point of the solid.
+    """Traits of a root system. Depth is measured downwards from the highest point of the solid.
 
-    Without centre lines, the traits that depend on them are None, and histograms are empty.
+    If centre lines are unknown, the traits that depend on them are None, and the histograms are empty.
     """
 
     total_length_mm: float | None
     volume_mm3: float
     surface_mm2: float
-    """Surface area of the solid."""
+    """Surface area of the solid, mm2."""
     mean_diameter_mm: float | None
-    """Mean over the length."""
+    """Mean diameter, weighted by length, mm."""
     median_diameter_mm: float | None
-    """Median over the length."""
+    """Median diameter, weighted by length, mm."""
     max_diameter_mm: float | None
     depth_mm: float
-    """Vertical extent."""
+    """Vertical extent, mm."""
     width_mm: float
-    """Largest horizontal distance between two points."""
+    """Largest horizontal distance between two points, mm."""
     convex_hull_mm3: float
     solidity: float
-    """Volume over the volume of the convex hull."""
+    """Ratio of the volume to the volume of the convex hull."""
     max_root_count: float | None
-    """84th percentile of the number of roots crossing horizontal planes."""
+    """84th percentile of the number of roots that cross horizontal planes."""
     median_root_count: float | None
     bushiness: float | None
-    """``max_root_count`` over ``median_root_count``."""
+    """Ratio of ``max_root_count`` to ``median_root_count``."""
     lower_length_share: float | None
     """Fraction of the length in the lower two thirds of the depth."""
     roots: int | None
     tips: int | None
     branch_points: int | None
-    """Number of points where laterals emerge; several at one point count once."""
+    """Number of points at which laterals emerge. Several laterals at the same point count once."""
     length_by_order_mm: tuple[float, ...]
-    """Length of roots by order, taproots first."""
+    """Length of roots by order, taproots first, mm."""
     length_by_depth_mm: tuple[float, ...]
-    """Length in bins of 10 mm of depth below the top."""
+    """Length in depth bins of 10 mm below the highest point, mm."""
     length_by_diameter_mm: tuple[float, ...]
-    """Length in bins of 0.1 mm of diameter from 0."""
+    """Length in diameter bins of 0.1 mm, beginning at 0, mm."""
     angle_to_gravity_deg: float | None
-    """Mean over the length of the angle between the root's direction, toward its tip, and straight down."""
+    """Mean angle between the root's direction towards its tip and straight down, weighted by length, deg."""
     angle_to_parent_deg: float | None
-    """Mean over the laterals of the angle between their first 5 mm and the parent; None without laterals."""
+    """Mean angle between the first 5 mm of a lateral and its parent, deg; None without laterals."""
     specific_root_length_m_per_g: float | None = None
-    """Total length over the given mass; None without a mass."""
+    """Ratio of total length to the given mass, m/g; None without a mass."""
     tissue_density_g_per_ml: float | None = None
-    """Given mass over the volume; None without a mass."""
+    """Ratio of the given mass to the volume, g/ml; None without a mass."""
 
 
 @dataclass(frozen=True)
 class _Segments:
-    """All straight segments of all roots."""
+    """Straight segments of all roots."""
 
     start: Array
     step: Array
@@ -96,7 +95,7 @@ class _Segments:
 def measure_traits(
     roots: Sequence[Root], vertices_mm: Array, *, volume_mm3: float, surface_mm2: float, mass_g: float | None = None
 ) -> Traits:
-    """Measure the traits of a root system.
+    """Compute the traits of a root system.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ def measure_traits(
     vertices_mm : (V, 3) float64 array
         Vertices of the solid's surface.
     volume_mm3, surface_mm2 : float
-        Volume and surface of the solid, with overlaps of roots counted once.
+        Volume and surface area of the solid, in which overlaps of roots are counted once.
     mass_g : float or None
         Measured mass of the roots; None if unknown.
 
@@ -117,7 +116,7 @@ def measure_traits(
     if not len(vertices_mm):
         raise ValueError("the solid has no vertices")
     if mass_g is not None and not mass_g > 0.0:
-        raise ValueError(f"{mass_g=} must be positive")
+        raise ValueError(f"{mass_g=} is invalid; the mass must be positive")
     hull_mm3, width_mm = _hull(vertices_mm)
     top_mm, bottom_mm = float(vertices_mm[:, 2].max()), float(vertices_mm[:, 2].min())
     pieces = _segments(roots)
@@ -183,14 +182,14 @@ def _bin_lengths(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
 
 
 def _below(pieces: _Segments, z_mm: float) -> float:
-    """Return the length below a height, including horizontal segments at this height."""
+    """Return the root length below a height, mm, including horizontal segments at this height."""
     other = pieces.start[:, 2] + pieces.step[:, 2]
     low, high = np.minimum(pieces.start[:, 2], other), np.maximum(pieces.start[:, 2], other)
     return float(pieces.length @ (1.0 - np.clip((high - z_mm) / np.maximum(high - low, 1e-9), 0.0, 1.0)))
 
 
 def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
-    """Return the length per bin of depth."""
+    """Return the root length per depth bin, mm."""
     lowest = float(np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2]).min())
     count = max(1, int(np.ceil((top_mm - lowest) / DEPTH_BIN_MM - 1e-9)))
     below = [_below(pieces, top_mm - DEPTH_BIN_MM * k) for k in range(1, count)]
@@ -198,7 +197,7 @@ def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
 
 
 def _hull(points_mm: Array) -> tuple[float, float]:
-    """Return the volume of the convex hull and the largest horizontal distance; the volume of flat points is 0."""
+    """Return the volume of the convex hull and the largest horizontal distance. The volume of flat points is 0."""
     from scipy.spatial import ConvexHull, QhullError  # imported here: not required for reading traits
 
     try:
@@ -208,7 +207,7 @@ def _hull(points_mm: Array) -> tuple[float, float]:
     level = points_mm[:, :2]
     try:
         corners = level[ConvexHull(level).vertices]
-    except QhullError:  # collinear points: the ends have the greatest distance
+    except QhullError:  # for collinear points, the ends have the greatest distance
         along = np.linalg.svd(level - level.mean(axis=0), full_matrices=False)[2][0]
         corners = level[[int(np.argmin(level @ along)), int(np.argmax(level @ along))]]
     # a flat hull has few corners
@@ -217,9 +216,9 @@ def _hull(points_mm: Array) -> tuple[float, float]:
 
 
 def _root_counts(pieces: _Segments) -> tuple[float, float]:
-    """Count the centre lines that cross each horizontal plane; return the largest and the median number.
+    """Return the maximum and the median number of centre lines that cross a horizontal plane.
 
-    The largest is the 84th percentile. Planes without roots are ignored, and the numbers are at least one.
+    The maximum is the 84th percentile. Planes without roots are ignored, and both numbers are at least one.
     """
     low = np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
     high = np.maximum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
@@ -240,23 +239,23 @@ def _branch_points(roots: Sequence[Root]) -> int:
 
 
 def _emergence_deg(roots: Sequence[Root]) -> Array:
-    """Return each lateral's angle to its parent (L,), in degrees; laterals without length are left out."""
+    """Return the angle between each lateral and its parent (L,), deg. Laterals without length are excluded."""
     angles = [emergence_deg(root.points_mm, roots[root.parent].points_mm) for root in roots if root.parent >= 0]
     return np.array([angle for angle in angles if angle is not None])
 
 
 def emergence_deg(lateral_mm: Array, parent_mm: Array) -> float | None:
-    """Return the angle in degrees between a lateral's first 5 mm and its parent at the point of emergence.
+    """Return the angle between the first 5 mm of a lateral and its parent at the point of emergence, deg.
 
     Parameters
     ----------
     lateral_mm, parent_mm : (N, 3), (M, 3) float64 array
-        Points from base to tip.
+        Points of the lateral and of its parent, from base to tip.
 
     Returns
     -------
     float or None
-        None if either has no length there.
+        Angle; None if one of the roots has no length at this point.
     """
     nearest = int(np.argmin(np.sum((parent_mm - lateral_mm[0]) ** 2, axis=1)))
     along = parent_mm[min(nearest + 1, len(parent_mm) - 1)] - parent_mm[max(nearest - 1, 0)]

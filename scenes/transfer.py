@@ -1,8 +1,8 @@
-"""Transfer curves from pixel values to light, as stated in the picture file, or else by the scene's camera.
+"""Transfer curves from pixel values to light.
 
-Cameras apply nonlinear curves to light (sRGB, a gamma, a custom curve), but the reconstruction requires values that are
-linear in light. A file states its curve in an ICC profile, in the sRGB or gAMA chunk of PNG, or in EXIF's colour space
-or gamma.
+Cameras apply nonlinear curves to light (sRGB, a gamma, or a custom curve), but the reconstruction requires values that
+are linear in light. A file states its curve in an ICC profile, in the sRGB or gAMA chunk of PNG, or in the colour space
+or gamma of EXIF. If the file states no curve, the curve of the scene's camera is used.
 """
 
 import io
@@ -22,35 +22,36 @@ from rhizotwin.scenes.model import Camera
 Array = NDArray[np.float64]
 
 _STEPS = 4097
-"""Number of samples of a curve that is defined by a formula; linear interpolation is then exact to 1e-7."""
+"""Number of samples of a curve that is defined by a formula. With this number, linear interpolation is exact to
+1e-7."""
 _SAME = 0.004
-"""Maximum difference of curves that are considered equal (one step of 8 bits)."""
+"""Maximum difference between curves that are considered equal (one step of 8 bits)."""
 _EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
-"""Exif 2.3 tags: the Exif block, its colour space and its gamma."""
+"""Tags of Exif 2.3: the Exif block, its colour space and its gamma."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Light as a function of the pixel value."""
+    """Transfer curve: light as a function of the pixel value."""
 
     name: str
     light: tuple[float, ...]
-    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale; increasing."""
+    """Light, as a fraction of full scale, at equally spaced pixel values from 0 to full scale. The values increase."""
 
     def decode(self, numbers: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint16]:
-        """Return light (...), 65535 at full scale, for pixel values (...)."""
+        """Convert pixel values (...) to light (...), with 65535 as full scale."""
         return _table(self, int(np.iinfo(numbers.dtype).max))[numbers]
 
     def of(self, share: Array) -> Array:
-        """Return the light (...) for pixel values (...) given as fractions of full scale."""
+        """Convert pixel values (...), as fractions of full scale, to light (...)."""
         return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(self.light)), self.light))
 
     def number(self, light: Array) -> Array:
-        """Return the pixel values (...), as fractions of full scale, for light (...); inverse of `of`."""
+        """Convert light (...) to pixel values (...), as fractions of full scale. Inverse of `of`."""
         return np.asarray(np.interp(light, self.light, np.linspace(0.0, 1.0, len(self.light))))
 
     def same(self, other: "Curve") -> bool:
-        """Return whether another curve is equal within rounding."""
+        """Return whether another curve is equal up to rounding."""
         share = np.linspace(0.0, 1.0, 257)
         return bool(np.abs(self.of(share) - other.of(share)).max() < _SAME)
 
@@ -65,7 +66,7 @@ def _formula(name: str, light: Array) -> Curve:
 
 
 def _srgb() -> Array:
-    """Return the sRGB curve: IEC 61966-2-1, equations 5 and 6."""
+    """Return the light (N,) of the sRGB curve (IEC 61966-2-1, equations 5 and 6)."""
     v = np.linspace(0.0, 1.0, _STEPS)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
@@ -80,17 +81,17 @@ def power(exponent: float) -> Curve:
 
 
 def camera_curve(camera: Camera) -> Curve:
-    """Return the curve stated by a scene."""
+    """Return the transfer curve of a scene's camera."""
     if camera.transfer == "table":
         return Curve("the scene's table", camera.transfer_table)
     return SRGB if camera.transfer == "srgb" else LINEAR
 
 
 def read_stated_curve(picture: bytes | Path) -> Curve | None:
-    """Return the curve stated in a picture file; None if there is none that can be read."""
+    """Return the curve that a picture file states; None if it states no curve, or the curve cannot be read."""
     logging.getLogger("PIL").setLevel(logging.CRITICAL)  # unreadable pictures are reported elsewhere
     try:
-        # Pillow warns of a damaged EXIF block, which only means that it states no curve
+        # Pillow warns about a damaged EXIF block, which only means that the block states no curve
         with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
             info = opened.info
             if profile := info.get("icc_profile"):
@@ -114,9 +115,9 @@ def _gamma_curve(exponent: float) -> Curve:
 
 
 def _profile_curve(profile: bytes) -> Curve | None:
-    """Return the curve of an ICC profile's green or grey channel (ICC.1:2022, 7.3, 10.6 and 10.18).
+    """Return the curve of the green or grey channel of an ICC profile (ICC.1:2022, 7.3, 10.6 and 10.18).
 
-    None for profiles with lookup tables.
+    The result is None for profiles with lookup tables.
     """
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
@@ -128,7 +129,7 @@ def _profile_curve(profile: bytes) -> Curve | None:
 
 
 def _parse_trc(data: bytes) -> Curve | None:
-    """Parse a ``curveType`` or a ``parametricCurveType``."""
+    """Parse a ``curveType`` or ``parametricCurveType`` of an ICC profile; return None if it is not supported."""
     v = np.linspace(0.0, 1.0, _STEPS)
     if data[:4] == b"curv":
         (count,) = struct.unpack_from(">I", data, 8)

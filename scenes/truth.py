@@ -1,9 +1,9 @@
-"""Ground truth of simulated datasets, which the reconstruction must not use.
+"""Ground truth of simulated datasets, which is not available to the reconstruction.
 
-No code that reconstructs a shape opens a dataset's ``truth`` folder.
+Code that reconstructs a shape never opens the ``truth`` folder of a dataset.
 
-`score` compares a result with the truth, and after a result is written, the command line draws the true solid beside
-the reconstructed shape.
+The truth is used by `score`, which compares it with a result, and by the command line, which draws the true solid
+beside the reconstructed shape after a result is written.
 
 truth/  truth.json      this module's `Truth`
         specimen.ply    watertight solid, canister frame, mm
@@ -26,12 +26,12 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class TrueView:
-    """Camera with which a frame was actually taken."""
+    """True camera pose and table angle of a frame."""
 
     file: str
     cam_from_canister: tuple[tuple[float, ...], ...]
     table_deg: float
-    """True table angle, without the canister's offset and tilt."""
+    """True table angle, deg, without the canister's offset and tilt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,15 +45,15 @@ class Truth:
     canister_from_strip: tuple[tuple[float, ...], ...]
     views: tuple[TrueView, ...]
     traits: dict[str, Any] = field(default_factory=dict)
-    """Fields of `scenes.traits.Traits`; None for those that require centre lines if the specimen has none."""
+    """Fields of `scenes.traits.Traits`. Traits that require centre lines are None if the specimen has none."""
     plants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Volume ``volume_mm3`` of each plant by itself (if two touch, their sum exceeds the whole) and its ``traits``, by
-    the plant's name; empty for a single plant."""
+    """Volume (``volume_mm3``) and ``traits`` of each plant, by the plant's name; empty for a single plant. If plants
+    touch, the sum of their volumes exceeds the total volume."""
     shoot: dict[str, float] = field(default_factory=dict)
-    """Volume, one-sided leaf area, number of leaves, height and widths of the shoot, and for a camera with bands its
+    """Volume, one-sided leaf area, number of leaves, height and widths of the shoot and, for a camera with bands, its
     reflectances and vegetation indices; empty without a shoot."""
     drawn: dict[str, Any] = field(default_factory=dict)
-    """All other random values used for the pictures, the specimen's description and notes on it."""
+    """All other random values used for the pictures, and the description of the specimen with notes."""
 
 
 def load_truth(folder: Path | str) -> Truth:
@@ -62,16 +62,18 @@ def load_truth(folder: Path | str) -> Truth:
     Parameters
     ----------
     folder : path
-        Folder of the dataset (not its ``truth``).
+        Folder of the dataset (not its ``truth`` folder).
 
     Raises
     ------
     UserError
-        If there is none (only simulated datasets have one), or it is damaged or of another version.
+        If the file is missing (only simulated datasets have a truth), damaged, or of an unsupported version.
     """
     path = Path(folder) / "truth" / "truth.json"
     if not path.is_file():
-        raise UserError(f"{folder}: has no truth/truth.json; only simulated datasets (`rhizotwin simulate` or `scan`) can be scored")
+        raise UserError(
+            f"{folder}: the dataset has no truth/truth.json; only simulated datasets (`rhizotwin simulate` or `scan`) can be scored"
+        )
     mapping = read_versioned_json(path, SCHEMA_VERSION)
     place = Place(str(path))
     truth = from_plain(Truth, {key: value for key, value in mapping.items() if key != "schema_version"}, place)
@@ -82,14 +84,14 @@ def load_truth(folder: Path | str) -> Truth:
 
 
 def save_truth(folder: Path | str, truth: Truth) -> None:
-    """Write ``truth/truth.json`` of a dataset atomically; `load_truth` returns an equal truth.
+    """Write ``truth/truth.json`` of a dataset atomically. `load_truth` returns an equal truth.
 
     Parameters
     ----------
     folder : path
-        Folder of the dataset (not its ``truth``).
+        Folder of the dataset (not its ``truth`` folder).
     truth : Truth
-        Ground truth; ``drawn`` must contain plain JSON values.
+        Ground truth, whose ``drawn`` must contain only plain JSON values.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Exposed surface of many tubes: the area of each that lies inside no other."""
+"""Exposed surface of overlapping tubes: the area of each tube that lies outside all other tubes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,32 +13,32 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _STEP_MM = 0.3
-"""Maximum length of a piece, about the width of thin roots."""
+"""Maximum length of a piece, mm. It is about the width of thin roots."""
 _AROUND = 8
-"""Number of points around a piece at which hiding by other roots is tested."""
+"""Number of points around a piece at which overlap with other roots is tested."""
 _NEIGHBOURS = 24
-"""Number of nearest stations tested for hiding a point, including those of its own tube; this misses some others beside
-organs thicker than 7 mm."""
+"""Number of nearest pieces that are tested for overlap with a point, including pieces of its own tube. Beside organs
+thicker than 7 mm, some overlapping pieces are missed."""
 _AT_ONCE = 10_000
-"""Number of stations processed at once, which keeps memory below 200 MB."""
+"""Number of pieces processed at once, which limits memory to 200 MB."""
 
 
 @dataclass(frozen=True)
 class Stations:
-    """Short pieces of tubes."""
+    """Tubes divided into N short pieces."""
 
     centre_mm: Array
-    """(N, 3) centres."""
+    """Centres of the pieces, mm, shape (N, 3)."""
     along: Array
-    """(N, 3) unit vectors."""
+    """Unit vectors along the pieces, shape (N, 3)."""
     length_mm: Array
     radius_mm: Array
     root: NDArray[np.int64]
-    """(N,) index of each piece's root."""
+    """Index of the root of each piece, shape (N,)."""
 
 
 def stations(roots: Sequence[Root]) -> Stations:
-    """Cut roots into pieces of at most 0.3 mm."""
+    """Divide roots into pieces of at most 0.3 mm."""
     centre, along, length, radius, owner = [], [], [], [], []
     for index, root in enumerate(roots):
         way = polyline.arc_length_mm(root.points_mm)
@@ -58,9 +58,9 @@ def stations(roots: Sequence[Root]) -> Stations:
 
 
 def exposed_area_mm2(tubes: Stations) -> Array:
-    """Return the exposed area (N,) of each piece, estimated from eight points around it.
+    """Return the exposed area of each piece (N,), mm2, estimated from eight points around it.
 
-    Ends are not capped.
+    The ends of tubes are not included.
     """
     tree = cKDTree(tubes.centre_mm)
     count = len(tubes.centre_mm)
@@ -70,7 +70,7 @@ def exposed_area_mm2(tubes: Stations) -> Array:
 
 
 def _hidden_fraction(tubes: Stations, tree: cKDTree, part: slice) -> Array:
-    """Return the hidden fraction of the surface of each piece."""
+    """Return the fraction of each piece's surface that lies inside other tubes."""
     direction = tubes.along[part]
     helper = np.where(np.abs(direction[:, 2:]) < 0.9, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     first = np.cross(direction, helper)

@@ -1,1 +1,1 @@
-"""The robot arm: two servo protocols, kinematics, path planning and collision checks."""
+"""Robot arm: two servo protocols, kinematics, path planning and collision checks."""

@@ -1,8 +1,8 @@
-"""Driver of the arm as five joints in degrees, for both servo protocols.
+"""Driver of the robot arm: five joints with angles in degrees, for both servo protocols.
 
-It implements limits, speed, verification, and stopping on errors. Servos report neither the end of a move nor its
-failure. Therefore each move has a duration that follows from its distance; the arm waits for that time without
-communication, and then compares the position of every joint with the commanded one. This detects joints that are
+The driver implements limits, speed, verification, and stopping on errors. Servos report neither the end nor the failure
+of a move. Therefore the driver computes the duration of each move from its distance, waits for that time without
+communication, and then compares the position of every joint with the commanded position. This detects joints that are
 blocked, too warm, or without torque.
 """
 
@@ -19,21 +19,21 @@ from rhizotwin.rig.serial_line.port import Wire
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 
 _HOLD_S = 1.0
-"""Duration of the move to the present position that switches the torque on: if the arm sagged since its position was
-read, it is lifted slowly."""
+"""Duration of the move to the present position that switches the torque on, s. If the arm has sagged since its position
+was read, it is lifted slowly."""
 _STILL_COUNTS = 1
 _STILL_PAUSE_S = 0.1
 _STILL_LIMIT_S = 5.0
 _COMMAND_TRIES = 2
 _UNMOVED_COUNTS = 2
 _DEAD_COUNTS = 4
-"""Maximum distance, in counts, at which a joint may not move, because of dead band and sag."""
+"""Maximum distance from the target, in counts, at which dead band and sag can keep a joint from moving."""
 
 Counts = dict[int, int]
 
 
 def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
-    """Return the arm on an open port, with the protocol given in the rig file; nothing is sent.
+    """Create the driver of the arm for the protocol given in the rig file, without sending anything.
 
     Parameters
     ----------
@@ -47,14 +47,14 @@ def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
     Returns
     -------
     ServoArm
-        The arm.
+        Driver of the arm.
     """
     bus: ServoBus = LxBus(port, echo=part.echo) if part.protocol == "lx" else LscBoard(port)
     return ServoArm(bus, part, clock)
 
 
 class ServoArm:
-    """The arm that holds the camera; satisfies `rig.devices.Arm`.
+    """Robot arm that positions the camera; implements `rig.devices.Arm`.
 
     Parameters
     ----------
@@ -73,10 +73,10 @@ class ServoArm:
         self._ids = tuple(joint.servo for joint in part.joints)
         self._prepared = False
         self._rests_at: Counts | None = None
-        """Positions at the end of the last move; None after any other command."""
+        """Servo positions at the end of the last move, in counts by servo number; None after any other command."""
 
     def describe(self) -> str:
-        """Return a description of the bus, with voltage and warmest servo."""
+        """Return a description of the bus, including its voltage and the warmest servo."""
         words = f"{self._bus.describe()}, {len(self._ids)} servos, {self._bus.voltage_v(self._ids):.1f} V"
         temperatures_c = self._bus.temperatures_c(self._ids)
         if temperatures_c is None:
@@ -85,7 +85,7 @@ class ServoArm:
         return words + f", warmest {self._name(warmest)} {temperatures_c[warmest]} °C"
 
     def prepare(self) -> None:
-        """Find the servos, check them, and switch the torque on in the present position.
+        """Check that all servos reply and are within their limits, and switch the torque on in the present position.
 
         Every servo is commanded to its measured position before its torque is switched on, so that the arm does not
         jump.
@@ -123,28 +123,29 @@ class ServoArm:
             raise
 
     def read_joints(self) -> tuple[float, ...]:
-        """Return the measured joint angles."""
+        """Return the measured joint angles, deg."""
         return self._joints_deg(self._bus.positions(self._ids))
 
     def holds(self) -> bool:
-        """Whether every joint still has its torque on.
+        """Return whether the torque of every joint is still on.
 
-        If the protocol does not report this, whether the arm is still in its last position, as it drops without torque.
+        If the protocol does not report the torque, return whether the arm is still in its last position, since an arm
+        without torque drops.
         """
         return self._prepared and self._limp() is None
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
-        """Move all joints at once along a straight line in joint space; wait, verify, and return the measured angles.
+        """Move all joints simultaneously along a straight line in joint space, and verify the result.
 
-        A command that caused no motion at all may have been lost in transmission, and is repeated once. Moves longer
-        than the protocols permit are divided. On any error the arm is stopped in its present position, with its torque
-        on.
+        The method waits for the end of the move and returns the measured angles. A command that caused no motion at all
+        may have been lost in transmission, and is repeated once. Moves longer than the protocols permit are divided. On
+        any error the arm is stopped in its present position, with its torque on.
 
         Raises
         ------
         UnsafeError
-            Before anything is sent, for an angle beyond its joint's limits; after the move, if a joint does not arrive,
-            is too warm, or the supply is out of range.
+            If an angle is beyond its joint's limits (nothing is sent in this case). After the move, if a joint has not
+            reached its target or is too warm, or if the supply voltage is out of range.
         LostError
             If the arm was not prepared, or a servo has lost its torque.
         """
@@ -173,15 +174,15 @@ class ServoArm:
         Raises
         ------
         UnsafeError
-            For an angle beyond the wheel's limits, before anything is sent, or if the wheel does not arrive.
+            If the angle is beyond the wheel's limits (nothing is sent), or the wheel does not reach its target.
         LostError
             If the arm was not prepared.
         """
         wheel = self._part.filter
         if wheel is None or not wheel.min_deg <= angle_deg <= wheel.max_deg:
-            raise UnsafeError(f"arm: the filter wheel cannot go to {angle_deg:g} deg; correct [arm.filter] or the band's filter_deg")
+            raise UnsafeError(f"arm: the filter wheel cannot be set to {angle_deg:g} deg; correct [arm.filter] or filter_deg of the band")
         if not self._prepared:
-            raise LostError("arm: its torque is off; prepare it before its filter wheel is turned")
+            raise LostError("arm: its torque is off; prepare the arm before the filter wheel is turned")
         goal = round(wheel.zero_counts + wheel.sign * angle_deg * wheel.counts_per_deg)
         way_deg = abs(goal - self._bus.positions((wheel.servo,))[wheel.servo]) / wheel.counts_per_deg
         duration_s = min(MAX_MOVE_S, max(way_deg / self._part.max_speed_deg_per_s, self._bus.least_move_s))
@@ -190,17 +191,18 @@ class ServoArm:
         there = self._bus.positions((wheel.servo,))[wheel.servo]
         if abs(there - goal) / wheel.counts_per_deg > self._part.tolerance_deg:
             raise UnsafeError(
-                f"arm: the filter wheel (servo {wheel.servo}) was commanded to {angle_deg:g} deg, is at {_to_deg(wheel, there):.1f} deg: "
-                "it is blocked, or its cable is loose"
+                f"arm: the filter wheel (servo {wheel.servo}) was commanded to {angle_deg:g} deg but is at {_to_deg(wheel, there):.1f} "
+                "deg; "
+                "check that the wheel can move freely and that its cable is connected"
             )
 
     def health(self) -> None:
-        """Check the supply, the temperatures, and that no servo has lost its torque.
+        """Check the supply voltage, the temperatures, and that no servo has lost its torque.
 
         Raises
         ------
         UnsafeError
-            If a servo is too warm or the voltage is out of range.
+            If a servo is too warm or the supply voltage is out of range.
         LostError
             If the torque of a servo is off although it was switched on.
         """
@@ -208,18 +210,18 @@ class ServoArm:
         self._check_torque()
 
     def relax(self) -> None:
-        """Switch the torque off; the arm drops unless it is supported."""
+        """Switch the torque off. An arm that is not supported drops."""
         self._prepared = False
         self._rests_at = None
         wheel = self._part.filter
         self._bus.load(self._ids if wheel is None else (*self._ids, wheel.servo), False)
 
     def close(self) -> None:
-        """Close the port; the torque does not change."""
+        """Close the port without changing the torque."""
         self._bus.close()
 
     def _move_one(self, start: Counts, to: Counts, duration_s: float) -> Counts:
-        """Make one move that fits into one command, and return the positions at its end."""
+        """Execute a move that fits into one command, and return the servo positions at its end, in counts."""
         tries = 0
         while True:
             self._bus.move(to, duration_s)
@@ -230,7 +232,7 @@ class ServoArm:
             ignored = unmoved and any(abs(to[servo] - start[servo]) > _DEAD_COUNTS for servo in self._ids)
             worst = self._off_target(to, now)
             if worst is not None:
-                # report the cause rather than the symptom, if there is one
+                # report the cause, if it can be determined, rather than the symptom
                 self.health()
             if ignored and tries < _COMMAND_TRIES:
                 continue
@@ -238,12 +240,12 @@ class ServoArm:
                 return now
             raise UnsafeError(
                 f"arm: the {self._name(worst.servo)} was commanded to {_to_deg(worst, to[worst.servo]):.1f} deg but is at"
-                f" {_to_deg(worst, now[worst.servo]):.1f} deg: it is blocked, overloaded, or its command was damaged;"
-                " the arm was stopped; clear its path before moving it again"
+                f" {_to_deg(worst, now[worst.servo]):.1f} deg: it is blocked or overloaded, or its command was damaged."
+                " The arm was stopped; clear its path before moving it again"
             )
 
     def _still(self) -> Counts:
-        """Read positions until the arm is at rest."""
+        """Read the servo positions repeatedly until the arm is at rest, and return them in counts."""
         deadline_s = self._clock.now_s() + _STILL_LIMIT_S
         before = self._bus.positions(self._ids)
         while True:
@@ -254,19 +256,19 @@ class ServoArm:
                 return now
             if self._clock.now_s() > deadline_s:
                 raise UnsafeError(
-                    f"arm: the {self._name(moving[0])} does not come to rest; release the arm, or find the cause of the motion"
+                    f"arm: the {self._name(moving[0])} does not come to rest; let go of the arm, or find the cause of the motion"
                 )
             before = now
 
     def _stop_once(self) -> None:
-        """Try to stop after an error; a failure to stop is ignored in favour of that error."""
+        """Try to stop the arm after an error. A failure to stop is ignored, so that the original error is reported."""
         try:
             self._bus.stop(self._ids)
         except RigError:
             return
 
     def _off_target(self, target: Counts, now: Counts) -> Joint | None:
-        """Return the joint that is farthest from its target, if it is beyond the tolerance."""
+        """Return the joint that is farthest from its target; None if all joints are within the tolerance."""
         off_deg = [abs(now[joint.servo] - target[joint.servo]) / joint.counts_per_deg for joint in self._part.joints]
         worst = max(range(JOINTS), key=off_deg.__getitem__)
         return self._part.joints[worst] if off_deg[worst] > self._part.tolerance_deg else None
@@ -276,7 +278,7 @@ class ServoArm:
         volt = self._bus.voltage_v(self._ids)
         if not part.min_volt <= volt <= part.max_volt:
             raise UnsafeError(
-                f"arm: the servos' supply is {volt:.2f} V, outside {part.min_volt:g} to {part.max_volt:g} V; check the supply and its cable"
+                f"arm: the servos' supply voltage is {volt:.2f} V, outside {part.min_volt:g} to {part.max_volt:g} V; check the supply"
             )
         for servo, celsius in (self._bus.temperatures_c(self._ids) or {}).items():
             if celsius > part.max_celsius:
@@ -285,7 +287,7 @@ class ServoArm:
                 )
 
     def _limp(self) -> int | None:
-        """Return a servo whose torque is off, if the protocol reports it."""
+        """Return the number of a servo whose torque is off, or None if there is no such servo."""
         loaded = self._bus.loaded(self._ids)
         if loaded is not None:
             return next((servo for servo, on in loaded.items() if not on), None)
@@ -299,19 +301,20 @@ class ServoArm:
         if limp is not None:
             self._prepared = False
             raise LostError(
-                f"arm: the {self._name(limp)} has lost its torque, possibly after a voltage drop or by its own protection;"
+                f"arm: the {self._name(limp)} has lost its torque, possibly because of a voltage drop or its overload protection;"
                 " check the supply, then prepare the arm again"
             )
 
     def _check_standing(self, joint: Joint, counts: int) -> None:
-        """Reject a joint outside its range, as the path of its first move would be undefined."""
+        """Reject a joint outside its range, because the path of its first move would be undefined."""
         angle_deg = _to_deg(joint, counts)
         slack_deg = self._part.tolerance_deg
         if MIN_COUNTS <= counts <= MAX_COUNTS and joint.min_deg - slack_deg <= angle_deg <= joint.max_deg + slack_deg:
             return
         raise UnsafeError(
             f"arm: the {self._name(joint.servo)} is at {angle_deg:.1f} deg ({counts} counts), outside its {joint.min_deg:g} to"
-            f" {joint.max_deg:g} deg or {MIN_COUNTS} to {MAX_COUNTS} counts; with the torque off, move it by hand into its range"
+            f" {joint.max_deg:g} deg or {MIN_COUNTS} to {MAX_COUNTS} counts; switch the torque off and move the joint by hand into its "
+            "range"
         )
 
     def _checked_counts(self, joints_deg: tuple[float, ...]) -> Counts:
@@ -322,14 +325,15 @@ class ServoArm:
             name = self._name(joint.servo)
             if not joint.min_deg <= angle_deg <= joint.max_deg:
                 raise UnsafeError(
-                    f"arm: the {name} cannot go to {angle_deg:.2f} deg, its limits are {joint.min_deg:g} to {joint.max_deg:g} deg;"
+                    f"arm: the {name} cannot be set to {angle_deg:.2f} deg, because its limits are {joint.min_deg:g} to {joint.max_deg:g} "
+                    "deg;"
                     " nothing was moved"
                 )
             place = joint.zero_counts + joint.sign * angle_deg * joint.counts_per_deg
             if not MIN_COUNTS <= round(place) <= MAX_COUNTS:
                 raise UnsafeError(
                     f"arm: the {name} at {angle_deg:.1f} deg would be at {place:.0f} counts, outside {MIN_COUNTS} to {MAX_COUNTS};"
-                    " nothing was moved, check zero_counts and the limits in the rig file"
+                    " nothing was moved. Check zero_counts and the limits of the joint in the rig file"
                 )
             counts[joint.servo] = round(place)
         return counts

@@ -1,9 +1,10 @@
 """Collision checks of arm paths against canister, net pot, table, tank, floor and bars.
 
-The arm is modelled by three capsules, and a sphere around the camera; obstacles are cylinders, boxes and a plane.
-Between two configurations, no point of a link moves farther than the steps of the joints times the lengths beyond each
-joint. A segment of a path is clear if its midpoint keeps a clearance of half of that; otherwise it is bisected. Thus no
-collision between samples can be missed, however long the segment.
+The arm is modelled by capsules, and the camera by a sphere. Obstacles are cylinders, boxes and a half-space. Between
+two configurations, no point of a link moves farther than the sum, over the joints, of the joint's rotation times the
+length of the arm beyond it. A segment of a path is clear if the clearance at its midpoint exceeds half of this
+distance; otherwise the segment is bisected. Thus no collision between samples can be missed, regardless of the length
+of the segment.
 """
 
 from collections.abc import Sequence
@@ -22,33 +23,33 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene, Tank
 
 TABLE_THICKNESS_MM = 20.0
-"""Thickness of the table's disc, below the canister."""
+"""Thickness of the turntable's disc, below the canister, mm."""
 FINE_MM = 0.1
-"""Resolution of the bisection: segments with less motion of the arm are not divided, and margins are kept to within
-this."""
+"""Resolution of the bisection, mm. Segments in which the arm moves less are not divided, and margins are kept to within
+this distance."""
 START_SLACK_MM = 2.0
-"""Maximum further approach of an arm that starts inside a margin (after sagging or being pushed), while it moves away.
-"""
+"""Maximum further approach to an obstacle, mm, of an arm that starts inside a margin (after sagging or being pushed)
+while it moves away."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """Distances of every part of the arm from every obstacle, for N configurations."""
+    """Distances of every part of the arm from every obstacle, for N configurations of the arm and P pairs."""
 
     names: tuple[tuple[str, str], ...]
-    """Names of the two parts of each pair: part of the arm, obstacle."""
+    """Names of the arm's part and of the obstacle, for each pair."""
     distance_mm: Array
-    """(N, P) distances."""
+    """Distance between part and obstacle, shape (N, P)."""
     margin_mm: Array
-    """(P,) required clearances."""
+    """Required clearance of each pair, shape (P,)."""
     travel_mm: Array
-    """(P, 5) maximum decrease of each distance per radian of each joint."""
+    """Maximum decrease of each distance per radian of each joint, shape (P, 5)."""
     floor: NDArray[np.bool_]
-    """(P,) whether the obstacle is the floor, on which an arm without torque may lie."""
+    """Whether the obstacle is the floor, on which an arm without torque may lie, shape (P,)."""
 
 
 def solids(rig: RigFile, scene: Scene) -> list[Solid]:
-    """Return the obstacles of the arm."""
+    """Return the obstacles of the arm as solids in the rig frame."""
     canister, pot, clearance = scene.canister, scene.net_pot, rig.clearance
     under = -canister.height_mm
     return [
@@ -62,7 +63,10 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 
 
 def _tank(tank: Tank, floor_z_mm: float) -> Box:
-    """Return a box around a tank in any orientation, from its rim to the floor, which includes its stand."""
+    """Return the bounding box of a tank in any orientation.
+
+    It extends from the tank's rim to the floor, and thus includes the stand.
+    """
     turn = np.deg2rad(abs(tank.turn_deg))
     x = tank.front_mm * np.cos(turn) + tank.half_width_mm * np.sin(turn)
     y = tank.half_width_mm * np.cos(turn) + tank.front_mm * np.sin(turn)
@@ -70,10 +74,10 @@ def _tank(tank: Tank, floor_z_mm: float) -> Box:
 
 
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
-    """Compute the distances of all pairs at joint angles (N, 5).
+    """Compute the distances of all pairs of part and obstacle at joint angles (N, 5).
 
-    The base column is static on the floor or a bar; it is only checked against canister, pot, table and camera. Parts
-    of the arm require no margin to each other, as no sag occurs between them.
+    The base column is fixed to the floor or a bar, and is therefore checked only against canister, net pot, table and
+    camera. No margin is required between parts of the arm, since they do not sag relative to each other.
 
     Parameters
     ----------
@@ -130,8 +134,8 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
 def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) -> None:
     """Raise an error if the arm violates a margin on a path that is piecewise linear in joint angles.
 
-    The first configuration may be inside a margin, if the arm touches nothing but the floor and moves away; all others
-    must keep the margins.
+    The first configuration may be inside a margin, provided that the arm touches nothing but the floor and moves away.
+    All other configurations must keep the margins.
 
     Parameters
     ----------
@@ -140,12 +144,13 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
     scene : Scene
         Canister, net pot and panel.
     joints_path_deg : sequence of Joints
-        Configurations, starting with the present one.
+        Configurations, starting with the present configuration.
 
     Raises
     ------
     UnsafeError
-        With part, obstacle, distance and position along the path.
+        If a margin is violated; the message states the part, the obstacle, the distance and the position along the
+        path.
     """
     path = np.array(joints_path_deg, dtype=float).reshape(-1, 5)
     here = pairs(rig, scene, path)
@@ -162,9 +167,9 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
 
 
 def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -> list[Joints]:
-    """Plan a path: return the configurations to move to in order, with the goal last.
+    """Return the configurations of a path without collisions, in order, with the goal last.
 
-    The path is direct if that is clear, otherwise it passes through retracted configurations.
+    The direct path is used if it is clear. Otherwise the path passes through retracted configurations.
 
     Parameters
     ----------
@@ -178,12 +183,12 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
     Returns
     -------
     list of Joints
-        Configurations after the start.
+        Configurations of the path, without the start.
 
     Raises
     ------
     UnsafeError
-        If none of these paths is clear; the message states the obstacle of the direct one.
+        If neither the direct path nor any detour is clear; the message states the obstacle on the direct path.
     """
     try:
         check_path(rig, scene, [start_deg, goal_deg])
@@ -192,12 +197,12 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
             path = [*between, tuple(goal_deg)]
             if _is_clear(rig, scene, [start_deg, *path]):
                 return path
-        raise UnsafeError(f"{error}; there is no clear path with the arm retracted either") from error
+        raise UnsafeError(f"{error}; a path with a retracted arm is not clear either") from error
     return [tuple(goal_deg)]
 
 
 def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
-    """Return paths through the parking position, and with a retracted or raised arm while the base rotates."""
+    """Return candidate paths: via the parking position, or rotating the base with the arm retracted or raised."""
     part = require_arm(rig)
     rest = tuple(part.park_deg)
     found: list[list[Joints]] = [[rest]]
@@ -216,7 +221,7 @@ def _is_clear(rig: RigFile, scene: Scene, path_deg: Sequence[Joints]) -> bool:
 
 
 def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array, keep_mm: Array, leg: tuple[int, int]) -> None:
-    """Bisect the segment between two configurations until every part of it is known to keep the distances."""
+    """Bisect the segment between two configurations until all of its parts are known to keep the distances."""
     step_deg = end_deg - begin_deg
     middles, half = np.array([0.5]), 0.5
     while len(middles):

@@ -1,13 +1,14 @@
 """Inverse kinematics: joint angles for a given camera pose.
 
-The solution is in closed form (thesis section 3.3), or by Newton's method (appendix C.3).
+The solution is either in closed form (thesis section 3.3) or by Newton's method (appendix C.3).
 
-Five joints can place the camera's centre anywhere in reach, but its optical axis remains in the plane of the base's
-axis and the camera. The closed form keeps the centre exactly, uses the nearest orientation, and returns the remaining
-angle. Newton's method minimises the squares of both or, if the target may rotate about an axis, meets it exactly, with
-six unknowns for six equations.
+With five joints, the camera's centre can be placed anywhere within reach, but the optical axis remains in the plane
+that contains the base's axis and the camera. The closed form meets the centre exactly, chooses the nearest possible
+orientation, and returns the remaining angle. Newton's method minimises the squared errors of position and orientation.
+If the target may rotate about an axis, it meets the target exactly, with six unknowns for six equations.
 
-All functions accept any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
+All functions accept any number of targets at once: transforms of shape (..., 4, 4) and joint angles of shape (..., 5),
+rad.
 """
 
 from dataclasses import dataclass
@@ -20,54 +21,57 @@ from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
-"""Lengths below this are rounding errors."""
+"""Length below which a distance is treated as a rounding error, mm."""
 NEAR_AXIS_MM = 1.0
-"""Distance from the base's axis below which the camera's direction from the axis is less certain than that of its
-optical axis."""
+"""Maximum distance of the camera from the base's axis, mm, at which the azimuth may be computed from the optical axis.
+At so small a distance the direction from the base's axis to the camera is uncertain."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
-"""Convergence of Newton's method: error of the camera in mm and rad, or step of the joints below CLOSE_RAD."""
+"""Convergence thresholds of Newton's method for the camera's position error, mm, and orientation error, rad. The method
+also stops when the step of every joint is below CLOSE_RAD."""
 DAMPING = 0.1
-"""Damping of the normal equations, relative to the squared size of the remaining twist: it limits the steps far from
-the target, and vanishes near it."""
+"""Damping of the normal equations, relative to the squared norm of the remaining twist. It limits the steps far from
+the target, and vanishes near the target."""
 UNIT_MM = 100.0
-"""Length equivalent to one radian, about that of a link, so that millimetres do not dominate angles."""
+"""Length that is weighted like one radian, mm. It is about the length of a link, so that position errors do not
+dominate orientation errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
-    """Solutions of the closed form: base forward or backward, combined with elbow positive or negative."""
+    """Solutions of the closed form: base forward or backward, combined with elbow angle positive or negative."""
 
     joints_rad: Array
-    """(..., 4, 5), within -pi to pi; NaN if out of reach."""
+    """Joint angles between -pi and pi, shape (..., 4, 5); NaN if the target is out of reach."""
     left_over_rad: Array
-    """(...,) minimum angle between the target orientation and one that five joints can reach at that position."""
+    """Minimum angle between the target orientation and an orientation that five joints can reach at the target
+    position, shape (...,)."""
     wrist_mm: Array
-    """(...,) required distance of the wrist from the shoulder."""
+    """Distance of the wrist from the shoulder that the target requires, shape (...,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NewtonSolution:
-    """Solutions of Newton's method."""
+    """Result of Newton's method for one or several targets."""
 
     joints_rad: Array
-    """(..., 5) joint angles."""
+    """Joint angles, shape (..., 5)."""
     steps: NDArray[np.int64]
-    """(...,) number of steps."""
+    """Number of iterations, shape (...,)."""
     converged: NDArray[np.bool_]
-    """(...,) whether the method converged."""
+    """Whether the method converged, shape (...,)."""
     left_over: Array
-    """(..., 6) remaining twist between camera and target: mm, rad."""
+    """Remaining twist between camera and target, shape (..., 6): translation in mm, then rotation in rad."""
     turned_rad: Array
-    """(...,) rotation of the target about the free axis."""
+    """Rotation of the target about the free axis, shape (...,)."""
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm for an end position (x, y) and a direction theta of the last link.
+    """Return the joint angles q1, q2, q3 (..., 3) of a planar arm for a position (x, y) and direction theta of its end.
 
     Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which is
-    accurate for a stretched arm. ``elbow`` is the sign of q2: -1 is the thesis's branch. The result is NaN if the wrist
-    is out of reach.
+    accurate for a stretched arm. ``elbow`` is the sign of q2; the thesis uses -1. The result is NaN if the wrist is out
+    of reach.
 
     Parameters
     ----------
@@ -99,9 +103,9 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles with the camera's centre at the target.
+    """Return all joint angles that place the camera's centre at the target.
 
-    Its orientation is the nearest to that of the target.
+    The orientation of the camera is the reachable orientation nearest to that of the target.
 
     Parameters
     ----------
@@ -113,7 +117,7 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
     Returns
     -------
     Branches
-        Joint angles (..., 4, 5) for two base and two elbow configurations, and the remaining angle.
+        Joint angles (..., 4, 5) for two base and two elbow configurations, and the remaining angle of the orientation.
     """
     base, *links = part.links_mm
     l1, l2, l3 = links
@@ -139,7 +143,7 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 
 
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> NewtonSolution:
-    """Compute joint angles iteratively by the pseudo-inverse of the body Jacobian.
+    """Compute joint angles iteratively with the damped pseudo-inverse of the body Jacobian.
 
     Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
     0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
@@ -159,7 +163,7 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
     Returns
     -------
     NewtonSolution
-        Joint angles and remaining errors.
+        Joint angles, and the remaining errors of position and orientation.
     """
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)
@@ -198,9 +202,9 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the plane through the base's axis and the camera.
+    """Return the azimuth (...,) of the vertical plane that contains the base's axis and the camera, rad.
 
-    For a camera on that axis, it is the plane of the optical axis.
+    For a camera on the base's axis, the plane contains the optical axis instead.
     """
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
@@ -211,7 +215,7 @@ def _azimuth(at: Array, ahead: Array) -> Array:
 
 
 def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
-    """Return the direction (..., 3) in the vertical plane nearest to the optical axis, and the angle between them."""
+    """Project the optical axis onto the vertical plane; return unit vectors (..., 3) and deviations (...,), rad."""
     zero = np.zeros_like(azimuth)
     normal = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=-1)
     outward = np.stack([np.cos(azimuth), np.sin(azimuth), zero], axis=-1)
@@ -223,7 +227,7 @@ def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
 
 
 def _step(jacobian: Array, twist: Array) -> Array:
-    """Return the damped step (N, n) of the normal equations."""
+    """Return the damped Gauss-Newton step (N, n)."""
     transposed = np.swapaxes(jacobian, -1, -2)
     damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the constant keeps singular poses solvable
     normal = transposed @ jacobian + damping[:, None, None] * np.eye(jacobian.shape[-1])
@@ -231,7 +235,7 @@ def _step(jacobian: Array, twist: Array) -> Array:
 
 
 def _rotation_about_axis(arm_from_axis: Array, angle_rad: Array) -> Array:
-    """Return the rotations (N, 4, 4) of the arm's space about the axis."""
+    """Return the transforms (N, 4, 4) of rotations about the axis, in the arm's frame."""
     turn = np.zeros((len(angle_rad), 4, 4))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
     turn[:, 1, 0] = np.sin(angle_rad)
@@ -241,12 +245,12 @@ def _rotation_about_axis(arm_from_axis: Array, angle_rad: Array) -> Array:
 
 
 def _twist_about_axis(arm_from_axis: Array, camera: Array) -> Array:
-    """Return the twist (N, 6), in the camera's frame, of a camera that rotates about the axis."""
+    """Return the twist (N, 6), in the camera's frame, of a camera that rotates about the axis by 1 rad."""
     axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
     in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
     return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)
 
 
 def _wrap_angle(angle_rad: Array) -> Array:
-    """Return angles within -pi to pi."""
+    """Wrap angles to the range from -pi to pi, rad."""
     return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))

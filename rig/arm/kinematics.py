@@ -1,6 +1,6 @@
-"""Forward kinematics of the arm: pose of the camera for given joint angles, and its derivative.
+"""Forward kinematics of the arm: pose of the camera as a function of the joint angles, and its derivative.
 
-Thesis section 3.3 and appendix C.1.
+The formulas follow section 3.3 and appendix C.1 of the thesis.
 
 Frames
 ------
@@ -24,28 +24,29 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 LINK_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Rotation of the camera on the last link at roll 0."""
+"""Rotation from the camera's frame to the frame of the last link, at roll angle 0."""
 _SERIES_BELOW_RAD = 1e-3
-"""Angle below which the closed form of the logarithm's last factor loses precision."""
+"""Angle below which the closed form of the last factor of the SE(3) logarithm is inaccurate, rad, and a series is
+used."""
 
 
 def rig_from_arm(part: ArmPart) -> Array:
-    """Return the 4x4 transform from the arm's frame to the rig's."""
+    """Return the 4x4 transform from the arm's frame to the rig frame."""
     return frames.from_rotvec(np.deg2rad(part.rotation_deg), np.array(part.position_mm))
 
 
 def arm_from_cam(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return the pose of the camera in the arm's frame, (..., 4, 4), at joint angles (..., 5) in degrees."""
+    """Return the poses of the camera in the arm's frame (..., 4, 4) at joint angles (..., 5), deg."""
     return forward(part.links_mm, np.deg2rad(np.asarray(joints_deg, dtype=float)))
 
 
 def cam_from_rig(part: ArmPart, joints_deg: ArrayLike) -> Array:
-    """Return the camera's pose in the rig, 4x4, at joint angles (5,) in degrees."""
+    """Return the 4x4 transform from the rig frame to the camera's frame at joint angles (5,), deg."""
     return frames.invert(rig_from_arm(part) @ arm_from_cam(part, joints_deg))
 
 
 def forward(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
-    """Return ``arm_from_cam`` (..., 4, 4) at joint angles (..., 5)."""
+    """Return the transforms ``arm_from_cam`` (..., 4, 4) at joint angles (..., 5), rad."""
     camera = np.zeros((*joints_rad.shape[:-1], 4, 4))
     camera[..., :3, :3] = _orientation(joints_rad)
     camera[..., :3, 3] = places(links_mm, joints_rad)[..., -1, :]
@@ -54,7 +55,7 @@ def forward(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
-    """Return the base plate, shoulder, elbow, wrist and camera in the arm's frame, (..., 5, 3) mm."""
+    """Return the positions of base plate, shoulder, elbow, wrist and camera in the arm's frame (..., 5, 3), mm."""
     pitch = np.cumsum(joints_rad[..., 1:4], axis=-1)
     out = _heading(joints_rad[..., 0])
     steps = np.sin(pitch)[..., None] * out[..., None, :] + np.cos(pitch)[..., None] * np.array([0.0, 0.0, 1.0])
@@ -65,7 +66,7 @@ def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
-    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``: the camera's twist in its frame, mm and rad per rad.
+    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``: the twist of the camera in its own frame, mm and rad per rad.
 
     V_b is the vee of ``g^-1 g_dot`` with g = ``arm_from_cam`` (Lynch and Park, Modern Robotics, section 5.1.2).
     """
@@ -81,7 +82,7 @@ def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
 
 
 def log_se3(a_from_b: Array) -> Array:
-    """Return the twist (..., 6), velocity (mm) then rotation (rad), whose exponential is the transform (..., 4, 4)."""
+    """Return the logarithm of transforms (..., 4, 4): twists (..., 6) with velocity, mm, then rotation, rad."""
     shape = a_from_b.shape[:-2]
     rotation = Rotation.from_matrix(a_from_b[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*shape, 3)
     shift = a_from_b[..., :3, 3]
@@ -94,14 +95,14 @@ def log_se3(a_from_b: Array) -> Array:
 
 
 def _heading(base_rad: Array) -> Array:
-    """Return the horizontal direction (..., 3) in which the arm leans."""
+    """Return the horizontal direction (..., 3) in which the arm leans at a positive pitch."""
     return np.stack([np.cos(base_rad), np.sin(base_rad), np.zeros_like(base_rad)], axis=-1)
 
 
 def _orientation(joints_rad: Array) -> Array:
-    """Return the rotation (..., 3, 3) from the camera to the arm."""
+    """Return the rotation (..., 3, 3) from the camera's frame to the arm's frame."""
     if joints_rad.shape[-1] != JOINTS:
-        raise ValueError(f"joints must be (..., {JOINTS}), not {joints_rad.shape}")
+        raise ValueError(f"joints_rad must have shape (..., {JOINTS}), not {joints_rad.shape}")
     angles = np.stack([joints_rad[..., 0], joints_rad[..., 1:4].sum(axis=-1), joints_rad[..., 4]], axis=-1)
     turned = Rotation.from_euler("ZYZ", angles.reshape(-1, 3)).as_matrix().reshape(*joints_rad.shape[:-1], 3, 3)
     return turned @ LINK_FROM_CAM

@@ -1,17 +1,20 @@
-"""Servo controller board (LSC, as in the xArm 1S): 9600 Bd, without checksums or acknowledgements.
+"""Driver of the LSC servo controller board (as in the xArm 1S), with 9600 Bd, no checksums and no acknowledgements.
 
 Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol). The
 board may send unsolicited frames at any time.
 
-Consequences of the missing checksum. *Readings*: a damaged reading may appear valid, so a reading is accepted only if a
-second one agrees, and if it contains exactly the requested servos. *Commands*: the board executes a damaged frame with
-a valid header and length, and the protocol offers no way to verify a command before the servos move; sending it twice
-does not help, since the second copy may be the damaged one. Countermeasures: a frame is sent in one piece immediately
-after a reading on the same line agreed with its repetition; no move is shorter than `LscBoard.least_move_s`, so that a
-wrong target is not reached at full speed; `rig.arm.arm` compares every position with the commanded one at the end of
-each move, and stops with an error if they differ. Remaining risks: motion toward a wrong position until then, and a
-damaged duration that makes the joints move faster. For unattended work prefer the servo bus (protocol "lx"), which has
-checksums.
+Because checksums are missing, a damaged reading may appear valid. Therefore a reading is accepted only if a second
+reading agrees, and if it contains exactly the requested servos.
+
+The board also executes a damaged command with a valid header and length, and the protocol offers no way to verify a
+command before the servos move. Sending a command twice does not help, because the second copy may be damaged. The
+countermeasures are as follows. A frame is sent in one piece immediately after two readings on the same line have
+agreed. No move is shorter than `LscBoard.least_move_s`, so that a wrong target is not reached at full speed.
+`rig.arm.arm` compares every position with the commanded position at the end of each move, and stops with an error if
+they differ.
+
+The remaining risks are motion toward a wrong position until the end of a move, and a damaged duration that makes the
+joints move faster. For unattended work the servo bus (protocol "lx"), which has checksums, is preferable.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -28,17 +31,18 @@ MULT_SERVO_UNLOAD = 20
 MULT_SERVO_POS_READ = 21
 
 _PATIENCE_S = (0.6, 0.6, 0.8, 1.0)
-"""Time-outs of successive attempts; reading all positions takes up to 450 ms on some boards."""
+"""Timeouts of successive attempts, s. Some boards take up to 450 ms to read all positions."""
 _AGREE_TRIES = 8
 _REST = bytes(100)
-"""Zeros for a silent board, which may be waiting for the rest of a frame with a damaged length."""
+"""Zeros that are sent to a board that does not reply, because it may be waiting for the rest of a frame with a damaged
+length."""
 _AGREE_COUNTS = 1
 _AGREE_V = 0.2
 _HOLD_S = 1.0
 
 
 def frame(command: int, params: bytes = b"") -> bytes:
-    """Build a frame."""
+    """Build a frame from a command and its parameters."""
     return HEADER + bytes((len(params) + 2, command)) + params
 
 
@@ -56,7 +60,10 @@ def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
 
 
 def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
-    """Return the newest reading with exactly these servos; a board may omit a servo that does not answer it."""
+    """Return the positions of the newest reading that contains exactly these servos, in counts by servo number.
+
+    The board may omit a servo that does not reply to it.
+    """
     for params in find_frames(heard, MULT_SERVO_POS_READ):
         positions = _positions(params)
         if positions is not None and positions.keys() == set(ids):
@@ -65,9 +72,9 @@ def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
 
 
 class LscBoard:
-    """Driver of the controller board on its TTL serial header.
+    """Driver of the servo controller board, connected to its TTL serial header.
 
-    Do not request anything while the arm moves, as this makes the motion jerky.
+    Do not send requests while the arm moves, because they make the motion jerky.
     """
 
     least_move_s = 2.0
@@ -76,14 +83,14 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together with one frame; return immediately.
+        """Start the moves of all given servos with one frame, without waiting for their end.
 
         The move cannot be verified before its end.
 
         Raises
         ------
         UnsafeError
-            For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
+            If a position is outside 0 to 1000 or the duration outside 0 to 30 s; nothing is sent.
         """
         check_move(targets, duration_s)
         params = bytes((len(targets),)) + round(duration_s * 1000.0).to_bytes(2, "little")
@@ -92,12 +99,12 @@ class LscBoard:
         self._wire.write(frame(SERVO_MOVE, params))
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read signed positions until two successive readings agree.
+        """Read the signed positions repeatedly until two successive readings agree, and return them in counts.
 
         Raises
         ------
         NoAnswerError
-            If the board does not reply, omits a servo, or no two readings agree.
+            If the board does not reply or omits a servo, or if no two successive readings agree.
         """
         before = self._positions_once(ids)
         for _ in range(_AGREE_TRIES):
@@ -106,41 +113,41 @@ class LscBoard:
                 return now
             before = now
         raise NoAnswerError(
-            "arm: repeated readings of the positions differ; the arm is pushed, falls without torque, or the line to its board is disturbed"
+            "arm: repeated readings of the positions differ; check that the arm is at rest, and check the line to its board"
         )
 
     def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002
-        """Read the board's supply voltage, shared by all servos, until two successive readings agree."""
+        """Read the board's supply voltage until two successive readings agree. All servos share this supply."""
         before_v = self._voltage_once()
         for _ in range(_AGREE_TRIES):
             now_v = self._voltage_once()
             if abs(now_v - before_v) <= _AGREE_V:
                 return now_v
             before_v = now_v
-        raise NoAnswerError("arm: repeated readings of the voltage differ; the supply is unsteady, or the line to the board is disturbed")
+        raise NoAnswerError("arm: repeated readings of the voltage differ; check the supply and the line to the board")
 
     def temperatures_c(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None, as the board does not report temperatures."""
+        """Return None, because the board does not report temperatures."""
         return
 
     def loaded(self, ids: Collection[int]) -> None:  # noqa: ARG002
-        """Return None, as the board does not report torque."""
+        """Return None, because the board does not report the torque."""
         return
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch the torque off, or on by a move to the present positions."""
+        """Switch the torque off, or switch it on by a move to the present positions."""
         if on:
             self.move(self.positions(ids), _HOLD_S)
             return
         unload = frame(MULT_SERVO_UNLOAD, bytes((len(ids), *ids)))
-        # the result is not reported, and repeating it is harmless
+        # the board does not acknowledge this command, and repeating it is harmless
         for _ in range(2):
             self._wire.write(unload)
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop the servos by commanding their present positions, as there is no stop command.
+        """Stop the servos by commanding their present positions, since the board has no stop command.
 
-        The median of three readings is a position on the path, even during motion and with one damaged reading.
+        The median of three readings is a position on the path, even if the arm moves and one reading is damaged.
         """
         readings = [self._positions_once(ids) for _ in range(3)]
         places = {servo: median(reading[servo] for reading in readings) for servo in ids}
@@ -151,7 +158,7 @@ class LscBoard:
         return "LSC servo board"
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the serial line."""
         self._wire.close()
 
     def _positions_once(self, ids: Collection[int]) -> dict[int, int]:
@@ -163,7 +170,7 @@ class LscBoard:
             missing = sorted(set(ids) - (_positions(params) or {}).keys())
             if 0 < len(missing) < len(ids):
                 raise NoAnswerError(
-                    f"arm: the board reports no position for servo {', '.join(map(str, missing))}; check its cable and its number"
+                    f"arm: the board reports no position for servo {', '.join(map(str, missing))}; check the servo's cable and number"
                 )
         raise _silence(heard)
 
@@ -177,7 +184,7 @@ class LscBoard:
         return millivolts / 1000.0
 
     def _ask(self, request: bytes, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-        """Send a request until a reply is found; return the reply and all received bytes."""
+        """Send a request repeatedly until a reply is found; return the reply, or None, and all received bytes."""
         heard_all = b""
         for patience_s in _PATIENCE_S:
             self._wire.discard_input()
@@ -192,7 +199,7 @@ class LscBoard:
 
 
 def _positions(params: bytes) -> dict[int, int] | None:
-    """Read ``n, n x (id, position)``; None if the numbers are inconsistent."""
+    """Parse the parameters ``n, n x (id, position)``; return None if they are inconsistent."""
     if not params or len(params) != 1 + 3 * params[0]:
         return None
     triples = [params[at : at + 3] for at in range(1, len(params), 3)]
@@ -202,5 +209,5 @@ def _positions(params: bytes) -> dict[int, int] | None:
 
 def _silence(heard: bytes) -> NoAnswerError:
     if heard:
-        return NoAnswerError(f"arm: the replies of the board are invalid; check that the line runs at {BAUD} Bd, and the cable")
+        return NoAnswerError(f"arm: the replies of the board are invalid; check the cable, and that the line runs at {BAUD} Bd")
     return NoAnswerError("arm: the board does not reply; check that it is switched on and that TX and RX are not swapped")

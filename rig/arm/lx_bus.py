@@ -1,8 +1,8 @@
-"""LX bus servos (LX-15D, LX-225, LX-16A ...) on a half-duplex line: 115200 Bd, with checksums, writes without reply.
+"""Driver of LX bus servos (LX-15D, LX-225, LX-16A ...) on a half-duplex line with 115200 Bd.
 
 Frame: ``55 55 | id | length | command | parameters | checksum``, length = parameters + 3, checksum = ~(sum from id on)
-& 0xFF (LewanSoul Bus Servo Communication Protocol). Receivers discard damaged frames, so that no wrong position can be
-commanded; lost writes are detected by reading all written values back.
+& 0xFF (LewanSoul Bus Servo Communication Protocol). Servos discard damaged frames, so that a wrong position cannot be
+commanded. Servos do not acknowledge writes, so that lost writes are detected by reading all written values back.
 """
 
 from collections.abc import Collection, Mapping
@@ -25,13 +25,13 @@ LOAD_WRITE = 31
 LOAD_READ = 32
 
 _PATIENCE_S = (0.06, 0.06, 0.12, 0.25, 0.5)
-"""Time-outs of successive attempts: a servo takes 20 to 30 ms to reply, and a USB adapter delays bytes by up to 16 ms.
-"""
+"""Timeouts of successive attempts, s. A servo takes 20 to 30 ms to reply, and a USB adapter delays bytes by up to 16
+ms."""
 _WRITE_TRIES = 4
 
 
 def frame(servo: int, command: int, params: bytes = b"") -> bytes:
-    """Build a frame.
+    """Build a frame from servo number, command and parameters.
 
     Parameters
     ----------
@@ -52,11 +52,11 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
 
 
 def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | None:
-    """Return the ``size`` parameters of the newest complete, undamaged reply of this servo to this command.
+    """Return the ``size`` parameters of the newest complete, undamaged reply of a servo to a command.
 
-    Everything else is skipped: garbage, other servos, truncated frames, and the echo of the request, whose length
-    differs from that of the reply. The search continues behind every header, so that a truncated frame does not hide
-    the complete one after it.
+    Everything else is skipped: garbage, replies of other servos, truncated frames, and the echo of the request, whose
+    length differs from that of the reply. The search continues after every header, so that a truncated frame does not
+    hide a complete frame after it.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
     Returns
     -------
     bytes or None
-        Parameters; None if there is no reply yet.
+        Parameters of the reply; None if no complete reply was received yet.
     """
     head = HEADER + bytes((servo, size + 3, command))
     at = heard.rfind(head)
@@ -87,8 +87,9 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 class LxBus:
     """Driver of the servo bus.
 
-    An echo of the adapter does not affect the replies, see `find_reply`. Unless it is given, it is detected from the
-    first answer, and distinguishes a dead adapter (without echo) from a dead servo.
+    An echo from the adapter does not affect the replies, see `find_reply`. Unless ``echo`` is "yes" or "no", the driver
+    detects from the first reply whether there is an echo. A missing echo distinguishes a dead adapter from a dead
+    servo.
     """
 
     least_move_s = 0.2
@@ -98,19 +99,19 @@ class LxBus:
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together; return immediately.
+        """Start the moves of all given servos simultaneously, without waiting for their end.
 
-        Each servo receives its target as a waiting command, all targets are read back, and then one broadcast starts
-        them, so that an unreachable servo is detected before any motion. The broadcast starts every servo with a
-        waiting command; therefore ``targets`` should include all servos of the arm. Servos that do not report the new
-        command afterwards are started individually.
+        Each servo receives its target as a waiting command, and all targets are read back, so that a servo that does
+        not reply is detected before any motion. One broadcast then starts every servo with a waiting command; therefore
+        ``targets`` should include all servos of the arm. Servos that do not report the new command afterwards are
+        started individually.
 
         Raises
         ------
         UnsafeError
-            For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
+            If a position is outside 0 to 1000 or the duration outside 0 to 30 s; nothing is sent.
         NoAnswerError
-            If a servo does not accept its target, or does not start while others do.
+            If a servo does not accept its target, or does not start although other servos do.
         """
         check_move(targets, duration_s)
         time_ms = round(duration_s * 1000.0)
@@ -127,29 +128,33 @@ class LxBus:
         # The manual does not state whether a waiting move is reported here. If no servo reports it, the arm verifies
         # their positions.
         if len(late) < len(orders):
-            raise NoAnswerError(f"arm: {_servo_names(late)} did not start with the others; check the bus cable")
+            raise NoAnswerError(f"arm: {_servo_names(late)} did not start although the other servos did; check the bus cable")
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read signed positions."""
+        """Read the signed positions, in counts by servo number."""
         return {servo: int.from_bytes(self._ask(servo, POS_READ, 2), "little", signed=True) for servo in ids}
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Return the lowest supply voltage among these servos: a weak supply is visible first at the cable's end."""
+        """Return the lowest supply voltage among these servos.
+
+        With a weak supply, the voltage drops first at the cable's end.
+        """
         return min(int.from_bytes(self._ask(servo, VIN_READ, 2), "little") for servo in ids) / 1000.0
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int]:
-        """Read temperatures."""
+        """Read the temperatures of the servos, °C by servo number."""
         return {servo: self._ask(servo, TEMP_READ, 1)[0] for servo in ids}
 
     def loaded(self, ids: Collection[int]) -> dict[int, bool]:
-        """Read whether torque is on.
+        """Read whether the torque of each servo is on.
 
-        Unexpectedly off means a brown-out (torque is off after power-up) or the servo's own protection.
+        Torque that is off unexpectedly indicates a brown-out, since it is off after power-up, or the servo's
+        protection.
         """
         return {servo: self._ask(servo, LOAD_READ, 1) != b"\x00" for servo in ids}
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch torque on or off and read it back; all servos are tried before an error is raised."""
+        """Switch the torque on or off and read it back. An error is raised only after all servos have been tried."""
         failure: NoAnswerError | None = None
         for servo in ids:
             try:
@@ -160,16 +165,16 @@ class LxBus:
             raise failure
 
     def stop(self, ids: Collection[int]) -> None:
-        """Stop the servos in their present positions; the command is sent twice, as it cannot be verified."""
+        """Stop the servos in their present positions. The command is sent twice, because it cannot be verified."""
         for servo in (*ids, *ids):
             self._wire.write(frame(servo, MOVE_STOP))
 
     def describe(self) -> str:
-        """Return the kind of bus, and whether it echoes."""
+        """Return the type of the bus, and whether the adapter returns an echo."""
         return "LX servo bus" + {None: "", True: " with echo", False: " without echo"}[self._echo]
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the serial line."""
         self._wire.close()
 
     def _ask(self, servo: int, command: int, size: int) -> bytes:
@@ -187,26 +192,26 @@ class LxBus:
         raise _silence(servo, request, heard_any, echo=self._echo)
 
     def _write_verified(self, servo: int, command: int, params: bytes, read_command: int) -> None:
-        """Write a value and read it back, repeating until both agree."""
+        """Write a value and read it back, and repeat this until both agree."""
         for _ in range(_WRITE_TRIES):
             self._wire.write(frame(servo, command, params))
             if self._ask(servo, read_command, len(params)) == params:
                 return
         raise NoAnswerError(
-            f"arm: servo {servo} answers but does not accept commands; switch the servos' supply off and on, then try again"
+            f"arm: servo {servo} replies but does not accept commands; switch the servos' supply off and on, then try again"
         )
 
 
 def _silence(servo: int, request: bytes, heard: bytes, *, echo: bool | None) -> RigError:
-    """Return an error that describes the kind of missing reply."""
+    """Return an error that describes why a reply is missing."""
     if heard.replace(request, b""):
         return NoAnswerError(
-            f"arm: servo {servo} does not reply, only damaged or foreign bytes come back; check the baud rate and the bus cable,"
-            " and connect long chains of servos as two short ones"
+            f"arm: servo {servo} does not reply, and only damaged or unrelated bytes are received; check the baud rate and the bus"
+            " cable, and connect long chains of servos as two short ones"
         )
     if echo and not heard:
         return NoAnswerError(
-            f"arm: servo {servo} does not reply, and the adapter sends no echo; check the adapter, or echo in the rig file"
+            f"arm: servo {servo} does not reply, and the adapter sends no echo; check the adapter, or set echo to 'no' in the rig file"
         )
     return NoAnswerError(f"arm: servo {servo} does not reply; check the servos' supply, the bus cable and the servo's number")
 

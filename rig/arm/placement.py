@@ -1,6 +1,6 @@
-"""Joint angles for a ring of the plan, and their correction from the markers.
+"""Joint angles for a ring of the scan plan, and their correction from the markers.
 
-Angles are in degrees here, and in radians in the modules below.
+Angles are in degrees in this module, and in radians in the modules it uses.
 """
 
 import numpy as np
@@ -20,20 +20,22 @@ Joints = tuple[float, ...]
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 LEFT_OVER_RAD = 1e-9
 MOST_AZIMUTH_DEG = 15.0
-"""Maximum azimuth about the table's axis, beyond which the camera would no longer face the backlight."""
+"""Maximum azimuth of the camera about the table's axis, deg. At larger azimuths the camera would not face the
+backlight."""
 MOST_CORRECTION_DEG = 25.0
-"""Maximum correction of a joint; larger ones indicate a wrong picture or rig file instead of a calibration error."""
+"""Maximum correction of a joint, deg. Larger corrections indicate a wrong picture or rig file instead of a calibration
+error."""
 ROUNDING_DEG = 1e-6
 MOST_ASIDE_DEG = 0.5
-"""Tolerance of a target direction, within the accuracy of the servos."""
+"""Angular tolerance of a target direction, deg. It is within the accuracy of the servos."""
 UPRIGHT = 1e-3
-"""Minimum sine of the angle from the vertical at which the picture's up direction is defined."""
+"""Minimum sine of the angle between optical axis and vertical for which the picture's up direction is defined."""
 _TESTED = 1001
-"""Number of positions tested between target and shoulder."""
+"""Number of positions between target and shoulder that are tested for reach."""
 
 
 def planned_camera_pose(ring: Ring) -> Array:
-    """Return the planned ``cam_from_rig`` of a ring.
+    """Return the planned transform ``cam_from_rig`` (4, 4) of a ring.
 
     Parameters
     ----------
@@ -51,8 +53,8 @@ def planned_camera_pose(ring: Ring) -> Array:
 def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
     """Return joint angles within the limits for a camera pose, with the elbow as high as possible.
 
-    If five joints cannot reach the orientation (for an arm that is not exactly in front of the table), the camera is
-    rotated about the table's axis until they can, which the rotation of the canister compensates.
+    If five joints cannot reach the orientation (because the arm is not exactly in front of the table), the camera is
+    rotated about the table's axis until they can. The angle of the table compensates this rotation.
 
     Parameters
     ----------
@@ -69,7 +71,7 @@ def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
     Raises
     ------
     UnsafeError
-        If the pose is out of reach or beyond a joint's limit; the message states the numbers.
+        If the pose is out of reach or requires a joint angle beyond its limits; the message states the values.
     """
     part = require_arm(rig)
     arm_from_rig = frames.invert(rig_from_arm(part))
@@ -90,17 +92,17 @@ def compute_joints(rig: RigFile, cam_from_rig: Array) -> Joints:
 
 
 def camera_pose_from_direction(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
-    """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction, rig frame.
+    """Return ``cam_from_rig`` (4, 4) of an upright camera with a given position and viewing direction in the rig frame.
 
     Raises
     ------
     UnsafeError
-        For a direction of length 0, or a vertical one, for which upright is undefined.
+        If the direction has length 0, or is vertical, so that "upright" is undefined.
     """
     forward_ = np.asarray(direction, float)
     right = np.cross(forward_, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < UPRIGHT * np.linalg.norm(forward_) or not np.linalg.norm(forward_) > 0.0:
-        raise UnsafeError("arm: the camera cannot look straight up or down and be upright; give another direction")
+        raise UnsafeError("arm: a camera that points straight up or down cannot be upright; choose another direction")
     forward_, right = forward_ / np.linalg.norm(forward_), right / np.linalg.norm(right)
     rig_from_cam = np.eye(4)
     rig_from_cam[:3, :3] = np.column_stack([right, np.cross(forward_, right), forward_])
@@ -109,22 +111,22 @@ def camera_pose_from_direction(position_mm: tuple[float, float, float], directio
 
 
 def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
-    """Return joint angles for a given position and viewing direction of the camera.
+    """Return the joint angles (deg) for a given position and viewing direction of the camera.
 
-    Five joints can place the camera anywhere in reach, but its optical axis remains in the vertical plane through the
-    base's axis and the camera.
+    Five joints can place the camera anywhere within reach, but its optical axis remains in the vertical plane through
+    the base's axis and the camera.
 
     Parameters
     ----------
     rig : RigFile
         Rig with position and joints of the arm.
     position_mm, direction : tuple of float
-        Centre and optical axis of the camera, rig frame.
+        Centre (mm) and direction of the optical axis of the camera, rig frame.
 
     Raises
     ------
     UnsafeError
-        If the position is out of reach, the direction is not possible there, or a joint would exceed its limits; the
+        If the position is out of reach, the direction is impossible there, or a joint would exceed its limits; the
         message states the nearest possible values.
     """
     part, wanted = require_arm(rig), camera_pose_from_direction(position_mm, direction)
@@ -139,8 +141,8 @@ def compute_joints_from_direction(rig: RigFile, position_mm: tuple[float, float,
         axis = (rig_from_arm(part) @ forward(part.links_mm, joints_rad[0]))[:3, 2]
         near = ", ".join(f"{value:.4f}" for value in axis)
         raise UnsafeError(
-            f"arm: at ({at}) mm five joints cannot reach that direction: it would be {np.rad2deg(branches.left_over_rad):.1f} deg off; "
-            f"the nearest direction is ({near})"
+            f"arm: at ({at}) mm the camera would deviate by {np.rad2deg(branches.left_over_rad):.1f} deg from the requested direction; "
+            f"the nearest direction that the five joints can reach is ({near})"
         )
     excess, joints_deg = _fit_joints(part, joints_rad)
     if excess.min() > ROUNDING_DEG:
@@ -160,25 +162,25 @@ def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
         tried[:3, 3] += share * (shoulder - rig_from_cam[:3, 3])
         if not np.isnan(inverse(part, arm_from_rig @ tried).joints_rad).all():
             return ", ".join(f"{value:.1f}" for value in tried[:3, 3])
-    return "none on the way to the shoulder"
+    return "none between this position and the shoulder"
 
 
 def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
-    """Return corrected joint angles that bring the camera nearer to its target, at any azimuth.
+    """Return corrected joint angles (deg) that bring the camera nearer to its target pose, at any azimuth.
 
-    The correction starts from the pose measured by the markers.
+    The correction starts from the camera pose that was measured with the markers.
 
     Parameters
     ----------
     rig : RigFile
         Rig with position and joints of the arm.
     joints_deg : Joints
-        Joint angles commanded at the measurement.
+        Joint angles that were commanded when the pose was measured.
     cam_from_rig_measured : (4, 4) array
-        Pose measured by the markers.
+        Pose measured with the markers.
     cam_from_rig_wanted : (4, 4) array or None
-        Target pose; None for the thesis's correction, which keeps distance and height and makes the image plane tangent
-        to the canister.
+        Target pose; None for the correction of the thesis, which keeps distance and height and makes the image plane
+        tangent to the canister.
 
     Returns
     -------
@@ -189,7 +191,7 @@ def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Arra
     ------
     UnsafeError
         If no such pose is within reach and limits, or the correction is implausibly large; the message states the
-        numbers.
+        values.
     """
     part = require_arm(rig)
     wanted = tangent_pose(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
@@ -197,32 +199,33 @@ def correct_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Arra
     if not _is_reached(found)[()]:
         left = np.linalg.norm(found.left_over[:3])
         raise UnsafeError(
-            f"arm: {_describe_position(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
+            f"arm: {_describe_position(wanted)} cannot be reached; the nearest position is {left:.1f} mm away. Move the ring or the arm's "
+            "base"
         )
     excess, fitted = _fit_joints(part, found.joints_rad[None], near_deg=joints_deg)
     change = np.abs(fitted[0] - joints_deg)
     if change.max() > MOST_CORRECTION_DEG:
         k = int(change.argmax())
         raise UnsafeError(
-            f"arm: by the markers the {JOINT_NAMES[k]} would have to move from {joints_deg[k]:.1f} to {fitted[0, k]:.1f} deg, more than "
-            f"a correction of {MOST_CORRECTION_DEG:g} deg: check joints, links_mm and position_mm in the rig file"
+            f"arm: the markers require the {JOINT_NAMES[k]} to move from {joints_deg[k]:.1f} to {fitted[0, k]:.1f} deg, more than "
+            f"the maximum correction of {MOST_CORRECTION_DEG:g} deg; check joints, links_mm and position_mm in the rig file"
         )
     if excess[0] > ROUNDING_DEG:
         raise UnsafeError(
-            f"arm: the camera's place cannot be corrected within the joints' limits: {_describe_excess(part, fitted[0])}; move the ring"
+            f"arm: the camera's position cannot be corrected within the joints' limits: {_describe_excess(part, fitted[0])}; move the ring"
         )
     return _clip_joints(part, fitted[0])
 
 
 def require_arm(rig: RigFile) -> ArmPart:
-    """Return the rig's arm; raise an error if it has none."""
+    """Return the arm of the rig; raise an error if the rig file describes none."""
     if rig.arm is None:
         raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
     return rig.arm
 
 
 def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
-    """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera.
+    """Return a camera's distance from the table's axis, height, and tilt below the horizon.
 
     Parameters
     ----------
@@ -240,41 +243,41 @@ def camera_position(cam_from_rig: Array) -> tuple[float, float, float]:
 
 
 def check_limits(part: ArmPart, joints_deg: Joints) -> None:
-    """Raise an error for joint angles beyond the limits."""
+    """Raise an error if a joint angle is beyond its limits."""
     for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
         if not joint.min_deg <= angle <= joint.max_deg:
             raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
 
 
 def _rotate_about_table(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
-    """Return the branches (n, 5) of the target pose, rotated about the table's axis until five joints can reach it."""
+    """Rotate the target pose about the table's axis until it can be reached; return joint angles (n, 5), rad."""
     found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
     met = _is_reached(found)
     left_deg = float(np.rad2deg(branches.left_over_rad))
     if not met.any():
         raise UnsafeError(
-            f"arm: {_describe_position(cam_from_rig)} is {left_deg:.2f} deg from the nearest orientation of five joints; "
-            "place the arm's base in front of the table, upright (position_mm and rotation_deg in the rig file)"
+            f"arm: {_describe_position(cam_from_rig)} is {left_deg:.2f} deg from the nearest orientation that five joints can reach; "
+            "place the arm's base upright in front of the table (position_mm and rotation_deg in the rig file)"
         )
     turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
     if turn_deg > MOST_AZIMUTH_DEG:
         raise UnsafeError(
-            f"arm: for {_describe_position(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, and at most "
-            f"{MOST_AZIMUTH_DEG:g} deg face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
+            f"arm: for {_describe_position(cam_from_rig)} the camera would be {turn_deg:.1f} deg from the rig's x axis, but at more than "
+            f"{MOST_AZIMUTH_DEG:g} deg it does not face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
         )
     return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
 
 
 def _is_reached(found: NewtonSolution) -> NDArray[np.bool_]:
-    """Return whether the targets were reached, and not only approached."""
+    """Return whether each target was reached, as opposed to only approached."""
     left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
     return found.converged & (left < 1.0)
 
 
 def _fit_joints(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
-    """Return joint angles (n, 5) in degrees, and the excess of the worst joint over its limit.
+    """Return the excess of the worst joint over its limits (n,), and the joint angles (n, 5), both in deg.
 
-    Multiples of a full turn are chosen to fit the limits.
+    Multiples of a full turn are added to bring the angles within their limits.
     """
     low, high = _limits_deg(part)
     middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)
@@ -297,7 +300,7 @@ def _refuse_beyond_reach(part: ArmPart, branches: Branches, cam_from_rig: Array)
     _, upper, fore, _ = part.links_mm
     raise UnsafeError(
         f"arm: {_describe_position(cam_from_rig)} is out of reach: the wrist would have to be "
-        f"{branches.wrist_mm:.0f} mm from the shoulder, the links reach "
+        f"{branches.wrist_mm:.0f} mm from the shoulder, but the links permit "
         f"{abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the arm's base"
     )
 
@@ -312,7 +315,7 @@ def _describe_excess(part: ArmPart, joints_deg: Array) -> str:
 
 
 def _describe_position(cam_from_rig: Array) -> str:
-    """Return a description of the camera's position in terms of a ring."""
+    """Return a text with the camera's distance, height, tilt and azimuth."""
     distance_mm, height_mm, tilt_deg = camera_position(cam_from_rig)
     beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
     beside = f", {beside_deg:.1f} deg from the x axis" if abs(beside_deg) > 0.05 else ""

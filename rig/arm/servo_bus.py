@@ -1,4 +1,4 @@
-"""Interface of both servo protocols, with limits of commands and reading with time-outs."""
+"""Common interface of both servo protocols, with limits of commands and reading with timeouts."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Protocol, TypeVar
@@ -10,7 +10,7 @@ HEADER = b"\x55\x55"
 MIN_COUNTS = 0
 MAX_COUNTS = 1000
 MAX_MOVE_S = 30.0
-"""Maximum duration of a move command; longer moves must be divided."""
+"""Maximum duration of a move command, s. Longer moves must be divided."""
 _FLOOD_BYTES = 4096
 _LAST_ID = 253
 
@@ -18,39 +18,42 @@ Found = TypeVar("Found")
 
 
 class ServoBus(Protocol):
-    """Servos by number, positions in counts of 0.24 degrees.
+    """Servos that are addressed by number, with positions in counts of 0.24 deg.
 
     All methods raise `NoAnswerError` when their retries are exhausted.
     """
 
     least_move_s: float
-    """Minimum recommended duration of a move."""
+    """Minimum recommended duration of a move, s."""
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together, each at a uniform speed; return immediately.
+        """Start the moves of all given servos at the same time, each at uniform speed, without waiting for their end.
 
-        Torque is switched on if it was off.
+        The torque is switched on if it was off.
 
         Raises
         ------
         UnsafeError
-            For a position outside 0 to 1000 or a duration outside 0 to 30 s, before anything is sent.
+            If a position is outside 0 to 1000 or the duration outside 0 to 30 s; nothing is sent.
         """
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
-        """Read positions: signed, and possibly beyond 0 to 1000 if a servo was rotated by hand."""
+        """Read the positions of the servos, in counts by servo number.
+
+        They are signed, and can be beyond 0 to 1000 if a servo was rotated by hand.
+        """
 
     def voltage_v(self, ids: Collection[int]) -> float:
-        """Return the lowest supply voltage measured by these servos."""
+        """Return the lowest supply voltage measured by these servos, V."""
 
     def temperatures_c(self, ids: Collection[int]) -> dict[int, int] | None:
-        """Read temperatures; None if the protocol does not report them."""
+        """Read the temperatures of the servos, °C by servo number; None if the protocol does not report them."""
 
     def loaded(self, ids: Collection[int]) -> dict[int, bool] | None:
-        """Read whether torque is on; None if the protocol does not report it."""
+        """Read whether the torque of each servo is on; None if the protocol does not report the torque."""
 
     def load(self, ids: Collection[int], on: bool) -> None:
-        """Switch torque on or off; all servos are tried before an error is raised."""
+        """Switch the torque on or off. An error is raised only after all servos have been tried."""
 
     def stop(self, ids: Collection[int]) -> None:
         """Stop the servos in their present positions, with torque on."""
@@ -59,11 +62,11 @@ class ServoBus(Protocol):
         """Return a short description of the bus."""
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the serial line."""
 
 
 def check_move(targets: Mapping[int, int], duration_s: float) -> None:
-    """Raise an error for a command beyond the limits of the servos."""
+    """Raise an error if a move command is beyond the limits of the servos."""
     if not 0.0 <= duration_s <= MAX_MOVE_S:
         raise UnsafeError(f"arm: a move of {duration_s:g} s is outside 0 to {MAX_MOVE_S:g} s and was not sent; split it")
     for servo, counts in targets.items():
@@ -77,18 +80,18 @@ def check_move(targets: Mapping[int, int], duration_s: float) -> None:
 
 
 def listen(wire: Wire, patience_s: float, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
-    """Collect bytes until ``find`` succeeds or the time is over; return its result and all received bytes.
+    """Collect bytes until ``find`` succeeds or the timeout expires; return its result and all received bytes.
 
-    Reading also ends after a few thousand bytes, so that it returns on a line that never stops sending.
+    Reading also ends after a few thousand bytes, so that the function returns even if the sender never stops.
 
     Parameters
     ----------
     wire : Wire
         Line to read from.
     patience_s : float
-        Time-out.
+        Timeout, s.
     find : callable
-        Function of all bytes received so far; returns None to continue.
+        Function of all bytes received so far; it returns None to continue reading.
 
     Returns
     -------

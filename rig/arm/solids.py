@@ -1,7 +1,7 @@
-"""Convex obstacles of the arm, and distances of links from them.
+"""Convex obstacles of the arm, and distances between the arm's links and obstacles.
 
-The signed distance to a convex body is a convex function, so that its minimum along a straight link is found by a
-golden-section search.
+The signed distance to a convex body is a convex function of position, so that its minimum along a straight link can be
+found by golden-section search.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ import numpy as np
 
 from rhizotwin.scenes.frames import Array
 
-_SEARCH_STEPS = 32  # to 2e-7 of the link's length
+_SEARCH_STEPS = 32  # accuracy 2e-7 of the link's length
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 class Solid(Protocol):
-    """A convex body in the rig frame, with a name for messages."""
+    """Convex body in the rig frame, with a name for messages."""
 
     @property
     def name(self) -> str:
-        """Name of the body."""
+        """Name of the body in messages."""
 
     def distance_mm(self, points_mm: Array) -> Array:
         """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
@@ -28,7 +28,7 @@ class Solid(Protocol):
 
 @dataclass(frozen=True)
 class Cylinder:
-    """An upright cylinder about the table's axis."""
+    """Upright cylinder about the table's axis."""
 
     name: str
     radius_mm: float
@@ -36,7 +36,7 @@ class Cylinder:
     high_mm: float
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...) of points (..., 3)."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
         z = points_mm[..., 2]
         beside = np.hypot(points_mm[..., 0], points_mm[..., 1]) - self.radius_mm
         return _intersection_distance(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
@@ -44,31 +44,31 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Box:
-    """A box with edges along the rig's axes."""
+    """Box with edges parallel to the axes of the rig frame."""
 
     name: str
     low_mm: tuple[float, float, float]
     high_mm: tuple[float, float, float]
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...) of points (..., 3)."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
         return _intersection_distance(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The half-space below a horizontal plane."""
+    """Half-space below a horizontal plane."""
 
     name: str
     z_mm: float
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance (...) of points (..., 3)."""
+        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
         return points_mm[..., 2] - self.z_mm
 
 
 def minimum_distance(solid: Solid, begin: Array, end: Array) -> Array:
-    """Return the minimum signed distance (...,) of segments (..., 3) to a convex solid, by golden-section search.
+    """Return the minimum signed distance (...,) between line segments and a convex solid by golden-section search.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def minimum_distance(solid: Solid, begin: Array, end: Array) -> Array:
 
 
 def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
-    """Return the distance (...,) of points (..., 3) from segments.
+    """Return the distance (...,) between points (..., 3) and line segments.
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
 
 
 def _intersection_distance(outside_mm: Array) -> Array:
-    """Return the signed distance to the intersection of slabs at right angles.
+    """Return the signed distance (...,) from the intersection of perpendicular slabs.
 
-    It follows from the distances (..., k) to each slab.
+    The input is the signed distances (..., k) from the individual slabs.
     """
     return np.linalg.norm(np.maximum(outside_mm, 0.0), axis=-1) + np.minimum(outside_mm.max(axis=-1), 0.0)

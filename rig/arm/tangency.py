@@ -1,7 +1,8 @@
-"""Correction of the camera: image plane tangent to the canister, optical axis through its axis (thesis appendix C.2).
+"""Correction of the camera pose (thesis appendix C.2).
 
-The azimuth of the camera is free, because the table rotates the canister. It is the sixth unknown, which makes six
-equations solvable with five joints; the arm alone would leave an angular error.
+The corrected image plane is tangent to the canister, and the optical axis intersects the canister's axis. The azimuth
+of the camera is free, because the table rotates the canister. As the sixth unknown, it makes six equations solvable
+with five joints. Without it, an angular error would remain.
 """
 
 import numpy as np
@@ -14,9 +15,9 @@ from rhizotwin.scenes.frames import Array
 
 
 def azimuth_rad(cam_from_rig: Array) -> float:
-    """Return the camera's azimuth about the table's axis.
+    """Return the camera's azimuth about the table's axis, rad.
 
-    It is 0 on the rig's +x side, counter-clockwise seen from above.
+    The azimuth is 0 on the rig's +x side, and increases counter-clockwise seen from above.
 
     Parameters
     ----------
@@ -26,16 +27,17 @@ def azimuth_rad(cam_from_rig: Array) -> float:
     Returns
     -------
     float
-        Azimuth from -pi to pi.
+        Azimuth between -pi and pi.
     """
     centre = frames.invert(cam_from_rig)[:3, 3]
     return float(np.arctan2(centre[1], centre[0]))
 
 
 def tangent_pose(cam_from_rig: Array) -> Array:
-    """Return the target pose of the thesis's correction.
+    """Return the target pose of the correction described in the thesis.
 
-    It has the same distance, height and azimuth, but is level, upright and faces the axis.
+    It has the distance, height and azimuth of the given pose, but is level and upright, and its optical axis intersects
+    the table's axis.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ def tangent_pose(cam_from_rig: Array) -> Array:
 
 
 def rotate_to_azimuth(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
-    """Return a pose rotated about the table's axis to the azimuth of another one.
+    """Rotate a pose about the table's axis to the azimuth of a reference pose.
 
     Parameters
     ----------
@@ -82,16 +84,16 @@ def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_
     part : ArmPart
         Arm with its links.
     joints_rad : (5,) float64 array
-        Joint angles commanded at the measurement.
+        Joint angles that were commanded when the pose was measured.
     cam_from_rig_measured : (4, 4) array
-        Pose measured by the markers.
+        Pose measured with the markers.
     cam_from_rig_wanted : (4, 4) array
         Target pose, at any azimuth.
 
     Returns
     -------
     NewtonSolution
-        Joint angles and remaining errors.
+        Joint angles, and the remaining errors of position and orientation.
     """
     believed = forward(part.links_mm, joints_rad)
     arm_from_rig = believed @ cam_from_rig_measured

@@ -1,4 +1,4 @@
-"""Cameras with a common interface: on this Raspberry Pi, on USB, or on another computer."""
+"""Cameras with a common interface: connected to this Raspberry Pi, by USB, or to another computer."""
 
 from rhizotwin.rig.cameras.http import HttpCamera
 from rhizotwin.rig.cameras.pi import PiCamera
@@ -10,7 +10,7 @@ from rhizotwin.rig.rig_file import CameraPart
 
 
 def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock: Clock) -> Camera:
-    """Return the camera described in a rig file; `Camera.prepare` opens it.
+    """Create the camera described in a rig file. It is opened by `Camera.prepare`.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
     Raises
     ------
     RigError
-        If the address is invalid for this kind, or picamera2 is missing.
+        If the address is invalid for this kind of camera, or picamera2 is missing.
     """
     settings = combine_settings(part, image_wh=image_wh, bits=bits)
     if part.kind == "http":
@@ -38,5 +38,5 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
 
 
 def local_camera(part: CameraPart, settings: CameraSettings) -> Camera:
-    """Return a camera that is connected to this computer."""
+    """Create a camera that is connected to this computer."""
     return PiCamera(part.address, settings) if part.kind == "picamera2" else V4l2Camera(part.address, settings)

@@ -1,4 +1,4 @@
-"""Conversion of raw values of a colour sensor to grey, linear in light."""
+"""Conversion of a colour sensor's raw values to grey values that are linear in light."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,9 +6,10 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.picture_codec import Grey
 
 COLOURS = ("R", "Gr", "Gb", "B")
-"""Order of the black levels; Gr is green in the rows of red."""
+"""Order of the black levels. Gr and Gb are the green pixels in red and blue rows."""
 FULL = 0.999
-"""Fraction of ``white`` above which a pixel counts as saturated, as converters saturate slightly earlier."""
+"""Fraction of ``white`` above which a pixel counts as saturated. It is below 1 because converters saturate slightly
+early."""
 
 
 def grey_from_bayer(
@@ -21,33 +22,33 @@ def grey_from_bayer(
     block: int,
     bits: int,
 ) -> Grey:
-    """Average each block of raw pixels, after subtracting the black level and balancing the colours.
+    """Average each block of raw pixels after subtracting the black level and balancing the colours.
 
-    With gains that make a grey surface equal in all colours, the four pixels of a quad have equal weights, so that
-    their mean belongs to the quad's centre, and edges are not displaced or coloured as by interpolation.
+    With gains that make a grey surface equal in all colours, the four pixels of a quad have equal weights. Their mean
+    therefore applies to the quad's centre, and edges are not displaced or coloured as they are by interpolation.
 
     Parameters
     ----------
     raw : (H, W) uint16 array
         Raw values of the sensor.
     order : str
-        Colours of the upper left quad by rows, such as "RGGB".
+        Colours of the upper left quad, row by row, such as "RGGB".
     black : tuple of float
-        Black levels for `COLOURS`.
+        Black levels in the order of `COLOURS`.
     white : float
         Value at which a pixel is saturated.
     colour_gains : tuple of float
-        Factors of red and blue.
+        Gains of red and blue relative to green.
     block : int
-        Side of a block in pixels; even.
+        Side length of a block in pixels (even).
     bits : int
         Bit depth of the result: up to 8 in uint8, more left-aligned in uint16.
 
     Returns
     -------
     ndarray
-        (H / block, W / block) values proportional to light; the raw range above black is full scale. Blocks with a
-        saturated pixel are set to full scale, as their light is unknown.
+        (H / block, W / block) values proportional to light. Full scale corresponds to the raw range above the black
+        level. Blocks with a saturated pixel are set to full scale, because their light is unknown.
     """
     gains = {"R": colour_gains[0], "Gr": 1.0, "Gb": 1.0, "B": colour_gains[1]}
     floors = dict(zip(COLOURS, black, strict=True))

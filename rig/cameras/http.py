@@ -1,4 +1,4 @@
-"""Client of a camera on another computer that runs `rhizotwin camera`, with Python's own HTTP library."""
+"""HTTP client of a camera on another computer that runs `rhizotwin camera`."""
 
 import hashlib
 import http.client
@@ -25,16 +25,17 @@ from rhizotwin.scenes.schema import to_plain
 
 RETRIES = 3
 PAUSE_S = 0.5
-"""Pause between attempts."""
+"""Pause between attempts, s."""
 ANSWER_S = 10.0
-"""Time-out of an answer, in addition to the exposure."""
+"""Timeout for a reply, s, added to the duration of the exposure."""
 OPENING_S = 30.0
-"""Time to open a camera, in addition to some exposures."""
+"""Timeout for opening a camera, s, added to the duration of a few exposures."""
 MAX_TEXT_BYTES = 65536
 MOST_SAID = 500
-"""Maximum length of text from another computer that is shown."""
+"""Maximum number of characters of another computer's text that are displayed."""
 TOLERANCE, TOLERANCE_S = 0.05, 1e-4
-"""Tolerance of exposure and gain; the server's own driver checks them more closely."""
+"""Tolerances of exposure and gain: relative, and absolute for the exposure, s. The driver on the server checks them
+more closely."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,17 +45,17 @@ class _Answer:
 
 
 class _DamagedError(Exception):
-    """An answer that did not arrive completely; the request may be repeated."""
+    """Raised if a reply is incomplete or damaged; the request can be repeated."""
 
 
 class HttpCamera:
     """Client of a `rig.cameras.server.CameraServer`.
 
-    A request is repeated under the same name until its answer is complete.
+    A request is repeated with the same identifier until its reply is complete.
     """
 
     def __init__(self, address: str, settings: CameraSettings, *, clock: Clock) -> None:
-        """Check the address; nothing is sent before `prepare`.
+        """Check the address. Nothing is sent before `prepare`.
 
         Raises
         ------
@@ -69,15 +70,16 @@ class HttpCamera:
         self._said = "not open"
 
     def describe(self) -> str:
-        """Return the server's description of its camera."""
+        """Return a description of the camera, as reported by the server."""
         return f"{self._said}, {self._name.removeprefix('camera ')}" if self._session else f"{self._name}, not open"
 
     def prepare(self) -> None:
-        """Let the server open its camera with these settings, and verify them with a picture."""
+        """Ask the server to open its camera with these settings, and verify them with a picture."""
         greeting = self._json(self._ask("GET", "/describe", None, timeout_s=ANSWER_S))
         if greeting.get("program") != protocol.PROGRAM or greeting.get("protocol") != protocol.PROTOCOL:
             raise RigError(
-                f"{self._name}: the answer is not from a rhizotwin camera of this version; start rhizotwin camera of the same version there"
+                f"{self._name}: the reply is not from a rhizotwin camera of this version; start the same version of rhizotwin camera on "
+                "that computer"
             )
         session = uuid.uuid4().hex
         body = {"session": session, "settings": to_plain(self._settings)}
@@ -87,22 +89,22 @@ class HttpCamera:
         self.capture()
 
     def capture(self) -> Shot:
-        """Take a picture; its exposure begins after this call."""
+        """Take a picture whose exposure begins after this call."""
         if not self._session:
-            raise RigError(f"{self._name}: is not open; prepare it first")
+            raise RigError(f"{self._name}: the camera is not open; open it first")
         picture = uuid.uuid4().hex
         body = {"session": self._session, "picture": picture}
         timeout_s = self._settings.exposure_s + ANSWER_S
         return self._shot(self._ask("POST", "/capture", body, timeout_s=timeout_s, picture=picture))
 
     def close(self) -> None:
-        """End the session on this side; the server keeps its camera open for the next client."""
+        """End the session of this client. The server keeps its camera open for the next client."""
         self._session = ""
 
     def _ask(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str = "") -> _Answer:
-        """Send a request until its answer is complete; answers that report an error are raised immediately."""
+        """Send a request until its reply is complete. A reply that reports an error is raised immediately."""
         reason = ""
-        until_s = time.monotonic() + timeout_s  # one deadline for all attempts, as the lamps remain on
+        until_s = time.monotonic() + timeout_s  # one deadline for all attempts, because the lamps remain on
         attempts = 0
         while attempts <= RETRIES and time.monotonic() < until_s:
             if attempts:
@@ -113,8 +115,8 @@ class HttpCamera:
             except (OSError, ValueError, http.client.HTTPException, _DamagedError) as error:
                 reason = plain_text(str(error) or type(error).__name__)
         raise NoAnswerError(
-            f"{self._name}: no complete answer after {attempts} attempt{'s' if attempts > 1 else ''} in {timeout_s:.3g} s ({reason}); "
-            "check the network, and that rhizotwin camera runs there with --host 0.0.0.0 or behind an ssh tunnel"
+            f"{self._name}: no complete reply after {attempts} attempt{'s' if attempts > 1 else ''} in {timeout_s:.3g} s ({reason}); "
+            "check the network, and that rhizotwin camera runs on that computer with --host 0.0.0.0 or behind an ssh tunnel"
         )
 
     def _exchange(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str) -> _Answer:
@@ -126,7 +128,7 @@ class HttpCamera:
             stack.callback(connection.close)
             stack.callback(late.cancel)
             connection.connect()
-            late.args = [connection.sock]  # which the connection forgets when the answer begins
+            late.args = [connection.sock]  # the connection drops its reference when the reply begins
             headers = {"Content-Type": "application/json", "Connection": "close"}
             connection.request(method, path, body=None if body is None else json.dumps(body), headers=headers)
             response = stack.enter_context(connection.getresponse())
@@ -141,33 +143,34 @@ class HttpCamera:
         return answer
 
     def _read(self, response: http.client.HTTPResponse, most: int) -> bytes:
-        """Read the announced number of bytes, up to a plausible maximum."""
+        """Read the number of bytes that a reply announces, up to a plausible maximum."""
         announced = response.getheader("Content-Length", "")
         if not (announced.isascii() and announced.isdigit()):
-            raise _DamagedError("an answer without its length")
+            raise _DamagedError("the reply does not state its length")
         if len(announced) > 12 or int(announced) > most:
             length = announced if len(announced) <= 12 else f"{announced[:12]}..."
             raise RigError(
-                f"{self._name}: announces an answer of {length} bytes, more than the maximum of {most}; start the same version there"
+                f"{self._name}: the reply has {length} bytes, more than the maximum of {most}; start the same version of rhizotwin camera "
+                "there"
             )
         data = response.read(int(announced))
         if len(data) != int(announced):
-            raise _DamagedError(f"{len(data)} of {announced} bytes arrived")
+            raise _DamagedError(f"only {len(data)} of {announced} bytes were received")
         return data
 
     def _most_bytes(self) -> int:
-        """Return the maximum size of a picture's PNG.
+        """Return the maximum size of a picture's PNG file, in bytes.
 
-        Noise cannot be compressed; each row has one additional byte, and there are headers.
+        Noise cannot be compressed. Each row has one additional byte, and the file has headers.
         """
         width, height = self._settings.image_wh
         return (2 * width + 1) * height * 101 // 100 + MAX_TEXT_BYTES
 
     def _check_whole(self, answer: _Answer, picture: str) -> None:
         if answer.headers.get(protocol.PICTURE) != picture:
-            raise _DamagedError("the answer to another request")
+            raise _DamagedError("the reply is for a different request")
         if answer.headers.get(protocol.SHA256) != hashlib.sha256(answer.data).hexdigest():
-            raise _DamagedError("the picture was damaged on its way")
+            raise _DamagedError("the picture was damaged during transmission")
 
     def _json(self, answer: _Answer) -> dict[str, Any]:
         return _parse(answer.data)
@@ -176,17 +179,18 @@ class HttpCamera:
         try:
             image = decode_grey(answer.data, where=self._name)
         except UserError as error:
-            raise RigError(f"{error}; start the same version of rhizotwin camera there") from error
+            raise RigError(f"{error}; start the same version of rhizotwin camera on that computer") from error
         check_picture(image, self._settings, name=self._name)
         exposure_s = self._number(answer, protocol.EXPOSURE_S)
         gain = self._number(answer, protocol.GAIN)
         wanted = self._settings
         if exposure_s is not None and abs(exposure_s - wanted.exposure_s) > max(TOLERANCE * wanted.exposure_s, TOLERANCE_S):
             raise RigError(
-                f"{self._name}: the exposure was {1000 * exposure_s:g} ms instead of {1000 * wanted.exposure_s:g} ms; correct exposure_s"
+                f"{self._name}: the exposure was {1000 * exposure_s:g} ms instead of {1000 * wanted.exposure_s:g} ms; correct exposure_s "
+                "in the rig file"
             )
         if gain is not None and abs(gain - wanted.gain) > max(TOLERANCE * wanted.gain, 0.5):
-            raise RigError(f"{self._name}: the gain was {gain:g} instead of {wanted.gain:g}; correct gain")
+            raise RigError(f"{self._name}: the gain was {gain:g} instead of {wanted.gain:g}; correct gain in the rig file")
         return Shot(image=image, exposure_s=exposure_s, gain=gain)
 
     def _number(self, answer: _Answer, header: str) -> float | None:
@@ -199,13 +203,14 @@ class HttpCamera:
             number = math.nan
         if not math.isfinite(number):
             raise RigError(
-                f"{self._name}: the header {header} is {text[:40]!r}, not a number; start the same version of rhizotwin camera there"
+                f"{self._name}: the header {header} is {text[:40]!r}, not a number; start the same version of rhizotwin camera on that "
+                "computer"
             )
         return number
 
 
 def plain_text(text: str) -> str:
-    """Return text from another computer without terminal control codes, and shortened."""
+    """Remove terminal control codes from another computer's text, and shorten it."""
     return "".join(letter if letter.isprintable() else " " for letter in text[:MOST_SAID])
 
 
@@ -217,7 +222,7 @@ def _cut_off(connection: http.client.HTTPConnection | socket.socket) -> None:
 
 
 def _host_port(address: str) -> tuple[str, int]:
-    """Split http://host:port."""
+    """Split an address of the form http://host:port into host and port."""
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, parts.port
@@ -225,7 +230,7 @@ def _host_port(address: str) -> tuple[str, int]:
         host, port, parts = None, None, urlsplit("")
     if parts.scheme != "http" or not host or parts.path not in ("", "/") or parts.query or parts.fragment or "@" in parts.netloc:
         raise RigError(
-            f"camera: address {address!r} is not of the form http://HOST:PORT; use that of the computer that runs rhizotwin camera"
+            f"camera: address {address!r} is not of the form http://HOST:PORT; enter the address of the computer that runs rhizotwin camera"
         )
     return host, protocol.DEFAULT_PORT if port is None else port
 
@@ -234,18 +239,18 @@ def _parse(data: bytes) -> dict[str, Any]:
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise _DamagedError("an answer that is not JSON") from error
+        raise _DamagedError("the reply is not JSON") from error
     if not isinstance(value, dict):
-        raise _DamagedError("an answer that is not a JSON object")
+        raise _DamagedError("the reply is not a JSON object")
     return value
 
 
 def _complaint(status: int, data: bytes) -> str:
-    """Return the message of an error answer."""
+    """Return the error message in a reply."""
     try:
         sentence = _parse(data).get("error")
     except _DamagedError:
         sentence = None
     if isinstance(sentence, str):
         return plain_text(sentence)
-    return f"the answer is not from a rhizotwin camera (HTTP status {status}); check the address"
+    return f"the reply is not from a rhizotwin camera (HTTP status {status}); check the address"

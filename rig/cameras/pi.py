@@ -1,11 +1,12 @@
-"""Camera on this Raspberry Pi, by picamera2, which is only imported when the camera is opened.
+"""Camera on this Raspberry Pi, controlled with picamera2, which is imported only when the camera is opened.
 
-Pictures are computed from the sensor's raw values instead of the processed stream. The default processing is neither
-linear nor constant between pictures (contrast stretch, gamma, lens shading, noise reduction, sharpening); a linear
-tuning file can avoid this, but leaves 8 bits, too few for the dark marker strip beside a bright panel. The raw values
-have 12 bits, are linear, and need no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels becomes one grey pixel
-(`rig.cameras.bayer`), so that the HQ camera's 4056x3040 raw pixels give 2028x1520, with the averaged noise of four
-pixels. Pixels are left-aligned in 16 bits; the converter's range above black is full scale.
+Pictures are computed from the sensor's raw values instead of the processed stream. The default processing (contrast
+stretch, gamma, lens shading, noise reduction, sharpening) is neither linear nor constant between pictures. A linear
+tuning file can avoid this but provides only 8 bits, which are too few for the dark marker strip beside a bright panel.
+The raw values have 12 bits, are linear, and need no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels becomes one
+grey pixel (`rig.cameras.bayer`). Thus the 4056x3040 raw pixels of the HQ camera become 2028x1520 pixels, each with the
+averaged noise of four raw pixels. Pixel values are left-aligned in 16 bits, and full scale corresponds to the
+converter's range above the black level.
 """
 
 import importlib
@@ -22,28 +23,32 @@ INSTALL = (
     "sudo apt install python3-picamera2, and a Python that can import it (the system's own, or a venv made with --system-site-packages)"
 )
 TRIES = 8
-"""Maximum number of frames until the settings are effective, more than the delay of a change (buffers + 4)."""
+"""Maximum number of frames until changed settings take effect. It exceeds the delay of a change (number of buffers +
+4)."""
 BUFFERS = 2
 PATIENCE_S = 10.0
-"""Time-out in addition to the exposures of a picture; afterwards the camera counts as stopped."""
+"""Timeout for a picture, s, added to the duration of a few exposures. After it, the camera is considered stopped."""
 
 _TROUBLE = (RuntimeError, OSError, ValueError, IndexError, KeyError, TypeError)
 
 
 class PiCamera:
-    """Camera by picamera2 with all automatic functions off; settings are verified with each picture's metadata."""
+    """Raspberry Pi camera with all automatic functions off.
+
+    The settings are verified with the metadata of each picture.
+    """
 
     def __init__(self, address: str, settings: CameraSettings) -> None:
-        """Find picamera2; the camera is opened by `prepare`.
+        """Import picamera2 without opening the camera; see `prepare`.
 
         Raises
         ------
         RigError
-            If picamera2 cannot be imported, or the address is not a number.
+            If picamera2 cannot be imported, or the address is not a camera number.
         """
         if not (address.isascii() and address.isdigit()):
             raise RigError(
-                f"camera: address {address!r} is not the number of a camera; with kind picamera2 it is 0 for the first, 1 for the second"
+                f"camera: address {address!r} is not a camera number; for kind picamera2 it is 0 for the first camera and 1 for the second"
             )
         self._number = int(address)
         self._name = f"camera {address}"
@@ -54,7 +59,7 @@ class PiCamera:
         self._last_ns = -1
 
     def describe(self) -> str:
-        """Return a description of the sensor and its mode."""
+        """Return a description of the sensor and its readout mode."""
         if self._camera is None or self._mode is None:
             return f"Raspberry Pi {self._name}, not open"
         model = self._camera.camera_properties.get("Model", "unknown sensor")
@@ -75,7 +80,8 @@ class PiCamera:
         except _TROUBLE as error:
             self.close()
             raise RigError(
-                f"{self._name}: cannot be opened ({_reason(error)}); search for it with rpicam-hello --list-cameras, check its cable, and "
+                f"{self._name}: the camera cannot be opened ({_reason(error)}); look for it with rpicam-hello --list-cameras, check its "
+                "cable, and "
                 "stop other programs that use it"
             ) from error
         self.capture()
@@ -83,16 +89,16 @@ class PiCamera:
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call.
 
-        Frames with other settings or from before the call are skipped.
+        Frames with different settings, and frames exposed before the call, are discarded.
         """
         if self._camera is None or self._mode is None:
-            raise RigError(f"{self._name}: is not open; prepare it first")
+            raise RigError(f"{self._name}: the camera is not open; open it first")
         faults: list[str] = []
         for _ in range(TRIES):
             raw, metadata = self._frame()
             faults = metadata_faults(metadata, self._settings)
             if int(metadata.get("SensorTimestamp", 0)) <= self._last_ns:
-                faults.append("the same frame again")
+                faults.append("the frame is the same as before")
             if not faults:
                 self._last_ns = int(metadata.get("SensorTimestamp", 0))
                 stream = self._camera.camera_configuration()["raw"]
@@ -100,12 +106,12 @@ class PiCamera:
                 check_picture(image, self._settings, name=self._name)
                 return Shot(image=image, exposure_s=1e-6 * float(metadata["ExposureTime"]), gain=float(metadata["AnalogueGain"]))
         raise RigError(
-            f"{self._name}: its settings do not hold: {', '.join(faults)}, after {TRIES} frames; choose an exposure and a gain that the "
-            "sensor supports"
+            f"{self._name}: the settings were not applied within {TRIES} frames: {', '.join(faults)}; choose an exposure and a gain that "
+            "the sensor supports"
         )
 
     def close(self) -> None:
-        """Stop and release the camera."""
+        """Stop the camera and release it."""
         camera, self._camera, self._mode, self._last_ns = self._camera, None, None, -1
         if camera is not None:
             with suppress(*_TROUBLE):
@@ -137,9 +143,9 @@ class PiCamera:
         camera.start()
 
     def _frame(self) -> tuple[Any, Mapping[str, Any]]:
-        """Return the raw values and the metadata of one request."""
+        """Return the raw values and the metadata of one frame."""
         try:
-            # drops waiting frames, and the one whose exposure has begun
+            # discards waiting frames, and the frame whose exposure has begun
             request = self._camera.capture_request(wait=4.0 * self._settings.exposure_s + PATIENCE_S, flush=True)
             try:
                 return request.make_array("raw"), request.get_metadata()
@@ -147,13 +153,13 @@ class PiCamera:
                 request.release()
         except TimeoutError as error:
             with suppress(*_TROUBLE):
-                self._camera.cancel_all_and_flush()  # otherwise closing it blocks forever
+                self._camera.cancel_all_and_flush()  # otherwise closing the camera blocks forever
             self.close()
-            raise RigError(f"{self._name}: no longer delivers frames; check its cable, and start the program again") from error
+            raise RigError(f"{self._name}: the camera no longer delivers frames; check its cable, and start the program again") from error
         except _TROUBLE as error:
             self.close()
             raise RigError(
-                f"{self._name}: taking a picture failed ({_reason(error)}); check its cable, and start the program again"
+                f"{self._name}: the camera failed to take a picture ({_reason(error)}); check its cable, and start the program again"
             ) from error
 
 
@@ -170,7 +176,7 @@ def _picamera2(name: str) -> Any:
 
 
 def _check_range(controls: Mapping[str, Any], key: str, value: float, unit: str, name: str) -> None:
-    """Raise an error for a value outside the sensor's range; an upper limit of 0 means no limit."""
+    """Raise an error if a value is outside the sensor's range. An upper limit of 0 means that there is no limit."""
     low, high = controls[key][:2]
     if value < low * (1.0 - RELATIVE) or (high > low and value > high * (1.0 + RELATIVE)):
         raise RigError(
@@ -179,7 +185,7 @@ def _check_range(controls: Mapping[str, Any], key: str, value: float, unit: str,
 
 
 def _reason(error: BaseException) -> str:
-    """Return an error's text with its cause, as picamera2 wraps messages of libcamera."""
+    """Return an error's text together with that of its cause, because picamera2 wraps the messages of libcamera."""
     texts = []
     at: BaseException | None = error
     while at is not None:

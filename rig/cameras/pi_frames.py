@@ -1,4 +1,4 @@
-"""Sensor modes, frame metadata and conversion of frames to pictures for libcamera."""
+"""Sensor modes, frame metadata, and conversion of frames to pictures, for libcamera."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,46 +15,46 @@ from rhizotwin.scenes.picture_codec import Grey
 
 LARGEST_BLOCK = 8
 STEP_US = 50.0
-"""Tolerance of the exposure, more than the time of one row, by whose multiples the sensor exposes."""
+"""Tolerance of the exposure, us. The sensor exposes in multiples of the time of one row, which is shorter."""
 RELATIVE = 0.02
-"""Relative tolerance of exposure and gains, which are quantised."""
+"""Relative tolerance of exposure and gains. The sensor rounds them to discrete steps."""
 _RAW_FORMAT = re.compile(r"S(RGGB|GRBG|GBRG|BGGR)(10|12|14|16)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RawMode:
-    """Mode in which the sensor is read for a picture size."""
+    """Readout mode of the sensor for a picture size."""
 
     size: tuple[int, int]
     bits: int
-    """Bit depth of the converter."""
+    """Bit depth of the analogue-to-digital converter."""
     format: str
-    """libcamera's name of the requested unpacked raw format; the stream may have another."""
+    """Name, in libcamera, of the requested unpacked raw format. The stream may have a different format."""
     block: int
-    """Side of a block of raw pixels that becomes one pixel."""
+    """Side length, in raw pixels, of a block that becomes one pixel of the picture."""
 
 
 def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *, name: str) -> RawMode:
-    """Choose the sensor mode with the highest resolution whose pixels form whole blocks of the required picture.
+    """Choose the sensor mode with the highest resolution that can be divided into blocks for the required picture size.
 
     Parameters
     ----------
     modes : sequence of mapping of object
-        picamera2's ``sensor_modes``.
+        Attribute ``sensor_modes`` of picamera2.
     image_wh : tuple of int
-        Size of the picture.
+        Width and height of the picture in pixels.
     name : str
         Name of the camera, used in messages.
 
     Returns
     -------
     RawMode
-        Size, bit depth and format of the raw pictures, and the size of blocks.
+        Size, bit depth and format of the raw pictures, and the block size.
 
     Raises
     ------
     RigError
-        With the available sizes.
+        If no mode fits the picture size; the message lists the available sizes.
     """
     raw = [mode for mode in modes if "size" in mode and _RAW_FORMAT.fullmatch(str(mode.get("unpacked")))]
     found = [
@@ -66,16 +66,16 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *
     ]
     if not found:
         sizes = sorted({(mode["size"][0] // 2, mode["size"][1] // 2) for mode in raw}, reverse=True)
-        offer = ", ".join(f"{width}x{height}" for width, height in sizes) or "nothing: it has no Bayer colour sensor"
+        offer = ", ".join(f"{width}x{height}" for width, height in sizes) or "none, because the camera has no Bayer colour sensor"
         raise RigError(
-            f"{name}: cannot take pictures of {image_wh[0]}x{image_wh[1]}, only of {offer} (one pixel for 2x2 raw pixels); set image_wh of "
-            "the scene's camera, and calibrate at that size"
+            f"{name}: cannot take pictures of {image_wh[0]}x{image_wh[1]} pixels; available sizes: {offer} (2x2 raw pixels per pixel). "
+            "Set image_wh of the scene's camera to one of them, and calibrate the camera at that size"
         )
     return max(found, key=lambda mode: (mode.size, mode.bits))
 
 
 def metadata_faults(metadata: Mapping[str, Any], settings: CameraSettings) -> list[str]:
-    """Return the differences between a frame's metadata and the settings, with numbers; empty if they agree."""
+    """Return a description of each difference between a frame's metadata and the settings; empty if they agree."""
     exposure_us = 1e6 * settings.exposure_s
     red, blue = settings.colour_gains
     gains = metadata.get("ColourGains") or (None, None)
@@ -84,7 +84,7 @@ def metadata_faults(metadata: Mapping[str, Any], settings: CameraSettings) -> li
         ("AnalogueGain", metadata.get("AnalogueGain"), settings.gain, RELATIVE * settings.gain),
         ("ColourGains red", gains[0], red, RELATIVE * red),
         ("ColourGains blue", gains[1], blue, RELATIVE * blue),
-        # it compensates for the steps of exposure and gain; larger values indicate an automatic function
+        # the digital gain compensates for the steps of exposure and gain; larger values indicate an automatic function
         ("DigitalGain", metadata.get("DigitalGain"), 1.0, 2.0 * RELATIVE + STEP_US / exposure_us),
     ]
     return [
@@ -104,7 +104,7 @@ def grey_of_frame(
     raw : (H, stride) uint8 array
         Bytes of the raw stream.
     stream : mapping of object
-        Configured ``format`` and ``size``.
+        Configuration of the stream, with ``format`` and ``size``.
     metadata : mapping of object
         Metadata of the frame; ``SensorBlackLevels`` are R, Gr, Gb, B in 16 bits for any format.
     mode, settings : RawMode, CameraSettings
@@ -115,23 +115,23 @@ def grey_of_frame(
     Returns
     -------
     (H, W) uint16 array
-        Mean of each block minus its black level, with the bit depth of the settings.
+        Mean of each block minus the black level, with the bit depth of the settings.
 
     Raises
     ------
     RigError
-        For an unknown format, or a missing black level.
+        If the raw format is unknown or the black level missing.
     """
     found = _RAW_FORMAT.fullmatch(str(stream["format"]))
     if found is None or tuple(stream["size"]) != mode.size:
         size = "x".join(str(n) for n in stream["size"])
         raise RigError(
-            f"{name}: delivers raw pixels as {stream['format']} {size} instead of {mode.format} {mode.size[0]}x{mode.size[1]}, the only "
-            "supported format; update python3-picamera2 and libcamera"
+            f"{name}: the camera delivers raw pixels as {stream['format']} {size}, but only {mode.format} "
+            f"{mode.size[0]}x{mode.size[1]} is supported; update python3-picamera2 and libcamera"
         )
     levels = metadata.get("SensorBlackLevels")
     if levels is None or len(levels) != 4:
-        raise RigError(f"{name}: does not report its black level; update python3-picamera2 and libcamera")
+        raise RigError(f"{name}: the camera does not report its black level; update python3-picamera2 and libcamera")
     # Unpacked values are right-aligned in the format's bits: 12 on a Pi 4, and 16 on a Pi 5, where the converter's own
     # bits are the upper ones.
     below = 2 ** (16 - int(found[2]))

@@ -1,12 +1,12 @@
-"""Protocol of the camera server and its client, over HTTP.
+"""HTTP protocol between the camera server and its client.
 
     GET  /describe                                       -> JSON {program, protocol, camera}
     POST /prepare  JSON {session, settings}              -> JSON {camera}
     POST /capture  JSON {session, picture}               -> PNG, headers `SHA256`, `PICTURE`, `EXPOSURE_S`, `GAIN`
     any failure                                          -> JSON {error: one sentence}
 
-The client chooses random names of session and picture, so that a request can be repeated after its answer was lost: a
-session is not prepared twice, and a picture is not taken twice. A session ends when another one begins.
+The client chooses random identifiers of session and picture, so that a request can be repeated after its reply was
+lost: a session is not prepared twice, and a picture is not taken twice. A session ends when the next session begins.
 """
 
 import re
@@ -19,4 +19,4 @@ PICTURE = "Rhizotwin-Picture"
 EXPOSURE_S = "Rhizotwin-Exposure-S"
 GAIN = "Rhizotwin-Gain"
 NAME = re.compile(r"[0-9a-f]{32}")
-"""Names of sessions and pictures."""
+"""Pattern of the identifiers of sessions and pictures."""

@@ -1,4 +1,4 @@
-"""Request handling and input checks of the camera server (see `rig.cameras.protocol`)."""
+"""Request handling and input checks of the camera server (protocol: `rig.cameras.protocol`)."""
 
 import ipaddress
 import json
@@ -23,14 +23,14 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 MAX_BODY_BYTES = 4096
 IDLE_S = 30.0
-"""Time-out of a connection without traffic, and of the arrival of a request."""
+"""Timeout of a connection without traffic, and of receiving a complete request, s."""
 MOST_CONNECTIONS = 16
-"""Maximum number of open connections; a scan uses one."""
+"""Maximum number of open connections. A scan uses one connection."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Prepare:
-    """Body of /prepare."""
+    """Body of the request /prepare."""
 
     session: str
     settings: CameraSettings
@@ -38,7 +38,7 @@ class _Prepare:
 
 @dataclass(frozen=True, kw_only=True)
 class _Capture:
-    """Body of /capture."""
+    """Body of the request /capture."""
 
     session: str
     picture: str
@@ -51,7 +51,7 @@ class _Refusal(Exception):  # noqa: N818 - an answer, not an error of the progra
 
 
 class RequestServer(ThreadingHTTPServer):
-    """Server that answers each request in its own thread."""
+    """HTTP server that handles each request in a separate thread."""
 
     daemon_threads = True
 
@@ -61,30 +61,30 @@ class RequestServer(ThreadingHTTPServer):
         self.say = say
         own = socket.gethostname().lower()
         self.names = {"localhost", own, f"{own}.local", host.lower()} - {""}
-        """Host names of this computer."""
+        """Host names of this computer, in lower case."""
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__((host, port), _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a separate thread up to the maximum number of connections; close further ones immediately."""
+        """Handle a request in a separate thread, or close its connection if too many connections are open."""
         if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
             return
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Free the connection's place when the request is done."""
+        """Handle a request, and release its connection slot when done."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def server_bind(self) -> None:
-        """Bind without resolving this computer's name, which can take long."""
+        """Bind to the address without resolving this computer's name, which can take long."""
         socketserver.TCPServer.server_bind(self)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore clients that disconnected; other errors are bugs."""
+        """Ignore errors caused by a client's disconnection; report all other errors, which are bugs."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -96,14 +96,14 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = IDLE_S
 
     def setup(self) -> None:
-        """Set a deadline for the request, so that a slow sender cannot hold a connection forever."""
+        """Set a deadline for the request, so that a slow sender cannot block a connection forever."""
         super().setup()
         self._late = threading.Timer(IDLE_S, self._cut_off)
         self._late.daemon = True
         self._late.start()
 
     def finish(self) -> None:
-        """Release the connection."""
+        """Cancel the deadline of the request, and release the connection."""
         self._late.cancel()
         super().finish()
 
@@ -112,15 +112,15 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
-        """Answer /describe."""
+        """Handle the request /describe."""
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        """Answer /prepare and /capture."""
+        """Handle the requests /prepare and /capture."""
         self._answer(self._post)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
-        """Log nothing; relevant lines are passed to ``say``."""
+        """Suppress the default log output. Relevant lines are passed to ``say`` instead."""
 
     def _answer(self, act: Callable[[], None]) -> None:
         try:
@@ -137,7 +137,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._late.cancel()
         self._check_host()
         if self.path != "/describe":
-            raise _Refusal(HTTPStatus.NOT_FOUND, "this is a rhizotwin camera; enter its address in the rig file of another computer")
+            raise _Refusal(
+                HTTPStatus.NOT_FOUND,
+                "this is a rhizotwin camera server; enter its address in the rig file of the computer that controls the scan",
+            )
         said = self.server.service.describe()
         self._send_json(HTTPStatus.OK, {"program": protocol.PROGRAM, "protocol": protocol.PROTOCOL, "camera": said})
 
@@ -169,22 +172,22 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, headers, picture.png)
 
     def _body(self) -> bytes:
-        """Read a request's body, even if the request will be rejected.
+        """Read the body of a request, even if the request will be rejected.
 
-        If the connection were closed before, the answer could be lost.
+        If the connection were closed earlier, the reply could be lost.
         """
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
-            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "requests must state their length")
+            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "a request must have a Content-Length header")
         body = self.rfile.read(min(int(length[:9]), 16 * MAX_BODY_BYTES))
         if len(length) > 9 or int(length) > MAX_BODY_BYTES:
-            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"requests may have at most {MAX_BODY_BYTES} bytes")
+            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request must not exceed {MAX_BODY_BYTES} bytes")
         return body
 
     def _parse(self, body: bytes, kind: type[Any]) -> Any:
-        """Check a request's JSON."""
+        """Parse the JSON body of a request as an instance of ``kind``, and validate it."""
         if self.headers.get_content_type() != "application/json":
-            raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "requests must be of type application/json")
+            raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a request must have the content type application/json")
         try:
             return from_plain(kind, json.loads(body), Place("request"))
         except (ValueError, RecursionError) as error:
@@ -193,7 +196,10 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
 
     def _check_host(self) -> None:
-        """Reject requests addressed to another host name, as from a redirected browser; IP addresses are accepted."""
+        """Reject requests addressed to another host name, for example from a redirected browser.
+
+        IP addresses are accepted.
+        """
         try:
             name = (urlsplit(f"//{self.headers.get('Host', '')}").hostname or "").rstrip(".").lower()
         except ValueError:
@@ -205,7 +211,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         raise _Refusal(
             HTTPStatus.FORBIDDEN,
-            f"{name[:80]!r} is not a name of this computer; write its IP address, or its name {socket.gethostname()}, into the rig file",
+            f"{name[:80]!r} is not a name of this computer; enter its IP address or its name {socket.gethostname()} in the rig file",
         )
 
     def _send_json(self, status: HTTPStatus, value: dict[str, Any]) -> None:
@@ -222,4 +228,4 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _check_name(name: str) -> None:
     if protocol.NAME.fullmatch(name) is None:
-        raise _Refusal(HTTPStatus.BAD_REQUEST, "names of sessions and pictures are 32 hexadecimal digits")
+        raise _Refusal(HTTPStatus.BAD_REQUEST, "identifiers of sessions and pictures must be 32 hexadecimal digits")

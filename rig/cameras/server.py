@@ -1,8 +1,8 @@
-"""HTTP server for a camera of this computer (see `rig.cameras.protocol`).
+"""HTTP server for a camera of this computer (protocol: `rig.cameras.protocol`).
 
-It is intended for a laboratory's own network, without passwords. By default it accepts connections from this computer
-only. Web pages in a browser on the same network cannot use it: requests must address this computer by name (no DNS
-rebinding) and contain JSON (no forms of other sites).
+The server is intended for a laboratory's own network and has no passwords. By default it accepts connections from this
+computer only. Web pages in a browser on the same network cannot use it, because requests must address this computer by
+name (which prevents DNS rebinding) and contain JSON (which excludes forms of other sites).
 """
 
 import ipaddress
@@ -31,34 +31,37 @@ def serve_camera(
     port: int = protocol.DEFAULT_PORT,
     say: Callable[[str], None],
 ) -> None:
-    """Serve the camera of a rig file until an exception such as Ctrl-C.
+    """Serve the camera of a rig file until an exception such as KeyboardInterrupt occurs.
 
     The camera is released at the end.
 
     Parameters
     ----------
     part : CameraPart
-        A camera on this computer. Size, bit depth, exposure, gain and white balance are set by the client.
+        Section of the rig file for a camera on this computer. Size, bit depth, exposure, gain and white balance are set
+        by the client.
     image_wh, bits : tuple of int, int
-        Size and bit depth until a client sets them.
+        Size and bit depth of the pictures until a client sets them.
     host, port : str, int
-        Address to listen on; 0.0.0.0 is every network.
+        Address to listen on; 0.0.0.0 listens on all networks.
     say : callable
-        Receives lines for the user at this computer.
+        Function that receives messages for the user of this computer.
 
     Raises
     ------
     RigError
-        For a camera of kind http, a missing picamera2, or an address that is not available.
+        If the camera is of kind http, picamera2 is missing, or the address is not available.
     """
     if part.kind == "http":
-        raise RigError("camera: kind is http in this rig file, but a served camera must be at this computer; set kind to picamera2 or v4l2")
+        raise RigError(
+            "camera: kind is http in this rig file, but the served camera must be connected to this computer; set kind to picamera2 or v4l2"
+        )
     camera = local_camera(part, combine_settings(part, image_wh=image_wh, bits=bits))
     server = CameraServer(camera, host=host, port=port, reopen=lambda settings: local_camera(part, settings), say=say)
     try:
-        say(f"{camera.describe()}; serving it at {server.url}, Ctrl-C stops")
+        say(f"{camera.describe()}; available at {server.url}; press Ctrl-C to stop")
         if not _is_loopback(host):
-            say("everyone on this network can take pictures")
+            say("every computer on this network can take pictures with this camera")
         server.serve_forever()
     finally:
         server.stop()
@@ -76,19 +79,19 @@ class CameraServer:
         reopen: Callable[[CameraSettings], Camera] | None = None,
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Listen for connections; requests are answered after `start` or `serve_forever`.
+        """Listen for connections. Requests are handled only after `start` or `serve_forever`.
 
         Parameters
         ----------
         camera : Camera
-            Camera, not yet open.
+            Camera to serve, not yet open.
         host, port : str, int
-            Address to listen on; port 0 selects a free one.
+            Address to listen on; port 0 selects a free port.
         reopen : callable or None
             Function that creates the camera for a client's settings. Without it the camera keeps its own settings, and
             clients with other settings reject the pictures.
         say : callable
-            Receives a line when a client connects, and for errors.
+            Function that receives a message when a client connects, and for errors.
 
         Raises
         ------
@@ -106,21 +109,21 @@ class CameraServer:
 
     @property
     def url(self) -> str:
-        """Address for the rig file of the other computer."""
+        """Address to be entered in the rig file of the other computer."""
         host = socket.gethostname() if self._host in _EVERYWHERE else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._server.server_address[1]}"
 
     def start(self) -> None:
-        """Answer requests in the background."""
+        """Handle requests in a background thread."""
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="camera server", daemon=True)
         self._thread.start()
 
     def serve_forever(self) -> None:
-        """Answer requests until an exception such as Ctrl-C; then call `stop`."""
+        """Handle requests until an exception such as KeyboardInterrupt occurs. Call `stop` afterwards."""
         self._server.serve_forever()
 
     def stop(self) -> None:
-        """Stop listening and release the camera; can be called repeatedly."""
+        """Stop listening and release the camera. Can be called repeatedly."""
         if self._thread is not None:
             self._server.shutdown()
             self._thread.join()

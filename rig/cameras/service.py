@@ -1,4 +1,4 @@
-"""Camera service without HTTP: one camera, one session at a time, with the last pictures kept."""
+"""Camera service independent of HTTP: one camera, one session at a time, and a cache of the last pictures."""
 
 import hashlib
 import threading
@@ -12,12 +12,12 @@ from rhizotwin.rig.errors import LostError, RigError
 from rhizotwin.scenes.picture_codec import encode_png
 
 KEPT = 4
-"""Number of pictures kept for repeated requests; a client requests one at a time."""
+"""Number of pictures kept for repeated requests. A client requests one picture at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """Encoded picture with its exposure data."""
+    """Encoded picture with its checksum and exposure data."""
 
     png: bytes
     sha256: str
@@ -26,7 +26,7 @@ class Picture:
 
 
 class CameraService:
-    """A camera for several concurrent requests, which are processed sequentially."""
+    """Service that processes concurrent requests to one camera sequentially."""
 
     def __init__(self, camera: Camera, *, reopen: Callable[[CameraSettings], Camera] | None = None) -> None:
         """Create the service for a camera.
@@ -34,7 +34,7 @@ class CameraService:
         Parameters
         ----------
         camera : Camera
-            Camera, not yet open.
+            Camera to serve, not yet open.
         reopen : callable or None
             Function that creates the camera for a session's settings, replacing the previous one. Without it the camera
             keeps its own settings.
@@ -52,7 +52,10 @@ class CameraService:
             return self._camera.describe()
 
     def prepare(self, session: str, settings: CameraSettings) -> str:
-        """Begin a session and open the camera with its settings; repeating it for the same session has no effect."""
+        """Begin a session and open the camera with its settings.
+
+        Repeating the call for the same session has no effect.
+        """
         with self._turn:
             self._refuse_closed()
             if session != self._session:
@@ -66,20 +69,20 @@ class CameraService:
             return self._camera.describe()
 
     def capture(self, session: str, name: str) -> Picture:
-        """Take a picture; a repeated name returns the same picture.
+        """Take a picture. If a picture with this name was already taken, return it again.
 
         Raises
         ------
         LostError
-            If the session is not the current one.
+            If another session has replaced this session.
         RigError
-            If the camera fails; a repeated request then tries again.
+            If the camera fails. In this case the request can be repeated.
         """
         with self._turn:
             self._refuse_closed()
             if not self._session or session != self._session:
                 raise LostError(
-                    "the camera server was started again, or another computer took its camera; start the scan again with --resume"
+                    "the camera server was restarted, or another computer has taken over the camera; finish the scan with --resume"
                 )
             picture = self._pictures.get(name)
             if picture is None:
@@ -89,7 +92,7 @@ class CameraService:
             return picture
 
     def close(self) -> None:
-        """Release the camera after the current request; later requests are rejected."""
+        """Release the camera after the current request. Later requests are rejected."""
         with self._turn:
             self._closed = True
             self._session = ""

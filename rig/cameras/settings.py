@@ -1,4 +1,4 @@
-"""Settings common to all cameras, and tolerances for their verification."""
+"""Settings common to all cameras, and the verification of pictures against them."""
 
 from dataclasses import dataclass
 
@@ -10,11 +10,11 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Fixed settings of a camera, with the limits of the rig and scene files."""
+    """Fixed camera settings, with the same limits as in rig and scene files."""
 
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
     bits: int = bounded(12, 8, 16)
-    """Bit depth: up to 8 in a byte, more left-aligned in 16 bits."""
+    """Bit depth of a pixel. Values of up to 8 bits are stored in one byte, longer ones left-aligned in 16 bits."""
     exposure_s: float = bounded(0.01, 1e-5, 100.0)
     gain: float = bounded(1.0, 0.0, 100.0)
     colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
@@ -22,14 +22,14 @@ class CameraSettings:
 
 
 def combine_settings(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
-    """Combine the camera settings of the rig file with size and bit depth of the scene's camera.
+    """Combine the camera settings of the rig file with the size and bit depth of the scene's camera.
 
     Parameters
     ----------
     part : CameraPart
         Section of the rig file.
     image_wh, bits : tuple of int, int
-        Size and bit depth of the scene's camera.
+        Picture size and bit depth of the scene's camera.
 
     Returns
     -------
@@ -61,17 +61,19 @@ def check_picture(image: Grey, settings: CameraSettings, *, name: str) -> None:
     Raises
     ------
     RigError
-        With both sizes, or both bit depths.
+        If the size or the bit depth differs; the message states both values.
     """
     height, width = image.shape
     if (width, height) != settings.image_wh:
         wanted = f"{settings.image_wh[0]}x{settings.image_wh[1]}"
-        raise RigError(f"{name}: gives pictures of {width}x{height} pixels, not {wanted}; set image_wh of the scene's camera to this size")
+        raise RigError(
+            f"{name}: the pictures have {width}x{height} pixels instead of {wanted}; set image_wh of the scene's camera to this size"
+        )
     stored = 8 * image.dtype.itemsize
     if stored != stored_bits(settings.bits):
-        raise RigError(f"{name}: gives pictures of {stored} bits instead of {settings.bits}; set bits of the scene's camera")
+        raise RigError(f"{name}: the pictures have {stored} bits instead of {settings.bits}; set bits of the scene's camera")
 
 
 def stored_bits(bits: int) -> int:
-    """Return the number of bits of a pixel in a file."""
+    """Return the number of bits with which a pixel is stored in a file."""
     return 8 if bits <= 8 else 16

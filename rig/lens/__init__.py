@@ -1,1 +1,1 @@
-"""Calibration of the camera's lens from pictures of a printed board."""
+"""Camera lens calibration from pictures of a printed board."""

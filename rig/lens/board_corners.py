@@ -1,4 +1,7 @@
-"""Detection of the calibration board: corners are identified by OpenCV, and measured by `rig.lens.saddle_fit`."""
+"""Detection of the calibration board.
+
+OpenCV identifies the corners, and `rig.lens.saddle_fit` measures their positions.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,12 +18,12 @@ from rhizotwin.scenes.picture_reduction import Picture, reduce_picture
 
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
-"""Minimum fraction of the detected corners that must be measurable."""
+"""Minimum fraction of the detected corners whose positions must be measurable for a picture to be used."""
 CLEAR: Final = 0.9
-"""Fraction of the white margin between a corner and the nearest marker that is used in the fit."""
+"""Fraction of the white margin between a corner and the nearest marker that is included in the fit."""
 MOST_BENT: Final = 0.2
-"""Maximum median distance, in squares, of the corners from those of a flat board; beyond it, corners were identified
-wrongly."""
+"""Maximum median distance of the corners from the positions on a flat board, in squares. A larger distance indicates
+that corners were identified wrongly."""
 OTHER_DICTIONARIES: Final = (
     "APRILTAG_36h11",
     "4X4_250",
@@ -35,21 +38,21 @@ OTHER_DICTIONARIES: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class BoardView:
-    """Corners of the board in one picture."""
+    """Board corners in one picture."""
 
     ids: NDArray[np.int64]
-    """(N,) indices into `CharucoBoard.corners_mm`, ascending."""
+    """Indices into `CharucoBoard.corners_mm`, ascending, shape (N,)."""
     corners_px: Array
-    """(N, 2) corners; pixel centres have integer coordinates."""
+    """Corner positions, px, shape (N, 2). Pixel centres have integer coordinates."""
     sigma_px: float
-    """Median standard deviation of a coordinate, from the fits."""
+    """Median standard deviation of a corner coordinate, px, estimated by the fits."""
     blur_px: float
-    """Median standard deviation of the blur, including that of the pixel."""
+    """Median standard deviation of the blur, px, including the pixel's own 0.29 px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoBoard:
-    """Reason why a picture cannot be used."""
+    """Result of a failed detection, with the reason."""
 
     reason: str
 
@@ -62,24 +65,22 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
     image : (H, W) uint8 or uint16 array
         Grey levels.
     board : CharucoBoard
-        The printed board.
+        Dimensions and dictionary of the printed board.
 
     Returns
     -------
     BoardView or NoBoard
-        At least `LEAST_CORNERS` corners, not all in one row; or the reason for a failure.
+        At least `LEAST_CORNERS` corners that are not all in one row, or the reason for the failure.
     """
     ids, start_px, markers = _search(image, board)
     if len(ids) < LEAST_CORNERS:
         return NoBoard(reason=_why_few(image, board, corners=len(ids), markers=markers))
     flat, at_mm = _flat(board, ids, start_px)
     if flat is None:
-        return NoBoard(reason=f"its {len(ids)} corners lie in one row; show more of the board")
+        return NoBoard(reason=f"the {len(ids)} detected corners are in one row; show more of the board")
     near_px = np.median(np.linalg.norm(start_px - _map(flat, at_mm), axis=1))
     if near_px > MOST_BENT * _square_px(board, flat, at_mm):
-        return NoBoard(
-            reason=f"its corners do not lie as on a flat board of {_size(board)} squares; check --squares, and that the board is flat"
-        )
+        return NoBoard(reason=f"the corners do not fit a flat board of {_size(board)} squares; check --squares, and that the board is flat")
     found: dict[int, Saddle] = {}
     for corner, p_px, q_mm in zip(ids.tolist(), start_px, at_mm, strict=True):
         fit = fit_saddle(image, p_px, _sides(board, flat, q_mm))
@@ -87,11 +88,11 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
             found[corner] = fit
     if len(found) < max(LEAST_CORNERS, LEAST_MEASURED * len(ids)):
         return NoBoard(
-            reason=f"only {len(found)} of its {len(ids)} corners can be measured: too blurred, too noisy, or the board too small in it"
+            reason=f"only {len(found)} of {len(ids)} corners can be measured; the picture is too blurred or noisy, or the board too small"
         )
     chosen = np.array(sorted(found))
     if _flat(board, chosen, np.array([found[k].at_px for k in chosen]))[0] is None:
-        return NoBoard(reason=f"its {len(found)} measurable corners lie in one row; show more of the board")
+        return NoBoard(reason=f"the {len(found)} measurable corners are in one row; show more of the board")
     return BoardView(
         ids=chosen,
         corners_px=np.array([found[k].at_px for k in chosen]),
@@ -101,7 +102,7 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
-    """Return ids (N,) and approximate corners (N, 2) in the full picture, and the number of detected markers."""
+    """Return ids (N,) and approximate positions (N, 2), px, of the corners, and the number of detected markers."""
     small, scale = reduce_picture(image)
     parameters = cv2.aruco.CharucoParameters()
     parameters.minMarkers = 1  # one marker beside a corner identifies it; corners are measured later
@@ -122,15 +123,15 @@ def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Arr
 
 
 def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
-    """Scale to 8 bits, clipping only the brightest 0.5 %."""
+    """Scale a picture to 8 bits, clipping only the brightest 0.5 % of the pixels."""
     top = max(float(np.percentile(image[::3, ::3], 99.5)), 1.0)
     return np.asarray(255.0 * np.clip(image.astype(np.float32) / top, 0.0, 1.0) ** power, np.uint8)
 
 
 def _flat(board: CharucoBoard, ids: NDArray[np.int64], corners_px: Array) -> tuple[Array | None, Array]:
-    """Return the homography (3, 3) from board to picture, and the corners (N, 2) on the board.
+    """Return the homography (3, 3) from board to picture, and the corner positions (N, 2) on the board, mm.
 
-    None if the corners are in one row.
+    The homography is None if the corners are in one row.
     """
     at_mm = board.corners_mm[ids, :2]
     if np.linalg.svd(at_mm - at_mm.mean(axis=0), compute_uv=False)[1] < 0.5 * board.square_mm:
@@ -145,14 +146,14 @@ def _map(flat: Array, at_mm: Array) -> Array:
 
 
 def _sides(board: CharucoBoard, flat: Array, at_mm: Array) -> Array:
-    """Return the half sides (2, 2), px, of the area around a corner without markers."""
+    """Return the half-axes (2, 2) of the marker-free area around a corner as columns, px."""
     clear_mm = CLEAR * (board.square_mm - board.marker_mm) / 2.0
     here, right, down = _map(flat, at_mm + clear_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return np.stack([right - here, down - here], axis=1)
 
 
 def _square_px(board: CharucoBoard, flat: Array, at_mm: Array) -> float:
-    """Return the geometric mean of a square's sides in the middle of the visible part."""
+    """Return the geometric mean of a square's side lengths in the middle of the visible part of the board, px."""
     here, right, down = _map(flat, at_mm.mean(axis=0) + board.square_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return float(np.sqrt(np.linalg.norm(right - here) * np.linalg.norm(down - here)))
 
@@ -162,24 +163,24 @@ def _size(board: CharucoBoard) -> str:
 
 
 def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int) -> str:
-    """Return the reason why few corners were found in a picture."""
+    """Return the reason why too few corners were found in a picture."""
     if corners:
-        return f"only {corners} corners of the board are in it, {LEAST_CORNERS} are needed; show more of the board"
+        return f"the picture shows only {corners} corners of the board, but at least {LEAST_CORNERS} are needed; show more of the board"
     if markers >= 3:
         return (
-            f"it shows {markers} markers of {board.dictionary}, but not as they stand on a board of {_size(board)} squares; "
+            f"the picture shows {markers} markers of {board.dictionary}, but not in the arrangement of a board of {_size(board)} squares; "
             "check --squares, and that the board is flat"
         )
     picture = _tone(image, 1.0)
     if _count(np.ascontiguousarray(picture[:, ::-1]), board.dictionary) >= 3:
-        return "it is mirrored: the board is only found in its mirror image"
+        return "the picture is mirrored: the board is found only in its mirror image"
     for name in OTHER_DICTIONARIES:
         if name != board.dictionary and _count(picture, name) >= 3:
-            return f"it shows markers of {name}, the board has {board.dictionary}; show the board alone, or check --dictionary"
-    return "no board was found: too dark, too blurred, too far away, or not there"
+            return f"the picture shows markers of {name} instead of {board.dictionary}; show only the board, or check --dictionary"
+    return "no board was found; it may be too dark, too blurred, too far away, or missing"
 
 
 def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
-    """Return the number of markers of a dictionary in a picture."""
+    """Return the number of detected markers of a dictionary in a picture."""
     ids = cv2.aruco.ArucoDetector(get_dictionary(dictionary)).detectMarkers(picture)[1]
     return 0 if ids is None else len(ids)

@@ -1,4 +1,4 @@
-"""Camera calibration from pictures of the board: selection of pictures, lens, warnings and output files."""
+"""Camera calibration from pictures of the board: selection of pictures, lens fit, warnings and output files."""
 
 import re
 from collections import Counter
@@ -26,40 +26,41 @@ from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
 
 CELLS_WH: Final = (8, 6)
-"""Number of cells into which the picture is divided to measure its coverage by corners."""
+"""Number of columns and rows of cells into which the picture is divided to measure its coverage by corners."""
 ENOUGH_PICTURES: Final = 10
 COVERAGE: Final = (0.15, 0.6)
-"""Fraction of the cells with corners: below the first value the calibration is rejected, below the second a warning is
-issued."""
+"""Minimum fraction of cells with corners: the first value for accepting a calibration, the second for omitting a
+warning."""
 TILT_DEG: Final = (8.0, 20.0)
-"""Maximum tilt of the board relative to the image plane: below the first value the calibration is rejected, below the
-second a warning is issued."""
+"""Minimum of the largest board tilt relative to the image plane, deg: the first value for accepting a calibration, the
+second for omitting a warning."""
 ONE_WAY_DEG: Final = 6.0
-"""Standard deviation of the tilts in the direction of least variation, below which a warning is issued."""
+"""Minimum standard deviation of the tilts in the direction of least variation, deg, below which a warning is issued."""
 MOST_RMS_PX: Final = (3.0, 0.5)
-"""Residual: above the first value the calibration is rejected, above the second a warning is issued."""
+"""Maximum root mean square residual, px: the first value for accepting a calibration, the second for omitting a
+warning."""
 MOST_FOCAL_STD: Final = 0.001
 MOST_BLUR_PX: Final = 3.0
 SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
-"""Maximum rotation and displacement (relative to the distance) of the board between two pictures with the same
-orientation."""
+"""Maximum rotation, deg, and displacement relative to the distance, at which two pictures count as showing the board in
+the same orientation."""
 ENOUGH_WAYS: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A calibrated camera with its input data."""
+    """Calibrated camera, with its input data and the warnings."""
 
     camera: Camera
     board: CharucoBoard
     fit: LensFit
     rejected: dict[str, str]
-    """Pictures that were not used, with the reasons."""
+    """Reason for rejection of each unused picture, by file name."""
     warnings: tuple[str, ...]
     coverage: float
-    """Fraction of the cells of the picture with corners."""
+    """Fraction of the picture's cells that contain corners."""
     tilts_deg: dict[str, float]
-    """Angle between the board and the image plane, by picture."""
+    """Angle between board and image plane, deg, by file name."""
 
 
 def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | None = None) -> Calibration:
@@ -68,25 +69,25 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     Parameters
     ----------
     paths : sequence of path
-        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera, with the same focus and size.
+        Pictures (PNG, JPG or TIFF, 8 or 16 bits) from one camera, with constant focus and size.
     board : CharucoBoard
-        The printed board; the number of squares and the markers must be correct, but its scale does not affect the
+        Printed board. The number of squares and the markers must be correct, whereas the scale does not affect the
         lens.
     monitor : Monitor or None
-        Receives the progress.
+        Receiver of progress reports.
 
     Returns
     -------
     Calibration
-        Lens, fit and warnings.
+        Camera, fit and warnings.
 
     Raises
     ------
     RigError
-        If there are too few pictures, they are too similar, the board is tilted too little or covers too little of the
-        picture, or no lens fits.
+        If there are too few pictures, the pictures are too similar, the board is tilted too little or covers too little
+        of the picture, or no lens model fits.
     UserError
-        For an invalid board.
+        If the board is invalid.
     """
     check_board(board)
     seen: dict[str, BoardView] = {}
@@ -116,7 +117,10 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     for name, (width, height) in sizes.items():
         if (width, height) != image_wh:
             del seen[name]
-            rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; all pictures must have the same size"
+            rejected[name] = (
+                f"the picture has {width}x{height} pixels, but most others {image_wh[0]}x{image_wh[1]}; all pictures must have the same "
+                "size"
+            )
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
     return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
 
@@ -124,30 +128,30 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
 def calibrate_views(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, bits: int = 8, rejected: dict[str, str] | None = None
 ) -> Calibration:
-    """Calibrate a camera from the corners in its pictures.
+    """Calibrate a camera from the corners detected in its pictures.
 
     Parameters
     ----------
     views : dict of BoardView
-        Corners, by picture.
+        Corners by file name.
     board : CharucoBoard
-        The printed board.
+        Dimensions and dictionary of the printed board.
     image_wh : tuple of int
-        Size of the pictures.
+        Width and height of the pictures, px.
     bits : int
         Bit depth of the camera's converter.
     rejected : dict of str or None
-        Pictures that were excluded before, with the reasons.
+        Reason for rejection of each picture excluded before this call, by file name.
 
     Returns
     -------
     Calibration
-        Lens, fit and warnings.
+        Camera, fit and warnings.
 
     Raises
     ------
     RigError
-        See `calibrate`.
+        If the corners are insufficient, see `calibrate`.
     """
     fit = fit_lens(views, board, image_wh)
     made = Calibration(
@@ -164,7 +168,7 @@ def calibrate_views(
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return 1 for each cell of the picture (rows, columns) with corners in it, 0 for the others."""
+    """Return an array (rows, columns) that is 1 for each cell of the picture with corners, and otherwise 0."""
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -182,7 +186,7 @@ def write_calibration(made: Calibration, folder: Path) -> list[Path]:
 
 
 def numbers(made: Calibration) -> dict[str, Any]:
-    """Return all numbers of a calibration as a JSON object."""
+    """Return all numerical results of a calibration as a JSON object."""
     fit = made.fit
     return {
         "program": "rhizotwin calibrate camera",
@@ -219,12 +223,12 @@ def numbers(made: Calibration) -> dict[str, Any]:
 
 
 def model_text(fit: LensFit) -> str:
-    """Return a description of the lens model, and of the terms that were left out."""
+    """Return a text that describes the lens model and the omitted terms."""
     terms = [term for term in TERMS if not any(term in gone.split(", ") for gone in fit.left_out)]
     focal = "one focal length" if "fx / fy" in fit.left_out else "two focal lengths (fx, fy)"
     text = f"{focal}, principal point, {'distortion ' + ' '.join(terms) if terms else 'no distortion'}"
     gone = [term for term in DROPPED if term in fit.left_out]
-    return f"{text}; left out, as the pictures do not support it: {'; '.join(gone)}" if gone else text
+    return f"{text}; terms omitted because the pictures do not support them: {'; '.join(gone)}" if gone else text
 
 
 def _camera_text(made: Calibration) -> str:
@@ -233,23 +237,23 @@ def _camera_text(made: Calibration) -> str:
     head = (
         f"# Fitted to {fit.corners} corners in {len(fit.views)} pictures; residual {fit.rms_px:.3f} px rms. {model_text(fit)}.\n"
         f"# Standard deviations of focal_px and principal_px: {std} px.\n"
-        "# Put this section into the scene file in place of its [camera].\n"
+        "# Replace the section [camera] of the scene file with this section.\n"
     )
     return head + toml_text.dumps({"camera": to_plain(made.camera)})
 
 
 def _none_usable(rejected: dict[str, str], pictures: int) -> str:
     if not rejected:
-        return "there are no pictures to calibrate with; give the folder of pictures of the board"
+        return "there are no pictures for the calibration; specify the folder that contains pictures of the board"
     kinds = {name: re.sub("[0-9]+", "#", reason) for name, reason in rejected.items()}
     kind, count = Counter(kinds.values()).most_common(1)[0]
     name = next(name for name in rejected if kinds[name] == kind)
-    others = f" (the same with {count - 1} others)" if count > 1 else ""
+    others = f" (same reason for {count - 1} other pictures)" if count > 1 else ""
     return f"none of the {pictures} pictures can be used; {name}: {rejected[name]}{others}"
 
 
 def _lowest_bit(value: int) -> int:
-    """Return the number of unused low-order bits of all pictures (4 for 12 bits left-aligned in 16), at most 8."""
+    """Return the number of low-order bits that no picture uses (4 for 12 bits left-aligned in 16), at most 8."""
     return min(8, (value & -value).bit_length() - 1) if value else 8
 
 
@@ -258,7 +262,7 @@ def _tilt_deg(cam_from_board: Array) -> float:
 
 
 def _normal(cam_from_board: Array) -> Array:
-    """Return the board's normal in the camera's frame, pointing away from the camera."""
+    """Return the unit normal (3,) of the board in the camera's frame, pointing away from the camera."""
     return cam_from_board[:3, 2]
 
 
@@ -281,48 +285,57 @@ def _refuse(made: Calibration) -> None:
     fit = made.fit
     if fit.rms_px > MOST_RMS_PX[0]:
         raise RigError(
-            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms, typically below 0.3; was the focus or zoom changed, "
-            "is the board flat, and are --squares right?"
+            f"no lens model fits the pictures: the residual is {fit.rms_px:.1f} px rms, typically below 0.3 px; check that focus and zoom "
+            "were constant, that the board is flat, and that --squares is correct"
         )
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[0]:
         raise RigError(
-            f"the board was hardly tilted, at most {tilt_deg:.0f} degrees: focal length and distance cannot be distinguished; "
+            f"the board was tilted by at most {tilt_deg:.0f} degrees, so that focal length and distance cannot be distinguished; "
             "take pictures with the board tilted by 20 to 45 degrees in all directions"
         )
     if made.coverage < COVERAGE[0]:
         raise RigError(
-            f"the board's corners cover only {made.coverage:.0%} of the field; show the board all over the picture, into its corners"
+            f"the board's corners cover only {made.coverage:.0%} of the picture; show the board in all parts of the picture, including "
+            "its corners"
         )
     if (ways := _ways(fit)) < 3:
-        raise RigError(f"the board was held in {ways} different ways only; take about 20 pictures, each with the board held differently")
+        raise RigError(
+            f"the board was shown in only {ways} different orientations; take about 20 pictures, each with a different orientation of the "
+            "board"
+        )
 
 
 def _warnings(made: Calibration) -> list[str]:
-    """Return one sentence for each cause of a larger uncertainty of the lens."""
+    """Return one sentence for each cause of a larger uncertainty of the lens parameters."""
     fit, said = made.fit, []
     if len(fit.views) < ENOUGH_PICTURES:
-        said.append(f"only {len(fit.views)} pictures were used; take about 20")
+        said.append(f"only {len(fit.views)} pictures were used; take about 20 pictures")
     if (ways := _ways(fit)) < ENOUGH_WAYS:
-        said.append(f"the board was held in {ways} different ways only; hold it differently for each picture")
+        said.append(f"the board was shown in only {ways} different orientations; change the orientation for each picture")
     tilt_deg = max(made.tilts_deg.values())
     if tilt_deg < TILT_DEG[1]:
-        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 for an accurate focal length")
+        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 degrees for an accurate focal length")
     else:
         normals = np.array([_normal(pose) / np.sign(_normal(pose)[2]) for pose in fit.cam_from_board.values()])[:, :2]
         least_deg = float(np.rad2deg(np.linalg.svd(normals, compute_uv=False)[1] / np.sqrt(len(normals))))
         if least_deg < ONE_WAY_DEG:
             said.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
     if made.coverage < COVERAGE[1]:
-        said.append(f"the corners cover {made.coverage:.0%} of the field; distortion is extrapolated elsewhere")
+        said.append(f"the corners cover {made.coverage:.0%} of the picture; the distortion is extrapolated elsewhere")
     if fit.rms_px > MOST_RMS_PX[1]:
-        said.append(f"the residual of {fit.rms_px:.2f} px rms is high; is the board flat, the focus fixed, and nothing moved?")
+        said.append(
+            f"the residual of {fit.rms_px:.2f} px rms is high; check that the board is flat, the focus constant, and the board at rest in "
+            "each picture"
+        )
     focal = fit.focal_std_px[0] / fit.focal_px[0]
     if focal > MOST_FOCAL_STD:
-        said.append(f"the focal length is only known to {focal:.2%} (one standard deviation); take more tilted and closer pictures")
+        said.append(
+            f"the standard deviation of the focal length is {focal:.2%}; take more pictures with a tilted board and from a shorter distance"
+        )
     blur_px = float(np.median([view.blur_px for view in fit.views.values()]))
     if blur_px > MOST_BLUR_PX:
-        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus at the position of the canister, and hold the board still")
+        said.append(f"the pictures are blurred by {blur_px:.1f} px; focus on the position of the canister, and keep the board still")
     if fit.dropped_corners > 0.02 * (fit.corners + fit.dropped_corners):
-        said.append(f"{fit.dropped_corners} corners were far off and were left out; look for glare, dirt or a bent board")
+        said.append(f"{fit.dropped_corners} corners were excluded as outliers; check for glare, dirt or a bent board")
     return said

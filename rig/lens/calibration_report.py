@@ -1,4 +1,4 @@
-"""Report of a calibration as one page: numbers, residuals over the picture, coverage, and each picture."""
+"""One-page report of a calibration: results, residuals over the picture, coverage, and a list of the pictures."""
 
 import base64
 import html
@@ -13,13 +13,13 @@ from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.schema import to_plain
 
-if TYPE_CHECKING:  # loading matplotlib takes long, and a Raspberry Pi calibrates without it
+if TYPE_CHECKING:  # importing matplotlib takes long, and is not needed for calibrating on a Raspberry Pi
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 DPI: Final = 120
 ARROW_SHARE: Final = 0.06
-"""Length of the arrow of a large residual (95 % are smaller), as a fraction of the picture's width."""
+"""Length of the arrow of a large residual (the 95th percentile), as a fraction of the picture's width."""
 STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
@@ -31,14 +31,14 @@ img { max-width: 100%; } figcaption { color: #555; } figure { margin: 1em 0; }
 
 
 def write_report(made: Calibration, folder: Path) -> Path:
-    """Write ``report.html``, self-contained, into a folder, and return its path."""
+    """Write a self-contained ``report.html`` into a folder, and return its path."""
     path = folder / "report.html"
     write_text(path, _page(made))
     return path
 
 
 def draw(made: Calibration) -> "Figure":
-    """Draw the residuals over the picture, its coverage, the distortion and the residuals of every picture."""
+    """Draw the residuals over the picture, the coverage, the distortion, and the residual of each picture."""
     bars = len(made.fit.views)
     drawn = figure(11.0, 8.6 + 0.14 * bars)
     grid = drawn.add_gridspec(3, 2, height_ratios=(4.2, 4.2, 1.0 + 0.16 * bars))
@@ -57,7 +57,7 @@ def _field(axes: "Axes", made: Calibration, title: str) -> None:
 
 
 def _residuals(axes: "Axes", made: Calibration) -> None:
-    """Draw each corner's residual as an enlarged arrow."""
+    """Draw the residual of each corner as an enlarged arrow."""
     corners = np.concatenate([view.corners_px for view in made.fit.views.values()])
     residuals = np.concatenate(list(made.fit.residuals_px.values()))
     large_px = max(float(np.percentile(np.linalg.norm(residuals, axis=1), 95.0)), 1e-9)
@@ -69,7 +69,7 @@ def _residuals(axes: "Axes", made: Calibration) -> None:
 
 
 def _coverage(axes: "Axes", made: Calibration) -> None:
-    """Draw the positions of the corners, over the covered cells of the picture."""
+    """Draw the corner positions over the covered cells of the picture."""
     width, height = made.camera.image_wh
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
     axes.imshow(covered_cells(made.fit, made.camera.image_wh), extent=extent, cmap="Greens", vmin=0.0, vmax=2.5, aspect="equal")
@@ -79,7 +79,7 @@ def _coverage(axes: "Axes", made: Calibration) -> None:
 
 
 def _distortion(axes: "Axes", made: Calibration) -> None:
-    """Draw the displacement of pixels by the lens's distortion."""
+    """Draw the displacement of pixels by the lens distortion."""
     width, height = made.camera.image_wh
     x, y = np.meshgrid(np.linspace(0.0, width - 1.0, 60), np.linspace(0.0, height - 1.0, 45))
     u, v = (x - made.fit.principal_px[0]) / made.fit.focal_px[0], (y - made.fit.principal_px[1]) / made.fit.focal_px[1]
@@ -102,7 +102,7 @@ def _scatter(axes: "Axes", made: Calibration) -> None:
     axes.set(xlim=(-reach_px, reach_px), ylim=(reach_px, -reach_px), aspect="equal", xlabel="x, px", ylabel="y, px")
     axes.axhline(0.0, color="#bbb", linewidth=0.7)
     axes.axvline(0.0, color="#bbb", linewidth=0.7)
-    axes.set_title("residuals by picture: noise is a round cloud", fontsize=10)
+    axes.set_title("residuals by picture; pure noise would appear as a round cloud", fontsize=10)
 
 
 def _pictures(axes: "Axes", made: Calibration) -> None:
@@ -112,7 +112,7 @@ def _pictures(axes: "Axes", made: Calibration) -> None:
     axes.axvline(made.fit.rms_px, color="#a03020", linewidth=1.0)
     axes.set_yticks(range(len(names)), [name[-40:] for name in names], fontsize=7)
     axes.invert_yaxis()
-    axes.set_xlabel("residual of each picture, px rms; the line is that of all pictures", fontsize=9)
+    axes.set_xlabel("residual of each picture, px rms; the line marks the residual of all pictures", fontsize=9)
 
 
 def _rms(made: Calibration, name: str) -> float:
@@ -120,7 +120,7 @@ def _rms(made: Calibration, name: str) -> float:
 
 
 def _page(made: Calibration) -> str:
-    """Return the page as self-contained HTML."""
+    """Return the report as self-contained HTML."""
     warnings = "".join(f'<p class="warning">{html.escape(warning)}</p>' for warning in made.warnings)
     fit = made.fit
     rejected = [["picture", "reason"], *([name, reason] for name, reason in made.rejected.items())]
@@ -134,7 +134,7 @@ def _page(made: Calibration) -> str:
         f"<p>Fitted: {html.escape(model_text(fit))}.</p>"
         f'<h2>Residuals</h2><figure><img alt="residuals, coverage, distortion" src="data:image/png;base64,{picture}"></figure>'
         f"<h2>Pictures used</h2>{_table(used)}"
-        + (f"<h2>Pictures left out</h2>{_table(rejected)}" if made.rejected else "")
+        + (f"<h2>Excluded pictures</h2>{_table(rejected)}" if made.rejected else "")
         + f"<h2>Board</h2>{_table([['key', 'value'], *([key, str(value)] for key, value in to_plain(made.board).items())])}</body></html>\n"
     )
 
@@ -153,7 +153,11 @@ def _lens(made: Calibration) -> list[list[str]]:
         ["", "value", "standard deviation"],
         *shown,
         ["picture, px", f"{made.camera.image_wh[0]} x {made.camera.image_wh[1]}", ""],
-        ["residual, px rms", f"{fit.rms_px:.3f}", f"{fit.corners} corners in {len(fit.views)} pictures; {fit.dropped_corners} left out"],
+        [
+            "residual, px rms",
+            f"{fit.rms_px:.3f}",
+            f"{fit.corners} corners in {len(fit.views)} pictures; {fit.dropped_corners} corners excluded",
+        ],
     ]
 
 

@@ -1,4 +1,7 @@
-"""Fit of a lens to the corners of a flat board in several pictures, with no more terms than the pictures support."""
+"""Fit of a lens model to the corners of a flat board in several pictures.
+
+Terms of the model that the pictures do not support are omitted.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -14,14 +17,15 @@ from rhizotwin.scenes.frames import Array
 
 LEAST_PICTURES: Final = 3
 MOST_RMS_TIMES: Final = 3.0
-"""A picture is excluded if its residual exceeds this many medians, and `MOST_RMS_PX`."""
+"""Minimum residual of an excluded picture, as a multiple of the median of all pictures. The residual must also exceed
+`MOST_RMS_PX`."""
 MOST_RMS_PX: Final = 0.5
 FAR_SIGMAS: Final = 5.0
-"""A corner is excluded if it is farther off than this many standard deviations (robust, of all corners), and `FAR_PX`.
-"""
+"""Minimum residual of an excluded corner, as a multiple of the robust standard deviation of all corners. The residual
+must also exceed `FAR_PX`."""
 FAR_PX: Final = 0.25
 LEAST_LEFT: Final = 6
-"""Minimum number of corners left in a picture."""
+"""Minimum number of corners that must remain in a picture when outliers are excluded."""
 TERMS: Final = ("k1", "k2", "p1", "p2", "k3")
 DROPPED: Final = {
     "k3": cv2.CALIB_FIX_K3,
@@ -30,49 +34,50 @@ DROPPED: Final = {
     "k1": cv2.CALIB_FIX_K1,
     "fx / fy": cv2.CALIB_FIX_ASPECT_RATIO,
 }
-"""Optional terms of the model, with the corresponding flags of OpenCV."""
+"""Optional terms of the lens model, with the OpenCV flags that omit them."""
 BEFORE: Final = {"k2": "k3", "k1": "k2"}
-"""Terms that can only be omitted after a higher one."""
+"""Terms of the distortion that can be omitted only after the given higher term."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LensFit:
-    """A fitted lens."""
+    """Fitted lens model, with standard deviations and residuals."""
 
     focal_px: tuple[float, float]
     focal_std_px: tuple[float, float]
-    """Standard deviations, from the residuals; 0 for values that were not fitted."""
+    """Standard deviations estimated from the residuals, px; 0 for values that were not fitted."""
     principal_px: tuple[float, float]
     principal_std_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
-    """k1, k2, p1, p2, k3 of the OpenCV model; 0 for terms that were not fitted."""
+    """Coefficients k1, k2, p1, p2, k3 of the OpenCV model; 0 for terms that were not fitted."""
     distortion_std: tuple[float, float, float, float, float]
     left_out: tuple[str, ...]
-    """Terms of the model that the pictures do not support: fx / fy (one focal length remains), k3, "p1, p2", k2, k1."""
+    """Terms of the model that the pictures do not support: k3, "p1, p2", k2, k1, or fx / fy (a common focal length is
+    fitted)."""
     full: dict[str, tuple[float, float]]
-    """Value and standard deviation of every distortion term, from the fit with all terms."""
+    """Value and standard deviation of every distortion coefficient, from the fit with all terms."""
     rms_px: float
-    """Root mean square distance between corners and reprojections."""
+    """Root mean square distance between measured and reprojected corners, px."""
     cam_from_board: dict[str, Array]
-    """Pose of the board, by picture."""
+    """Pose of the board in the camera's frame (4x4), by file name."""
     residuals_px: dict[str, Array]
-    """Measured minus reprojected corners (N, 2), by picture."""
+    """Measured minus reprojected corners (N, 2), px, by file name."""
     views: dict[str, BoardView]
-    """Used corners, by picture."""
+    """Corners used in the fit, by file name."""
     dropped_corners: int
-    """Number of corners excluded as outliers."""
+    """Number of corners that were excluded as outliers."""
     rejected: dict[str, str]
-    """Pictures excluded because they are inconsistent with the others, with the reasons."""
+    """Reason for exclusion of each picture that is inconsistent with the other pictures, by file name."""
 
     @property
     def corners(self) -> int:
-        """Number of used corners."""
+        """Number of corners used in the fit."""
         return sum(len(view.ids) for view in self.views.values())
 
 
 @dataclass(frozen=True)
 class _Solution:
-    """Result of OpenCV for one set of terms."""
+    """Result of the OpenCV fit for one set of terms."""
 
     matrix: Array
     distortion: Array
@@ -91,22 +96,22 @@ class _Solution:
 
 
 def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int]) -> LensFit:
-    """Fit focal lengths, principal point and distortion.
+    """Fit focal lengths, principal point and distortion to the corners of all pictures.
 
-    Pictures and corners that are inconsistent with the others are excluded; then terms of the model are omitted as long
-    as this lowers the Bayesian information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
+    Pictures and corners that are inconsistent with all others are excluded. Then terms of the model are omitted as long
+    as this decreases the Bayesian information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
 
     Parameters
     ----------
     views : dict of BoardView
-        Corners, by picture.
+        Corners by file name.
     board, image_wh : CharucoBoard, tuple of int
-        The printed board, and the size of the pictures.
+        Dimensions of the printed board, and width and height of the pictures, px.
 
     Raises
     ------
     RigError
-        If fewer than `LEAST_PICTURES` pictures are usable, or no lens fits them.
+        If fewer than `LEAST_PICTURES` pictures are usable, or no lens model fits the pictures.
     """
     rejected: dict[str, str] = {}
     first = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
@@ -120,8 +125,8 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
         name, rms_px = worst
         others = float(np.median([_rms(r) for r in start.residuals]))
         rejected[name] = (
-            f"its corners deviate from the lens of the other pictures by {rms_px:.2f} px rms (typically {others:.2f} px); "
-            "was the board bent or moving?"
+            f"the corners deviate from the lens model of the other pictures by {rms_px:.2f} px rms (typically {others:.2f} px); "
+            "check that the board is flat and was not moving"
         )
         views = {key: view for key, view in views.items() if key != name}
     full = _solve(views, board, image_wh, flags=0, start=start)
@@ -154,23 +159,23 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
 
 def _check_enough(views: dict[str, BoardView], rejected: dict[str, str]) -> None:
     if len(views) < LEAST_PICTURES:
-        why = f", after {len(rejected)} that do not fit the others were excluded" if rejected else ""
+        why = f", after the exclusion of {len(rejected)} pictures that are inconsistent with the others" if rejected else ""
         raise RigError(
-            f"the lens cannot be fitted: {len(views)} pictures of the board can be used{why}, at least {LEAST_PICTURES} are needed; "
-            "take about 20"
+            f"the lens cannot be fitted: only {len(views)} pictures of the board can be used{why}, but at least {LEAST_PICTURES} are "
+            "needed; take about 20 pictures"
         )
 
 
 def _solve(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, flags: int, start: _Solution | None = None
 ) -> _Solution:
-    """Run the fit of OpenCV."""
+    """Run the OpenCV calibration with a set of flags, and check its result."""
     corners_mm = board.corners_mm.astype(np.float32)
     at_mm = [corners_mm[view.ids] for view in views.values()]
     at_px = [view.corners_px.astype(np.float32) for view in views.values()]
     matrix, distortion = np.eye(3), np.zeros(5)
     if start is None:
-        # unit matrix: OpenCV's initial estimate is more stable with one focal length
+        # The matrix is the identity. OpenCV's initial estimate is more stable with one focal length
         flags |= cv2.CALIB_FIX_ASPECT_RATIO
     else:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
@@ -184,7 +189,7 @@ def _solve(
         )
     except cv2.error as error:
         raise RigError(
-            f"the lens cannot be fitted: OpenCV says {' '.join(str(error).split())[:150]}; "
+            f"the lens cannot be fitted: OpenCV failed with {' '.join(str(error).split())[:150]}; "
             "take pictures with the board tilted in all directions"
         ) from error
     distortion = np.ravel(distortion)[:5]
@@ -207,20 +212,20 @@ def _rms(residuals: Array) -> float:
 
 
 def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, float] | None:
-    """Return the picture that is most inconsistent with the others and its residual; None if all are consistent."""
+    """Return the picture with the largest residual (px) if it is inconsistent with the others, otherwise None."""
     rms = np.array([_rms(r) for r in found.residuals])
     k = int(np.argmax(rms))
     return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None
 
 
 def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, BoardView] | None:
-    """Return the views without the corner with the largest error.
+    """Return the views without the corner that has the largest residual.
 
-    None if no corner is an outlier, or its picture has few others. Corners are removed one at a time, as a wrong corner
-    also displaces the reprojections of its neighbours.
+    The result is None if no corner is an outlier, or if too few corners would remain in the picture. Corners are
+    removed one at a time, because a wrong corner also displaces the reprojections of its neighbours.
     """
     lengths = [np.linalg.norm(r, axis=1) for r in found.residuals]
-    # the median of a Rayleigh distribution
+    # from the median of a Rayleigh distribution
     sigma = float(np.median(np.concatenate(lengths))) / np.sqrt(2.0 * np.log(2.0))
     k = int(np.argmax([float(far.max()) for far in lengths]))
     name, far = list(views)[k], lengths[k]
@@ -234,9 +239,9 @@ def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, B
 def _fewest_terms(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], full: _Solution
 ) -> tuple[_Solution, tuple[str, ...]]:
-    """Omit terms one after another as long as the information criterion decreases.
+    """Omit terms one by one as long as the information criterion decreases; return the last fit and the omitted terms.
 
-    Return the fit and the omitted terms.
+    All fits use the same corners.
     """
     count = 2 * sum(len(view.ids) for view in views.values())
 

@@ -1,7 +1,7 @@
-"""Measurement of chessboard corners, by a least-squares fit of two crossing blurred edges.
+"""Measurement of chessboard corners by a least-squares fit of two crossing blurred edges.
 
-A crossing is symmetric under rotation by half a turn, so that blur and spreading ink do not displace it. The fit uses
-all pixels around it, where OpenCV's cornerSubPix uses gradients only.
+A crossing is symmetric under rotation by 180 deg, so that blur and spreading ink do not displace it. The fit uses all
+pixels around the crossing, whereas cornerSubPix of OpenCV uses only gradients.
 """
 
 from dataclasses import dataclass
@@ -20,22 +20,22 @@ FIRST_BLUR_PX: Final = 0.8
 MOST_STEPS: Final = 20
 ENOUGH_PX: Final = 1e-3
 MOST_SHIFT_PX: Final = 3.0
-"""Maximum distance of a crossing from its start (in addition to half the window); beyond it, another crossing was
-found."""
+"""Maximum distance of the fitted crossing from its approximate position, px. The limit is smaller in small windows. A
+larger distance indicates that a different crossing was found."""
 LEAST_CORRELATION: Final = 0.9
 LEAST_PIXELS: Final = 24
 
 
 @dataclass(frozen=True, kw_only=True)
 class Saddle:
-    """A measured crossing."""
+    """Measured crossing of two edges."""
 
     at_px: Array
-    """(2,) position; pixel centres have integer coordinates."""
+    """Position, px, shape (2,). Pixel centres have integer coordinates."""
     sigma_px: float
-    """Standard deviation of each coordinate, from the residual."""
+    """Standard deviation of each coordinate, px, estimated from the residual."""
     blur_px: float
-    """Standard deviation of the blur, including the pixel's own (0.29)."""
+    """Standard deviation of the blur, px, including the pixel's own 0.29 px."""
 
 
 def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: Array) -> Saddle | None:
@@ -49,15 +49,15 @@ def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: 
     image : (H, W) uint8 or uint16 array
         Grey levels.
     start_px : (2,) float64 array
-        Approximate position, within about two pixels.
+        Approximate position, accurate to about two pixels.
     sides_px : (2, 2) float64 array
-        Columns are vectors along the two edges: pixels ``start_px + sides_px @ (a, b)`` with |a|, |b| < 1 must show
+        Columns are vectors along the two edges. The pixels ``start_px + sides_px @ (a, b)`` with |a|, |b| < 1 must show
         only the crossing.
 
     Returns
     -------
     Saddle or None
-        None if the crossing is at the picture's border, too small, or not recognised.
+        Measured crossing. None if it is at the picture's border, too small, or not recognised.
     """
     longest = float(np.linalg.norm(sides_px, axis=0).max())
     sides_px = sides_px * min(1.0, MOST_REACH_PX / longest)
@@ -83,9 +83,9 @@ def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: 
 
 
 def _gauss_newton(x: Array, y: Array, light: Array, sides_px: Array) -> tuple[Array, float, float, float] | None:
-    """Return the crossing (2,) relative to the start, the blur, its standard deviation and the correlation.
+    """Return the crossing (2,) relative to the start, the blur, the position's standard deviation, and the correlation.
 
-    None if the fit diverges.
+    The result is None if the fit diverges.
     """
     reach = float(np.linalg.norm(sides_px, axis=0).max())
     theta1, theta2 = np.arctan2(sides_px[1], sides_px[0]) + np.pi / 2.0  # each normal is perpendicular to its edge

@@ -1,8 +1,9 @@
-"""Transfer curve of a camera, measured from pictures of a static scene at several exposure times.
+"""Measurement of a camera's transfer curve from pictures of a static scene at several exposure times.
 
-A pixel value v in picture j corresponds to the light ``f(v) = E t_j``, where only the exposure time t changes between
-pictures. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
-piecewise linear between knots, regularised to be smooth, and 0 at full scale. The problem is linear least squares.
+A pixel value v in picture j corresponds to the light ``f(v) = E t_j``, where only the exposure time t differs between
+pictures. With g = ln f, every pixel i yields ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2). The
+function g is piecewise linear between knots, regularised to be smooth, and 0 at full scale. The problem is linear least
+squares.
 """
 
 from collections.abc import Sequence
@@ -20,52 +21,54 @@ from rhizotwin.scenes.transfer import Curve
 
 KNOTS = 65
 PIXELS = 2000
-"""Number of pixels used, distributed over the brightness of the middle picture."""
+"""Number of pixels used in the fit. They are distributed evenly over the brightness ranks of the picture with the
+median exposure."""
 USABLE = 0.02, 0.98
-"""Range of pixel values that are used, as fractions of full scale; outside it they are noisy or clipped."""
+"""Range of pixel values used in the fit, as fractions of full scale. Values outside this range are noisy or clipped."""
 SMOOTH = 2.0
-"""Weight of the second differences of g relative to the equation of a pixel: the noise of a pixel is about 0.01 in g,
+"""Weight of the second differences of g relative to the equation of a pixel. The noise of a pixel is about 0.01 in g,
 and changes of slope between knots are smaller."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 KNOWN = 0.01
-"""Maximum difference from a known curve, up to a common factor (which exposures do not determine), at which a measured
-curve is identified with it."""
+"""Maximum difference between the measured curve and a known curve, up to a common factor, for the measured curve to be
+replaced by the known curve. Exposures do not determine the common factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransferFit:
-    """A measured transfer curve."""
+    """Measured transfer curve, with its residual and range."""
 
     curve: Curve
     residual: float
-    """Root mean square residual, relative to the light."""
+    """Root mean square residual, as a fraction of the light."""
     reached: tuple[float, float]
-    """Lowest and highest pixel value in the pictures, as fractions of full scale; the curve is extrapolated beyond."""
+    """Lowest and highest pixel value in the fit, as fractions of full scale. The curve is extrapolated outside this
+    range."""
 
 
 def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> TransferFit:
-    """Measure the transfer curve of a camera.
+    """Measure the transfer curve of a camera from an exposure series.
 
     Parameters
     ----------
     images : (H, W) sequence of uint8 or uint16 array
-        Stored pictures of one scene, from a static camera.
+        Stored pictures of a static scene from a static camera.
     exposures_s : sequence of float
-        Exposure times of the pictures.
+        Exposure times of the pictures, s.
 
     Raises
     ------
     RigError
-        If there are too few pictures, they are too similar, or are not consistent with one curve.
+        If there are too few pictures or well exposed pixels, or the exposure times are too similar.
     """
     times = np.asarray(exposures_s, np.float64)
     if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():
         raise RigError(
-            f"{len(images)} pictures of {times.min():g} to {times.max():g} s do not determine a curve: take {LEAST_PICTURES} or more, "
-            f"with the longest exposure at least {LEAST_RANGE:g} times the shortest"
+            f"{len(images)} pictures of {times.min():g} to {times.max():g} s do not determine a curve; take at least {LEAST_PICTURES} "
+            f"pictures, with the longest exposure at least {LEAST_RANGE:g} times the shortest"
         )
     if len({image.shape for image in images}) > 1:
-        raise RigError("the pictures differ in size; take them of one scene with one camera")
+        raise RigError("the pictures differ in size; take all pictures of one scene with one camera")
     full = float(np.iinfo(images[0].dtype).max)
     order = np.argsort(images[int(np.argsort(times)[len(times) // 2])], axis=None, kind="stable")
     chosen = order[np.linspace(0, order.size - 1, min(PIXELS, order.size)).astype(np.int64)]
@@ -74,7 +77,8 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
     use &= use.sum(axis=0) >= 2
     if use.sum() < 10 * KNOTS:
         raise RigError(
-            "too few pixels are well exposed (neither dark nor clipped) in two pictures; use a scene with all levels from dark to bright"
+            "too few pixels are well exposed (neither dark nor clipped) in at least two pictures; use a scene with all levels from dark "
+            "to bright"
         )
     g, left = _solve(number, use, times)
     share = np.linspace(0.0, 1.0, KNOTS)
@@ -86,14 +90,14 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
 
 
 def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
-    """Return the maximum difference of two curves (KNOTS,) within `USABLE`, up to a common factor."""
+    """Return the maximum difference of two curves (KNOTS,) within `USABLE`, after scaling to a common factor."""
     inside = np.s_[int(np.ceil(USABLE[0] * KNOTS)) : int(USABLE[1] * KNOTS)]
     factor = float(light[inside] @ known[inside]) / float(known[inside] @ known[inside])
     return float(np.abs(light[inside] - factor * known[inside]).max())
 
 
 def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return g (KNOTS,) and the residual, from pixel values (J, I) and the mask of those to use."""
+    """Return g (KNOTS,) and the residual, from pixel values (J, I) and the mask (J, I) of pixels to use."""
     picture, pixel = np.nonzero(use)
     place = number[use] * (KNOTS - 1)
     low = np.minimum(place.astype(np.int64), KNOTS - 2)

@@ -1,4 +1,4 @@
-"""Reading of exposure series, and output of the measured transfer curve for a scene file."""
+"""Input of exposure series, and output of the measured transfer curve for a scene file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,14 +15,14 @@ _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A
 
 
 def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Grey], list[float]]:
-    """Read pictures and their exposure times, given as comma-separated numbers or read from EXIF.
+    """Read pictures, and their exposure times from a comma-separated list or from EXIF metadata.
 
     Parameters
     ----------
     paths : sequence of Path
         Pictures of one scene with different exposures.
     exposures_s : str or None
-        Comma-separated numbers; None to read EXIF.
+        Comma-separated exposure times, s; None to read EXIF metadata.
 
     Returns
     -------
@@ -32,7 +32,7 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
     Raises
     ------
     UserError
-        For a damaged picture, or exposure times that are missing or not positive.
+        If a picture is damaged, or an exposure time is missing or not positive.
     """
     images = [decode_grey(path.read_bytes(), where=str(path)) for path in paths]
     if exposures_s is None:
@@ -42,17 +42,20 @@ def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Gr
     except ValueError:
         raise UserError(f"--exposures-s {exposures_s}: must be comma-separated numbers, such as 0.002,0.004,0.008") from None
     if len(times) != len(paths) or not all(time > 0.0 for time in times):
-        raise UserError(f"--exposures-s {exposures_s}: {len(times)} times for {len(paths)} pictures; give a positive one for each")
+        raise UserError(
+            f"--exposures-s {exposures_s}: {len(times)} exposure times for {len(paths)} pictures; specify a positive exposure time for "
+            "each picture"
+        )
     return images, times
 
 
 def transfer_text(found: TransferFit, pictures: int) -> str:
-    """Return the lines of a scene file's camera section for a measured curve."""
+    """Return the lines of a scene file's [camera] section that define a measured curve."""
     low, high = found.reached
     head = (
-        f"# Measured in {pictures} exposures, from {low:.2f} to {high:.2f} of full scale.\n"
+        f"# Measured from {pictures} exposures, with pixel values from {low:.2f} to {high:.2f} of full scale.\n"
         f"# Residual {100.0 * found.residual:.1f} % of the light.\n"
-        "# Put these lines into the scene file's [camera].\n"
+        "# Copy these lines to the section [camera] of the scene file.\n"
     )
     if found.curve in (LINEAR, SRGB):
         return head + toml_text.dumps({"transfer": "srgb" if found.curve == SRGB else "linear"})
@@ -66,5 +69,5 @@ def _exif_time(path: Path) -> float:
     except (UnidentifiedImageError, OSError):
         time = None
     if not time or not float(time) > 0.0:
-        raise UserError(f"{path}: its EXIF has no exposure time; give all exposure times with --exposures-s")
+        raise UserError(f"{path}: the EXIF metadata contain no exposure time; specify all exposure times with --exposures-s")
     return float(time)

@@ -1,1 +1,1 @@
-"""Boards and marker strips for printing at true scale."""
+"""Calibration boards and marker strips for printing at true scale."""

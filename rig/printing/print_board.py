@@ -1,4 +1,4 @@
-"""Page with the calibration board."""
+"""Page layout of the calibration board for printing."""
 
 from typing import Final
 
@@ -24,16 +24,16 @@ from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board
 from rhizotwin.scenes.errors import UserError
 
 GAP_MM: Final = 6.0
-"""White margin around the pattern."""
+"""Width of the white margin around the pattern, mm."""
 
 
 def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
-    """Lay out the board on a page, with ruler and square below or beside it.
+    """Lay out the board on a page, with a ruler and a square below or beside it.
 
     Raises
     ------
     UserError
-        If the board does not fit or is invalid.
+        If the board does not fit on the page or is invalid.
     """
     check_board(board)
     notes = [*printing_notes(paper), *_board_notes(board)]
@@ -48,8 +48,8 @@ def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
                 return Page(size_mm=size_mm, parts=tuple(_parts(board, paper, room_mm, notes, beside=beside)), stretch_xy=paper.stretch_xy)
     page = f"{paper.size_mm[0]:g} x {paper.size_mm[1]:g}"
     raise UserError(
-        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {page} mm with its margins and "
-        f"ruler ({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are needed within the margins); use a larger --page, or smaller or fewer squares"
+        f"the board of {wide_mm:g} x {high_mm:g} mm, with its ruler, does not fit on a page of {page} mm "
+        f"({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are needed within the margins); use a larger --page, or smaller or fewer squares"
     )
 
 
@@ -57,7 +57,7 @@ def _board_notes(board: CharucoBoard) -> list[str]:
     columns, rows = board.squares_xy
     return [
         f"ChArUco board, {columns}x{rows} squares of {board.square_mm:g} mm, markers {board.marker_mm:g} mm, {board.dictionary}.",
-        "Glue it to a flat and stiff plate (glass, acrylic), without bubbles.",
+        "Glue this sheet to a flat and stiff plate (glass, acrylic), without bubbles.",
     ]
 
 

@@ -1,4 +1,4 @@
-"""Writing of pages as PDF or SVG vector graphics at true scale."""
+"""Output of pages as PDF or SVG vector graphics at true scale."""
 
 import io
 import re
@@ -12,21 +12,21 @@ from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Strokes, 
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
-if TYPE_CHECKING:  # loading matplotlib takes long, and a Raspberry Pi scans without it
+if TYPE_CHECKING:  # importing matplotlib takes long, and is not needed for scanning on a Raspberry Pi
     from matplotlib.figure import Figure
 
 SUFFIXES: Final = (".pdf", ".svg")
 MM_PER_INCH: Final = 25.4
 POINTS_PER_MM: Final = 72.0 / MM_PER_INCH
 CAPITALS: Final = 0.73
-"""Height of capitals relative to the font size (DejaVu Sans)."""
+"""Height of capital letters relative to the font size (DejaVu Sans)."""
 CREATOR: Final = "rhizotwin"
 
 
 def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
-    """Write pages to one PDF file, or to SVG files.
+    """Write pages to one PDF file, or to one SVG file per page.
 
-    A single page keeps the name, several get ``-1``, ``-2``, ... appended to it.
+    For several SVG files, ``-1``, ``-2``, ... are appended to the file name.
 
     Parameters
     ----------
@@ -40,12 +40,12 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
     Returns
     -------
     list of Path
-        Written files.
+        Paths of the written files.
 
     Raises
     ------
     UserError
-        For another suffix, or an existing file.
+        If the suffix is neither .pdf nor .svg, or a file already exists.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -62,7 +62,7 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
 
 
 def to_figure(page: Page) -> "Figure":
-    """Return a page as a figure of the same size, with 1 mm on paper per unit of its axes."""
+    """Convert a page to a figure of the same size. One unit of the axes corresponds to 1 mm on paper."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import PathPatch
@@ -78,7 +78,7 @@ def to_figure(page: Page) -> "Figure":
         if isinstance(part, Fill | Shape):
             outlines = _corners(part.rectangles_mm) if isinstance(part, Fill) else part.points_mm[None]
             outline = Outline.make_compound_path(*(Outline(np.vstack([o, o[:1]]) * stretch, closed=True) for o in outlines))
-            # a single path avoids seams between neighbours; no snapping to pixels, which would move edges
+            # A single path avoids seams between neighbours. Snapping to pixels would displace edges.
             axes.add_artist(PathPatch(outline, facecolor=str(part.grey), linewidth=0.0, snap=False))
         elif isinstance(part, Strokes):
             if part.lines_mm:
@@ -104,7 +104,7 @@ def _write(axes: Any, part: Text, stretch: Any) -> None:
 
 
 def _corners(rectangles: Any) -> Any:
-    """Return the corners (N, 4, 2) of rectangles (N, 4)."""
+    """Return the corners (N, 4, 2) of rectangles (N, 4) given by left, top, right and bottom."""
     left, top, right, bottom = rectangles.T
     return np.stack(
         [np.stack([left, top], 1), np.stack([right, top], 1), np.stack([right, bottom], 1), np.stack([left, bottom], 1)], axis=1
@@ -112,7 +112,10 @@ def _corners(rectangles: Any) -> Any:
 
 
 def _settings() -> Any:
-    """Return a context with matplotlib's default settings, as a user's might crop the page or change fonts."""
+    """Return a context with the default settings of matplotlib.
+
+    A user's settings might crop the page or change fonts.
+    """
     import matplotlib as mpl
 
     return mpl.rc_context(dict(mpl.rcParamsDefault) | {"svg.hashsalt": CREATOR, "pdf.fonttype": 42})
@@ -139,7 +142,7 @@ def _pdf(pages: Sequence[Page], title: str) -> bytes:
 
 
 def _at_true_scale(pdf: bytes) -> bytes:
-    """Append to a PDF a setting that disables scaling in viewers.
+    """Append a setting to a PDF file that disables scaling in viewers.
 
     The setting is ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update.
     """

@@ -1,4 +1,4 @@
-"""Pages with the marker strip: pieces to be cut out and glued around the net pot."""
+"""Pages with the marker strip, in pieces that are cut out and glued around the net pot."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -29,24 +29,24 @@ from rhizotwin.scenes.markers import black_rectangles, marker_cells
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 TAB_MM: Final = 6.0
-"""Length of the tab at the end of a piece, which is glued under the beginning of the next."""
+"""Length of the tab at the end of a piece, mm. The tab is glued under the beginning of the next piece."""
 ABOVE_MM: Final = 8.0
-"""Space above a piece for its name and cut marks."""
+"""Space above a piece for its name and cut marks, mm."""
 BELOW_MM: Final = 5.0
 MARK_MM: Final = 3.0
 BESIDE_MM: Final = 8.0
-"""Space between the square and the text."""
+"""Space between the square and the text, mm."""
 LABEL_MM: Final = 1.3
-"""Height of the ids on the strip."""
+"""Height of the marker ids printed on the strip, mm."""
 EDGE_MM: Final = 0.4
 QUIET_CELLS: Final = 1.5
-"""White margin between a marker and the ids, in cells of the marker."""
+"""Width of the white margin between a marker and the printed ids, in cells of the marker."""
 CUT_GREY: Final = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """Columns ``first`` (included) to ``last`` (excluded) of the strip."""
+    """Piece of the strip, from column ``first`` (included) to column ``last`` (excluded)."""
 
     number: int
     first: int
@@ -55,45 +55,45 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class FlatStrip:
-    """The unrolled strip."""
+    """Marker strip as it is printed, before it is bent around the net pot."""
 
     strip: MarkerStrip
     net_pot: NetPot
     paper_mm: float
-    """Thickness of the paper. When bent around the pot, its outer side is stretched, while the middle of its thickness
-    keeps its length."""
+    """Thickness of the paper, mm. When the paper is bent around the net pot, its outer side is stretched, while the
+    middle of its thickness keeps its length."""
 
     @property
     def bend(self) -> float:
-        """Ratio of the length on flat paper to that along the outside of the wrapped strip."""
+        """Ratio of a length on flat paper to the same length along the outside of the wrapped strip."""
         return (self.net_pot.outer_radius_mm - self.paper_mm / 2.0) / self.net_pot.outer_radius_mm
 
     @property
     def length_mm(self) -> float:
-        """Circumference, on flat paper."""
+        """Circumference of the strip on flat paper, mm."""
         return 2.0 * np.pi * self.net_pot.outer_radius_mm * self.bend
 
     @property
     def height_mm(self) -> float:
-        """Height from the skirt's lower edge to the net pot's top."""
+        """Height from the skirt's lower edge to the net pot's top, mm."""
         return self.net_pot.top_mm - self.net_pot.skirt_bottom_mm
 
     @property
     def pitch_mm(self) -> float:
-        """Distance between columns."""
+        """Distance between adjacent columns on flat paper, mm."""
         return self.length_mm / self.strip.columns
 
 
 def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Page]:
-    """Lay out the strip on pages, with as few pieces as possible.
+    """Lay out the marker strip on pages, with as few pieces as possible.
 
     Parameters
     ----------
     scene : Scene
-        Scene, whose ``net_pot.outer_radius_mm`` must be the radius of the wrapped paper, at the markers.
+        Scene whose ``net_pot.outer_radius_mm`` is the outer radius of the wrapped paper at the markers.
     paper : Paper
     paper_mm : float
-        Thickness of the paper.
+        Thickness of the paper, mm.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Pa
     Raises
     ------
     UserError
-        If a single column, or the strip's height with the ruler, does not fit on a page.
+        If a page is too narrow for a single column, or too low for the strip and the ruler.
     """
     flat = FlatStrip(strip=scene.strip, net_pot=scene.net_pot, paper_mm=paper_mm)
     notes = [*printing_notes(paper), *_wrapping_notes(flat)]
@@ -121,8 +121,8 @@ def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Pa
     if best is None:
         wide_mm, high_mm = max(flat.pitch_mm + TAB_MM, SQUARE_MM + BESIDE_MM + TEXT_WIDE_MM), flat.height_mm + ABOVE_MM + BELOW_MM + band_mm
         raise UserError(
-            f"a page of {paper.size_mm[0]:g} x {paper.size_mm[1]:g} mm is too small for the strip: within its margins it needs "
-            f"{wide_mm:.0f} x {high_mm:.0f} mm for one piece and the ruler; use a larger --page"
+            f"a page of {paper.size_mm[0]:g} x {paper.size_mm[1]:g} mm is too small for the strip: one piece and the ruler require "
+            f"{wide_mm:.0f} x {high_mm:.0f} mm within the margins; use a larger --page"
         )
     (_, pages), size_mm, pieces, rows = best
     made = []
@@ -133,7 +133,7 @@ def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Pa
 
 
 def _pieces(columns: int, most: int) -> list[Piece]:
-    """Divide the columns evenly into pieces of at most ``most``."""
+    """Divide the columns evenly into pieces of at most ``most`` columns."""
     ends = np.rint(np.linspace(0, columns, -(-columns // most) + 1)).astype(int)
     return [Piece(number=k, first=int(a), last=int(b)) for k, (a, b) in enumerate(pairwise(ends))]
 
@@ -145,7 +145,7 @@ def _wrapping_notes(flat: FlatStrip) -> list[str]:
         "white tab of the previous piece begins; the last tab goes under the first",
         f"piece, which closes at the seam: {flat.length_mm:.1f} mm round, for paper {flat.paper_mm:g} mm thick.",
         "Arrows point up; ids increase to the right. After wrapping, measure across the pot over",
-        f"the paper: it must be {across_mm:.1f} mm. If not, put half of what you measure into",
+        f"the paper: it must be {across_mm:.1f} mm. If not, enter half of the measured value in",
         "the scene as net_pot.outer_radius_mm, and print the strip again.",
     ]
 
@@ -166,7 +166,7 @@ def _page(flat: FlatStrip, paper: Paper, size_mm: tuple[float, float], pieces: l
 
 
 def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
-    """Return one piece with its markers (row 0 at the top), cut marks and tab."""
+    """Return the parts of one piece: markers (row 0 at the top), cut marks and tab."""
     strip, pot = flat.strip, flat.net_pot
     last_of_all = piece.last == strip.columns
     end_mm, bottom_mm = left_mm + (piece.last - piece.first) * flat.pitch_mm, top_mm + flat.height_mm
@@ -207,9 +207,9 @@ def _name(strip: MarkerStrip, piece: Piece) -> str:
 
 
 def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> list[Part]:
-    """Return the outline of a piece and its tab, with cut marks.
+    """Return the outline of a piece and its tab, with cut marks that point to the corners.
 
-    A line marks the beginning of the next piece; the marks lead to the corners.
+    A line across the tab's beginning marks where the next piece begins.
     """
     tab_mm = end_mm + TAB_MM
     grey = {"grey": CUT_GREY}
@@ -229,7 +229,7 @@ def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> lis
 
 
 def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
-    """Return each column's ids, on the strip's upper edge if the markers' quiet zone permits, else above the cut."""
+    """Return each column's marker ids, placed on the strip if the quiet zone permits, otherwise above the cut line."""
     strip = flat.strip
     highest_mm = strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm + strip.marker_mm
     cell_mm = strip.marker_mm / len(marker_cells(strip.dictionary, strip.first_id))
@@ -246,6 +246,6 @@ def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> lis
 
 
 def _arrow(x_mm: float, foot_mm: float, *, high_mm: float = 4.5) -> Shape:
-    """Return an upward arrow with its lower end at ``foot_mm``."""
+    """Return an upward arrow whose lower end is at ``foot_mm``."""
     outline = np.array([[-0.12, 0.0], [-0.12, -0.5], [-0.35, -0.5], [0.0, -1.0], [0.35, -0.5], [0.12, -0.5], [0.12, 0.0]])
     return Shape(points_mm=outline * high_mm + np.array([x_mm, foot_mm]), grey=0.3)

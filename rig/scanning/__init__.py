@@ -1,4 +1,4 @@
-"""Scanning: taking all pictures of a plan, recovery from faults, and safe shutdown.
+"""Scanning: taking all pictures of a plan, recovering from faults, and shutting the rig down safely.
 
-The checks, marker measurements and homing are also used by the commands for the bench.
+The checks, marker measurements and homing are also used by the commands for bench tests.
 """

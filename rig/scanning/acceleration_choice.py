@@ -1,4 +1,4 @@
-"""Choice of the table's acceleration and of the pause before each picture, so that pictures are still soonest."""
+"""Choice of the table's acceleration, and of the pause before each picture, that minimise the time per view."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,41 +10,45 @@ from rhizotwin.rig.scanning.settling_time import MARGIN, WATCH_S, measure_settli
 from rhizotwin.scenes.picture_codec import Grey
 
 GENTLER = (1.0, 0.5, 0.25, 0.125)
-"""Factors of the rig file's acceleration that are tried in turn, as long as a view could be ready sooner. A turn of 9
-degrees at 60 degrees per second squared takes 0.8 s, and at an eighth of it 2.2 s."""
+"""Factors of the rig file's acceleration that are tried in turn, as long as they could shorten the time per view. A
+turn of 9 deg takes 0.8 s at 60 deg/s2, and 2.2 s at an eighth of this acceleration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurnTiming:
-    """Duration of a turn by one view's step, and of the pause after it."""
+    """Duration of a turn between adjacent views, and of the pause after it."""
 
     acceleration_deg_per_s2: float
     turn_s: float
     moves_s: float | None
-    """Time for which the picture moves after the stop; None if it moves until the end of the measurement."""
+    """Time for which the picture moves after the table has stopped, s; None if it is still moving when the measurement
+    ends."""
     rest_s: float
-    """Pause before each picture."""
+    """Pause before each picture, s."""
 
     @property
     def view_s(self) -> float:
-        """Time from the beginning of a turn to its picture; endless motion counts as longest."""
+        """Time from the beginning of a turn to its picture, s.
+
+        A penalty is added if the picture is still moving when the measurement ends.
+        """
         return self.turn_s + self.rest_s + (0.0 if self.moves_s is not None else 1e3)
 
     def text(self) -> str:
-        """Return the result as text."""
+        """Return a description of the result."""
         at = f"at {self.acceleration_deg_per_s2:g} deg/s2"
         if self.moves_s is None:
             return (
-                f"{at} and above the picture still moves {WATCH_S:g} s after a turn: a slower speed_deg_per_s or a gentler "
-                f"acceleration_deg_per_s2 is needed; each picture waits {self.rest_s:.2f} s"
+                f"{at} and above, the picture still moves {WATCH_S:g} s after a turn; "
+                f"reduce speed_deg_per_s or acceleration_deg_per_s2. The pause before each picture is {self.rest_s:.2f} s"
             )
-        return f"{at} the picture moves for {self.moves_s:.2f} s after a turn; each picture waits {self.rest_s:.2f} s"
+        return f"{at} the picture moves for {self.moves_s:.2f} s after a turn; the pause before each picture is {self.rest_s:.2f} s"
 
 
 def choose_acceleration(
     turntable: ScanTurntable, look: Callable[[], Grey], clock: Clock, *, angles_deg: Sequence[float], part: TurntablePart
 ) -> TurnTiming:
-    """Turn by a view's step at several accelerations, measure the motion of the picture, and set the best acceleration.
+    """Measure the picture's motion after turns at several accelerations, and set the best acceleration.
 
     Parameters
     ----------
@@ -55,18 +59,18 @@ def choose_acceleration(
     clock : Clock
         Clock for waiting times.
     angles_deg : (N,) float
-        Angles of the next views, two or more; each trial turns from one to the next.
+        Table angles of at least two successive views. Each trial turns from one angle to the next.
     part : TurntablePart
-        Section of the rig file with the highest acceleration and the minimum pause.
+        Section of the rig file with the maximum acceleration and the minimum pause.
 
     Returns
     -------
     TurnTiming
-        Result with the shortest time from the beginning of a turn to its picture.
+        Trial with the shortest time from the beginning of a turn to its picture.
     """
     turntable.accelerate(part.acceleration_deg_per_s2)
     turntable.turn(angles_deg[0])
-    clock.sleep(WATCH_S)  # so that no trial is affected by a previous turn
+    clock.sleep(WATCH_S)  # so that the first trial is not affected by this turn
     best: TurnTiming | None = None
     for share, angle_deg in zip(GENTLER, angles_deg[1:], strict=False):
         tried = share * part.acceleration_deg_per_s2
@@ -82,6 +86,6 @@ def choose_acceleration(
         if turn_s + part.settle_s >= best.view_s:  # lower accelerations take even longer
             break
     if best is None:
-        raise ValueError(f"{angles_deg=} but expected two or more")
+        raise ValueError(f"{angles_deg=} but at least two angles are required")
     turntable.accelerate(best.acceleration_deg_per_s2)
     return best

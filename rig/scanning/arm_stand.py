@@ -1,6 +1,7 @@
-"""The arm as the camera's stand during a scan.
+"""Arm as the camera's stand during a scan.
 
-It is placed for each ring on checked paths, corrected by the markers, and monitored while it is static.
+For each ring, the arm is placed on paths without collisions, corrected using the markers, and monitored while it is at
+rest.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,21 +25,24 @@ from rhizotwin.scenes.model import Ring, Scene
 from rhizotwin.scenes.plan import visible_markers
 
 NEAR_MM, NEAR_DEG = 3.0, 0.6
-"""Errors of the camera's position and orientation below which no correction is made, about the repeatability of the
-servos; the exact pose is calibrated from the pictures."""
+"""Errors of the camera's position, mm, and orientation, deg, below which no correction is made. They are about the
+repeatability of the servos. The exact pose is calibrated later from the pictures."""
 FAR_MM, FAR_DEG = 80.0, 20.0
-"""Errors that indicate a wrong rig file, so that collision checks of the arm's paths were not valid."""
+"""Errors of the camera's position, mm, and orientation, deg, that indicate a wrong rig file, so that the collision
+checks of the arm's paths were invalid."""
 FAIR_MM, FAIR_DEG = 8.0, 2.0
-"""Errors that are accepted after `CORRECTIONS` corrections, beyond which an arm with backlash does not improve."""
+"""Errors of the camera's position, mm, and orientation, deg, that are accepted after `CORRECTIONS` corrections, because
+further corrections of an arm with backlash do not reduce them."""
 CORRECTIONS, MOST_CORRECTIONS = 4, 8
 WRIST = 3
-"""Index of the joint that tilts the camera; smaller angles point higher."""
+"""Index of the joint that tilts the camera. Smaller angles point higher."""
 SEARCH_DEG = (-5.0, 5.0, -10.0, 10.0)
-"""Changes of the camera's tilt in the search for the strip; up first, since the strip is at the top of most pictures.
-"""
+"""Changes of the camera's tilt in the search for the strip, deg, in order. The search begins upwards, because the strip
+is at the top of most pictures."""
 LEAST_EXPECTED = 4
 DRIFT_DEG = 1.5
-"""Change of a joint beyond which it was pushed, or gave way, during a ring."""
+"""Maximum change of a joint angle during a ring, deg. A larger change indicates that the joint was pushed or gave
+way."""
 HEALTH_EVERY_S = 20.0
 
 Joints = tuple[float, ...]
@@ -46,16 +50,16 @@ Joints = tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class ArmPlacement:
-    """Position of the arm for a ring."""
+    """Joint angles of the arm for a ring."""
 
     joints_deg: Joints
-    """Commanded joint angles."""
+    """Commanded joint angles, deg."""
     joints_read_deg: Joints
-    """Measured joint angles when the arm had come to rest."""
+    """Joint angles measured after the arm had come to rest, deg."""
 
 
 class ArmStand:
-    """The arm as the camera's stand."""
+    """Camera stand that moves the camera with the robot arm."""
 
     def __init__(
         self, devices: Devices, arm: Arm, part: ArmPart, scene: Scene, camera: ScanCamera, *, note: Callable[[str, str], None]
@@ -70,10 +74,10 @@ class ArmStand:
         self._placed: ArmPlacement | None = None
         self._health_due_s = -np.inf
         self.failed = False
-        """Whether the arm itself failed, so that it must not be moved."""
+        """Whether the arm has failed, so that it must not be moved."""
 
     def refuse(self, rings: Sequence[Ring]) -> None:
-        """Reject a plan with a ring that the arm cannot reach on a clear path, before any motion."""
+        """Raise an error, before any motion, if the arm cannot reach every ring of a plan on a clear path."""
         at: Joints = self._part.park_deg
         for ring in rings:
             goal = compute_joints(self._rig, planned_camera_pose(ring))
@@ -82,14 +86,17 @@ class ArmStand:
         plan_path(self._rig, self._scene, at, self._part.park_deg)
 
     def place(self, ring: Ring) -> None:
-        """Move the camera to the position of a ring, according to the joints."""
+        """Move the camera to the position of a ring, computed from the joint angles alone."""
         goal = compute_joints(self._rig, planned_camera_pose(ring))
         with self._note_failure():
             start = self._arm.read_joints()
         self._move(plan_path(self._rig, self._scene, start, goal))
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
-        """Take a picture; if the strip should be in it but is not, tilt the camera up and down until it is."""
+        """Take a picture, and tilt the camera up and down until the strip is visible, if it should be.
+
+        Return the last picture and the measurement of the strip, or None.
+        """
         shot, seen = self._camera.look()
         expected = visible_markers(self._scene, planned_camera_pose(ring))
         if seen is not None or self._placed is None or not self._part.correct or expected < LEAST_EXPECTED:
@@ -105,26 +112,26 @@ class ArmStand:
         return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the camera's position by the detected strip.
+        """Correct the camera's position using the measured pose of the marker strip.
 
         Parameters
         ----------
         ring : Ring
             Ring with the target position.
         seen : Sighting or None
-            Present measurement of the strip; None if it cannot be read.
+            Present measurement of the strip; None if the strip cannot be read.
         angle_deg : callable
-            Function that returns the table's angle.
+            Function that returns the present table angle, deg.
 
         Returns
         -------
         Sighting
-            Measurement of the strip from the final position.
+            Measurement of the strip from the final position; None if the strip cannot be read.
 
         Raises
         ------
         UnsafeError
-            If the distance from the position according to the joints indicates a wrong rig file.
+            If measured and computed camera poses differ so much that the rig file must be wrong.
         """
         wanted = planned_camera_pose(ring)
         done = 0
@@ -134,30 +141,34 @@ class ArmStand:
             off_mm, off_deg = frames.pose_error(measured @ frames.rotation_z(azimuth_rad(measured)), wanted)
             if off_mm > FAR_MM or off_deg > FAR_DEG:
                 raise UnsafeError(
-                    f"arm: by the markers the camera is {off_mm:.0f} mm and {off_deg:.0f} deg from its position according to the joints; "
-                    "check zero_counts, sign, links_mm and position_mm in the rig file"
+                    f"arm: according to the markers, the camera is {off_mm:.0f} mm and {off_deg:.0f} deg away from the pose computed from "
+                    "the "
+                    "joints; check zero_counts, sign, links_mm and position_mm in the rig file"
                 )
             near = off_mm <= NEAR_MM and off_deg <= NEAR_DEG
             fair = off_mm <= FAIR_MM and off_deg <= FAIR_DEG
             enough = not self._part.correct or near or done == MOST_CORRECTIONS or (fair and done >= CORRECTIONS)
             if enough or not self._improve(measured, wanted):
                 plural = "" if done == 1 else "s"
-                self._note("placed", f"arm: camera {off_mm:.1f} mm and {off_deg:.2f} deg from its target after {done} correction{plural}")
+                self._note(
+                    "placed",
+                    f"arm: the camera is {off_mm:.1f} mm and {off_deg:.2f} deg away from its target after {done} correction{plural}",
+                )
                 return seen
             done += 1
             _, seen = self.search(ring)
-        self._note("placed", "arm: camera placed by the joints alone: the strip cannot be read from there")
+        self._note("placed", "arm: the camera's position was not corrected, because the strip cannot be read from there")
         return None
 
     def joints(self) -> tuple[Joints | None, Joints | None]:
-        """Return the commanded and the present joint angles, after the camera was placed.
+        """Return the commanded and the measured joint angles, deg; None for both if the camera was not placed yet.
 
         Raises
         ------
         LostError
             If the torque of a joint was switched off.
         UnsafeError
-            If a joint was pushed away, a servo is too warm, or the voltage is out of range.
+            If a joint was pushed away, a servo is too warm, or the supply voltage is out of range.
         """
         placed = self._placed
         if placed is None:
@@ -165,7 +176,7 @@ class ArmStand:
         with self._note_failure():
             if not self._arm.holds():
                 raise LostError(
-                    "arm: a servo lost its torque: its supply voltage dropped or it became too warm; "
+                    "arm: a servo has lost its torque because its supply voltage dropped or it became too warm; "
                     "correct this, then finish the scan with --resume"
                 )
             read = self._arm.read_joints()
@@ -177,13 +188,13 @@ class ArmStand:
             k = int(drift.argmax())
             self.failed = True
             raise UnsafeError(
-                f"arm: joint {k + 1} went from {placed.joints_read_deg[k]:.1f} to {read[k]:.1f} deg while it should be static; "
-                "find out what pushes it, then finish the scan with --resume"
+                f"arm: joint {k + 1} moved from {placed.joints_read_deg[k]:.1f} to {read[k]:.1f} deg although it should be at rest; "
+                "find out what pushed it, then finish the scan with --resume"
             )
         return placed.joints_deg, read
 
     def _improve(self, measured: Array, wanted: Array) -> bool:
-        """Move to an improved camera position; return False if there is none."""
+        """Move the camera to a corrected position; return False if no correction is possible."""
         if self._placed is None:
             return False
         try:
@@ -197,7 +208,7 @@ class ArmStand:
         return self._move_if_clear(goal)
 
     def _move_if_clear(self, goal: Joints) -> bool:
-        """Move directly to a nearby configuration; return False, without motion, if the path is not clear."""
+        """Move directly to a nearby configuration. If the path is not clear, return False without any motion."""
         try:
             here = self._placed.joints_read_deg if self._placed is not None else self._arm.read_joints()
             check_limits(self._part, goal)

@@ -1,4 +1,4 @@
-"""One picture before a scan, to see which canister is on the table."""
+"""One picture before a scan, from which the canister on the table is identified."""
 
 from rhizotwin.rig import bands
 from rhizotwin.rig.open import Devices
@@ -14,26 +14,26 @@ from rhizotwin.scenes.picture_codec import Grey
 
 
 def take_first_look(devices: Devices, scene: Scene, observers: Observers) -> Grey:
-    """Light the canister, place the camera for the first ring, and take one picture; the rig is left safe.
+    """Light the canister, place the camera for the first ring, and take one picture. The rig is left in a safe state.
 
     Parameters
     ----------
     devices : Devices
-        Open; they stay open.
+        Open devices, which remain open.
     scene : Scene
-        Rig and plan; the numbers of its strip do not matter.
+        Scene with rig and plan. The marker ids of its strip are not used.
     observers : Observers
-        Receives the lines, and is asked where there is no arm.
+        Receiver of messages. For a rig without an arm, it also asks the user to place the camera.
 
     Returns
     -------
     (H, W) uint8 or uint16 array
-        The picture.
+        Picture of the canister.
 
     Raises
     ------
     RigError
-        When a device fails.
+        If a device fails.
     """
 
     def note(_: str, text: str) -> None:

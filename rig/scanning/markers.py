@@ -1,6 +1,6 @@
-"""Camera pose from the marker strip in one picture.
+"""Camera pose from the marker strip in a single picture.
 
-This is the only module of the rig that uses the reconstruction.
+This is the only module of the package rig that uses the reconstruction.
 """
 
 from dataclasses import dataclass, field
@@ -16,65 +16,70 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
 WORST_PX = 3.0
-"""Reprojection error beyond which the markers are inconsistent with the scene's strip and camera."""
+"""Maximum reprojection error, px. At larger errors, the markers are inconsistent with the scene's strip and camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sighting:
-    """Measurement of the strip in one picture."""
+    """Camera pose and markers measured in one picture of the strip."""
 
     cam_from_canister: Array
-    """(4, 4) pose, OpenCV axes."""
+    """Camera pose (4, 4) relative to the canister, with OpenCV axes of the camera."""
     markers: int
     reprojection_px: float
     corners_px: Array = field(default_factory=lambda: np.zeros((0, 4, 2)))
-    """(M, 4, 2) corners of the markers."""
+    """Corners of the markers, px, shape (M, 4, 2)."""
     blur_px: float | None = None
-    """Median standard deviation of the markers' blur, including the pixel's own (0.29)."""
+    """Median standard deviation of the blur of the markers, px, including the pixel's own 0.29 px."""
 
     @property
     def azimuth_deg(self) -> float:
-        """Azimuth of the camera about the canister's axis, from the strip's seam, counter-clockwise seen from above."""
+        """Azimuth of the camera about the canister's axis, deg.
+
+        The azimuth is 0 at the strip's seam, and increases counter-clockwise seen from above.
+        """
         x, y, _ = frames.invert(self.cam_from_canister)[:3, 3]
         return float(np.rad2deg(np.arctan2(y, x)))
 
     def cam_from_rig(self, table_deg: float, *, direction: int) -> Array:
-        """Return ``cam_from_rig`` (4, 4) for a known table angle."""
+        """Return ``cam_from_rig`` (4, 4) for a known table angle (deg) and direction of rotation (1 or -1)."""
         return self.cam_from_canister @ frames.rotation_z(-direction * np.deg2rad(table_deg))
 
 
 def read_strip(image: Grey, scene: Scene) -> Sighting | None:
-    """Compute the camera's pose from the markers in one picture.
+    """Measure the camera's pose from the markers in one picture.
 
-    Return None if the strip cannot be read (`unread_reason` returns the reason).
+    The result is None if the strip cannot be read; `unread_reason` returns the reason.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        Picture of the size of the scene's camera.
+        Picture with the size of the scene's camera.
     scene : Scene
-        Strip, net pot and camera with its calibrated lens.
+        Scene with strip, net pot and calibrated camera.
     """
     found = _read(image, scene)
     return found if isinstance(found, Sighting) else None
 
 
 def read_ids(image: Grey, strip: MarkerStrip) -> tuple[int, ...]:
-    """Return the ids of all markers of a strip's dictionary in one picture, also those of other strips, ascending.
+    """Return the ids of all markers in a picture that are in the strip's dictionary, ascending.
+
+    Markers of other strips with the same dictionary are included.
 
     Parameters
     ----------
     image : (H, W) uint8 or uint16 array
-        The picture.
+        Picture to search.
     strip : MarkerStrip
-        Its dictionary is searched; its ids do not matter.
+        Strip with the dictionary. Its range of ids is not used.
     """
     found = detect_markers(image, strip, measure=False)
     return tuple(sorted({*(int(one) for one in found.ids), *found.foreign}))
 
 
 def unread_reason(image: Grey, scene: Scene) -> str:
-    """Return the reason why the strip in a picture cannot be read; empty if it can."""
+    """Return the reason why the strip in a picture cannot be read, or an empty text if it can be read."""
     found = _read(image, scene)
     return found if isinstance(found, str) else ""
 
@@ -83,12 +88,14 @@ def _read(image: Grey, scene: Scene) -> Sighting | str:
     markers = detect_markers(image, scene.strip)
     count = len(markers.ids)
     if count < LEAST_MARKERS:
-        return markers.diagnosis or f"only {count} markers were found, at least {LEAST_MARKERS} are needed"
+        return markers.diagnosis or f"only {count} markers were found, but at least {LEAST_MARKERS} are needed"
     seen = sightings(markers, scene)
     pose = single_view(seen)
     reprojection_px = np.inf if pose is None else linearise(seen, pose).rms_px
     if pose is None or not reprojection_px < WORST_PX:
-        return f"{count} markers do not fit the scene's strip and lens: check the strip's sizes and the camera in the scene file"
+        return (
+            f"{count} markers do not fit the strip and camera of the scene; check the strip's dimensions and the camera in the scene file"
+        )
     return Sighting(
         cam_from_canister=pose,
         markers=count,

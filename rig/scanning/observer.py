@@ -1,4 +1,4 @@
-"""Observer of a scan, which receives the contents of every picture, and can pause or end the scan."""
+"""Observer of a scan, which is notified of every picture and can pause or end the scan."""
 
 from dataclasses import dataclass
 
@@ -10,42 +10,42 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """A picture of the scan and the measurements on it."""
+    """Picture of a scan, with the measurements made on it."""
 
     frame: Frame
     image: Grey
-    """(H, W) uint8 or uint16."""
+    """Picture as (H, W) uint8 or uint16 array."""
     exposure: Exposure
     sighting: Sighting | None
-    """Measurement of the strip; None if it cannot be read."""
+    """Measurement of the strip; None if the strip cannot be read."""
     motion: float | None
-    """Fraction of the picture's blocks that changed after the stop (`rig.scanning.picture_change`); None if it was not
-    measured."""
+    """Fraction of the picture's blocks that changed after the table had stopped (`rig.scanning.picture_change`); None
+    if it was not measured."""
 
 
 class Observer:
-    """An observer without any action; subclasses override methods, which are called from several threads."""
+    """Observer without any action. Subclasses override its methods, which are called from several threads."""
 
     watches_motion = False
-    """Whether a second picture is taken at every stop and compared with the first; it costs an exposure and is not
-    kept."""
+    """Whether to take a second picture at every stop and compare it with the first. It costs an exposure and is not
+    stored."""
 
     def on_plan(self, total: int, done: int) -> None:
-        """Receive the number of pictures of the plan, and of those that an earlier run took."""
+        """Handle the number of pictures in the plan, and the number already taken by an earlier run."""
 
     def on_look(self, look: Look) -> None:
-        """Receive the measurements on a picture, while the next one is being taken."""
+        """Handle a picture and its measurements, while the next picture is being taken."""
 
     def on_drop(self, files: list[str]) -> None:
-        """Receive the names of removed pictures."""
+        """Handle the removal of pictures, given their file names."""
 
     def on_line(self, text: str) -> None:
-        """Receive a line for the user."""
+        """Handle a message for the user."""
 
     def holds(self) -> bool:
-        """Return whether the scan must wait before its next picture; called until the scan may continue.
+        """Return whether the scan must wait before its next picture. The scan calls this method until it returns False.
 
-        A call takes at most about a second, so that the rig is monitored in between. Raise `KeyboardInterrupt` to end
-        the scan as Ctrl-C does.
+        A call should take at most about a second, so that the rig is monitored in between. Raise `KeyboardInterrupt` to
+        end the scan in the same way as Ctrl-C.
         """
         return False

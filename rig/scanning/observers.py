@@ -1,4 +1,4 @@
-"""Observers of a scan, and callbacks to the user."""
+"""Set of a scan's observers and user callbacks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,18 +14,18 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class Observers:
-    """Observers and callbacks of a scan."""
+    """Observers of a scan, and callbacks for its user."""
 
     ask: Ask | None = None
-    """Asks the user a question; None if there is no user."""
+    """Function that asks the user a question; None if there is no user."""
     say: Say = tqdm.write
-    """Receives lines for the user."""
+    """Function that receives messages for the user."""
     observer: Observer = field(default_factory=Observer)
-    """Receives the contents of every picture, and can pause the scan."""
+    """Observer that is notified of every picture, and can pause the scan."""
     monitor: Monitor = field(default_factory=Monitor)
-    """Receives the progress of the scan."""
+    """Receiver of progress reports."""
     identify: Callable[[Grey], object] = lambda _: None
-    """Called with the first picture of a run, before anything is recorded, to check which canister is on the table; an
-    exception that it raises ends the scan."""
+    """Function called with the first picture of a run, before anything is recorded, to check which canister is on the
+    table. An exception raised by this function ends the scan."""
     begun: Callable[[], object] = lambda: None
-    """Called when the folder is known to be usable, before any motion."""
+    """Function called when the folder is known to be usable, before any motion."""

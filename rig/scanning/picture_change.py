@@ -1,8 +1,8 @@
-"""Detection of differences between two pictures beyond noise.
+"""Detection of differences between two pictures that exceed noise.
 
-It is used for rings in which no marker can be read, as a table that turns changes the picture. Noise differs from pixel
-to pixel: averaged over a block of n pixels, a difference of noise alone has 1/n of its variance, while a rotation
-changes whole blocks.
+The detection is used for rings in which no marker can be read, because a rotation of the table changes the picture.
+Noise is independent between pixels: averaged over a block of n pixels, a difference due to noise has 1/n of its
+variance, whereas a rotation changes whole blocks.
 """
 
 import numpy as np
@@ -11,21 +11,22 @@ from rhizotwin.scenes.picture_codec import Grey
 
 BLOCK_PX = 8
 LEAST_SHARE = 1e-3
-"""Fraction of blocks with different means that indicates a rotation: a root 100 rows long crosses this many blocks of
-800x600 pixels."""
+"""Minimum fraction of changed blocks that indicates a rotation. A root that is 100 rows long crosses this fraction of
+the blocks of 800x600 pixels."""
 SIGMAS = 6.0
-"""Significance of a difference in a block's mean, in standard deviations: by chance it occurs once in 5e8 blocks."""
+"""Significance threshold for a difference in a block's mean, in standard deviations. By chance, the threshold is
+exceeded once in 5e8 blocks."""
 
 
 def changed_share(image: Grey, before: Grey) -> float:
     """Return the fraction of blocks whose mean differs from that of an earlier picture by more than noise.
 
-    Changes by flickering lamps are removed.
+    Differences in overall brightness, as from flickering lamps, are removed first.
 
     Parameters
     ----------
     image, before : (H, W) uint8 or uint16 array
-        Pictures of a static camera.
+        Pictures from a static camera.
     """
     now, then = image.astype(np.float32), before.astype(np.float32)
     gain = float(np.vdot(now, then) / max(float(np.vdot(then, then)), 1.0))

@@ -1,4 +1,4 @@
-"""Checks before a scan: each function returns a line that describes the state, or raises an error."""
+"""Checks before a scan. Each function returns a text that describes the state, or raises an error."""
 
 import shutil
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey
 
 BRIGHT_SHARE = 0.25
-"""Fraction of the picture whose brightness determines its exposure: the panel covers more than this, the white of the
-strip less."""
+"""Fraction of the picture's brightest pixels from which the exposure is determined. The panel covers more than this
+fraction, the white of the strip less."""
 DIMMEST = 0.2
-"""Minimum brightness of the panel, as a fraction of full scale; below it, noise would hide thin roots."""
+"""Minimum brightness of the panel, as a fraction of full scale. In a darker picture, noise would hide thin roots."""
 FULL = 0.99
-"""Brightness, as a fraction of full scale, above which a pixel is saturated."""
+"""Brightness above which a pixel counts as saturated, as a fraction of full scale."""
 MOST_SATURATED = 0.05
 SPARE_BYTES = 64 * 2**20
 
@@ -31,13 +31,13 @@ class Exposure:
     """Brightness of a picture relative to the camera's range."""
 
     bright: float
-    """Grey level that is exceeded by `BRIGHT_SHARE` of the pixels, as a fraction of full scale."""
+    """Grey level that `BRIGHT_SHARE` of the pixels exceed, as a fraction of full scale."""
     saturated: float
-    """Fraction of the pixels at full scale."""
+    """Fraction of the pixels that are saturated."""
 
 
 def measure_exposure(image: Grey) -> Exposure:
-    """Measure the exposure of a picture from every third pixel of every third row."""
+    """Measure the exposure of a picture, using every third pixel of every third row."""
     sample = image[1::3, 1::3]
     full = np.iinfo(image.dtype).max
     return Exposure(
@@ -52,13 +52,13 @@ def check_table(table: Turntable) -> str:
 
 
 def check_lights(lights: Lights, part: LightsPart) -> str:
-    """Switch both lamps on."""
+    """Switch both lamps on, and return a description of their levels."""
     lights.set(panel=part.panel_level, front=part.front_level)
     return f"panel at {100.0 * part.panel_level:.0f} %, front at {100.0 * part.front_level:.0f} %"
 
 
 def check_arm(arm: Arm) -> str:
-    """Connect to the arm, with torque on; raise an error if it is too warm or its supply is faulty."""
+    """Connect to the arm, check it, and return its description. The torque is on afterwards."""
     arm.prepare()
     arm.health()
     joints = ", ".join(f"{angle:.1f}" for angle in arm.read_joints())
@@ -66,44 +66,45 @@ def check_arm(arm: Arm) -> str:
 
 
 def check_camera(camera: Camera) -> str:
-    """Open the camera with its fixed settings."""
+    """Open the camera with its fixed settings, and return its description."""
     camera.prepare()
     return camera.describe()
 
 
 def check_size(image: Grey, lens: Lens) -> None:
-    """Reject pictures of another size than the scene's camera."""
+    """Raise an error if a picture's size differs from that of the scene's camera."""
     height, width = image.shape
     if (width, height) != lens.image_wh:
         raise RigError(
-            f"camera: its pictures have {width}x{height} pixels, but the scene's camera has image_wh "
-            f"{lens.image_wh[0]}x{lens.image_wh[1]}; set the camera, or calibrate it at this size and correct the scene"
+            f"camera: the pictures have {width}x{height} pixels, but the scene's camera has image_wh "
+            f"{lens.image_wh[0]}x{lens.image_wh[1]}; change the camera's settings, or calibrate it at this size and correct the scene"
         )
 
 
 def check_picture(image: Grey, lens: Lens) -> str:
-    """Check size and exposure of a picture with the lights on."""
+    """Check size and exposure of a picture with the lamps on, and return a description of its exposure."""
     check_size(image, lens)
     found = measure_exposure(image)
     if found.bright < DIMMEST:
         raise RigError(
-            f"camera: the picture is too dark: the panel reaches {100.0 * found.bright:.0f} % of full scale, at least "
+            f"camera: the picture is too dark: the panel is at {100.0 * found.bright:.0f} % of full scale, but at least "
             f"{100.0 * DIMMEST:.0f} % are required; check that the panel is lit and in front of the camera, or increase exposure_s"
         )
     if found.saturated > MOST_SATURATED:
         raise RigError(
-            f"camera: {100.0 * found.saturated:.0f} % of the picture is at full scale, maximum {100.0 * MOST_SATURATED:.0f} %; "
+            f"camera: {100.0 * found.saturated:.0f} % of the picture is at full scale, but at most {100.0 * MOST_SATURATED:.0f} % are "
+            "permitted; "
             "reduce exposure_s or panel_level"
         )
     return f"panel at {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated"
 
 
 def check_markers(image: Grey, scene: Scene) -> str:
-    """Return a description of the detected strip in a picture."""
+    """Read the strip in a picture and return a description; raise an error if the strip cannot be read."""
     seen = read_strip(image, scene)
     if seen is None:
         raise RigError(f"markers: {unread_reason(image, scene)}")
-    return f"{seen.markers} read, {seen.reprojection_px:.2f} px error"
+    return f"{seen.markers} markers, reprojection error {seen.reprojection_px:.2f} px"
 
 
 def check_disk(folder: Path, pictures: int, lens: Lens) -> str:
@@ -112,7 +113,7 @@ def check_disk(folder: Path, pictures: int, lens: Lens) -> str:
     Parameters
     ----------
     folder : Path
-        Folder of the pictures.
+        Folder in which the pictures will be written.
     pictures : int
         Number of pictures.
     lens : Lens
@@ -121,7 +122,7 @@ def check_disk(folder: Path, pictures: int, lens: Lens) -> str:
     Returns
     -------
     str
-        Description of free and required space.
+        Text with the free and the required space.
     """
     there = folder.absolute()
     while not there.exists():
@@ -130,5 +131,8 @@ def check_disk(folder: Path, pictures: int, lens: Lens) -> str:
     width, height = lens.image_wh
     needed = pictures * width * height * (1 if lens.bits <= 8 else 2) + SPARE_BYTES
     if free < needed:
-        raise UserError(f"{folder}: the disk has {free / 2**20:.0f} MiB free, but {pictures} pictures may need {needed / 2**20:.0f} MiB")
+        raise UserError(
+            f"{folder}: the disk has {free / 2**20:.0f} MiB of free space, but {pictures} pictures may need {needed / 2**20:.0f} MiB; "
+            "free some space, or choose another disk"
+        )
     return f"{free / 2**30:.1f} GiB free, {pictures} pictures need {needed / 2**30:.2f} GiB at most"

@@ -1,4 +1,4 @@
-"""Safe shutdown of a scan, after any end: lights off, arm parked without torque, table held or released."""
+"""Safe shutdown after any end of a scan: lights off, arm parked without torque, table motor on or off."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,40 +17,40 @@ Say: TypeAlias = Callable[[str], None]
 def make_safe(
     devices: Devices, scene: Scene, *, say: Say, board: bool, arm: bool, finished: bool, board_lost: bool = False, arm_failed: bool = False
 ) -> None:
-    """Leave the rig in a safe state.
+    """Switch the lights off, park the arm, and switch the table's motor off if the scan is finished.
 
     Failures are reported but never raised, so that they do not hide the error that ended the scan.
 
     Parameters
     ----------
     devices : Devices
-        Devices, open or lost.
+        Devices of the rig, which are open or lost.
     scene : Scene
         Scene with the obstacles of the arm.
     say : Say
-        Receives failures.
+        Function that receives messages about failures.
     board, arm : bool
-        Whether the board of table and lights, and the arm, were used; unused ones are not changed.
+        Whether the board of table and lights, and the arm, were used. Unused devices are not changed.
     finished : bool
-        Whether to switch the table's motor off; otherwise it remains on, so that the angle is kept until the scan is
-        resumed.
+        Whether to switch the table's motor off. Otherwise it remains on, so that the table's angle is not lost until
+        the scan is resumed.
     board_lost : bool
-        Whether the board was lost, and must be reconnected to switch the lights off.
+        Whether the connection to the board was lost, so that it must be restored to switch the lights off.
     arm_failed : bool
-        Whether the arm itself failed; then it is not moved, and only its torque is switched off.
+        Whether the arm has failed. In this case only its torque is switched off.
     """
     try:
         if board:
             if board_lost:
-                _attempt("turntable and lights: not reachable", devices.reconnect_board, say, again=False)
-            _attempt("lights: they may still be on, switch them off by hand", lambda: devices.lights.off(), say)
+                _attempt("turntable and lights: the board cannot be reached", devices.reconnect_board, say, again=False)
+            _attempt("lights: the lamps may still be on; switch them off by hand", lambda: devices.lights.off(), say)
     finally:
         try:
             if arm and devices.arm is not None:
                 leave_arm(devices.arm, devices.rig, scene, say=say, move=not arm_failed)
         finally:
             if board and finished:
-                _attempt("turntable: its motor may still be on", lambda: devices.table.release(), say)
+                _attempt("turntable: the motor may still be on", lambda: devices.table.release(), say)
 
 
 def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = True) -> None:
@@ -59,33 +59,33 @@ def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = Tr
     Parameters
     ----------
     arm, rig, scene : Arm, RigFile, Scene
-        The arm, its parking position, and obstacles.
+        Arm, rig file with its parking position, and scene with obstacles.
     say : Say
-        Receives failures.
+        Function that receives messages about failures.
     move : bool
-        Whether to park it; otherwise only its torque is switched off.
+        Whether to park the arm. Otherwise only its torque is switched off.
     """
     try:
-        parked = move and _attempt("arm: not parked", lambda: park(arm, rig, scene), say, again=False)
+        parked = move and _attempt("arm: parking failed", lambda: park(arm, rig, scene), say, again=False)
         if not parked:
             with suppress(OSError):
-                say("arm: its torque is switched off in its present position; hold the camera")
+                say("arm: the torque is switched off in the present position; hold the camera")
     finally:
-        _attempt("arm: its torque may still be on, switch its supply off", arm.relax, say)
+        _attempt("arm: the torque may still be on; switch the arm's supply off", arm.relax, say)
 
 
 def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
-    """Move the arm to its parking position along a checked path.
+    """Move the arm to its parking position along a path that was checked for collisions.
 
     Parameters
     ----------
     arm, rig, scene : Arm, RigFile, Scene
-        The arm, its parking position, and obstacles.
+        Arm, rig file with its parking position, and scene with obstacles.
 
     Raises
     ------
     RigError
-        If the arm is too warm, or no clear path is found.
+        If the arm is too warm, or there is no path without collisions.
     """
     if rig.arm is None:
         return
@@ -95,7 +95,10 @@ def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
 
 
 def _attempt(trouble: str, action: Callable[[], object], say: Say, *, again: bool = True) -> bool:
-    """Run an action of the shutdown; report failures instead of raising them, and retry once after Ctrl-C."""
+    """Run an action of the shutdown, report failures instead of raising them, and retry once after Ctrl-C.
+
+    Return whether it succeeded.
+    """
     for last in (not again, True):
         try:
             action()

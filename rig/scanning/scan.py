@@ -1,8 +1,9 @@
-"""Scan: takes every view of a plan on real or emulated devices, and recovers from faults, Ctrl-C and power cuts.
+"""Scan, which takes every view of a plan with real or emulated devices.
 
-The angle of a frame is read from the turntable after the move and again after the picture. A turntable that was reset
-or unplugged is reconnected and its angle determined again from the markers; a camera that fails is reopened; any other
-error stops the scan with its cause. Pictures already taken are kept, and a later run takes only the missing ones.
+The scan recovers from faults, Ctrl-C and power cuts. The angle of a frame is read from the turntable after the move and
+again after the picture. If the turntable was reset or unplugged, it is reconnected, and its angle is determined again
+from the markers. If the camera fails, it is reopened. Any other error stops the scan and is reported. Pictures already
+taken are kept, and a later run takes only the missing pictures.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -35,9 +36,10 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.plan import View
 
 MOST_FAULTS = 3
-"""Maximum number of successive faults of the board without a picture between them."""
+"""Maximum number of successive faults of the board without a picture in between."""
 DIMMER, BRIGHTER = 0.6, 1.6
-"""Factors of the panel's brightness relative to the ring's first picture, beyond which the lights are failing."""
+"""Permitted range of the panel's brightness relative to the ring's first picture. Outside this range, the lights are
+failing."""
 
 T = TypeVar("T")
 Picture: TypeAlias = tuple[Frame, Grey]
@@ -59,34 +61,35 @@ def scan(
     Parameters
     ----------
     devices : Devices
-        Open devices. They remain open, but are left in a safe state: lights off, arm parked without torque, the table's
-        motor off after a finished scan and on after a stopped one, so that its angle is not lost.
+        Open devices. They remain open, but are left in a safe state: lights off, and arm parked without torque. The
+        table's motor is switched off after a finished scan, and remains on after an interrupted scan, so that the
+        table's angle is not lost.
     scene : Scene
-        Scene with rig and plan, and the calibrated lens.
+        Scene with rig, plan and calibrated camera.
     folder : path
-        New or empty folder, or that of a stopped scan.
+        New or empty folder, or the folder of an interrupted scan.
     resume : bool
-        Whether to resume a stopped scan.
+        Whether to resume an interrupted scan.
     settings : mapping of object or None
-        Further settings of the scan, which are written to the dataset, and compared when it is resumed.
+        Further settings of the scan. They are written to the dataset, and compared when the scan is resumed.
     seed : int or None
         Random seed of the twin's errors.
     table_angle_deg : float or None
-        Present table angle given by the user, for a strip that cannot be read at the start.
+        Present table angle given by the user, which is used if the strip cannot be read at the start.
     observers : Observers or None
-        Observers of the scan, and the user who can be asked.
+        Observers of the scan, and callbacks for the user.
 
     Returns
     -------
     Dataset
-        The finished dataset.
+        Complete dataset.
 
     Raises
     ------
     RigError
         If a device failed; the scan can be resumed.
     UserError
-        For an unsuitable folder, plan or scene, or a full disk.
+        If folder, plan or scene are unsuitable, or the disk is full.
     """
     folder, observers = Path(folder), observers or Observers()
     planned = plan.views(scene)
@@ -102,7 +105,7 @@ def scan(
 
 
 class _Scan:
-    """One run of a scan."""
+    """Procedure of one run of a scan, with its devices, dataset and observers."""
 
     def __init__(self, devices: Devices, scene: Scene, session: Session, observers: Observers, *, table_angle_deg: float | None) -> None:
         self._devices = devices
@@ -123,15 +126,15 @@ class _Scan:
         self._main = ""
         """Band of the ring's pictures that show the markers."""
         self._selected: str | None = ""
-        """Band that lamps and filter are set for; None after a fault."""
+        """Band to which lamps and filter are set; None after a fault."""
         self._placement = 0
         self._rest_s = devices.rig.turntable.settle_s
         self._rest_known = devices.rig.turntable.rest == "given"
         self._bright = 0.0
-        """Brightness of the ring's pictures."""
+        """Brightness of the ring's first picture, as a fraction of full scale."""
 
     def run(self, planned: list[View]) -> Dataset:
-        """Take the missing pictures, and leave the rig in a safe state in any case."""
+        """Take the missing pictures and return the dataset. The rig is left in a safe state in any case."""
         self._remove_slipped(self._turntable.pictures_of(self._session))
         remaining = self._session.remaining()
         if not remaining:
@@ -150,7 +153,7 @@ class _Scan:
             self._report_unverified(len(planned))
             dataset = self._session.save(complete=True)
             finished = True
-        except BoardFaultError as fault:  # a fault during the recovery from another one, or before the first picture
+        except BoardFaultError as fault:  # a fault during the recovery from a previous fault, or before the first picture
             self._turntable.lost = True
             self._stopped(fault.cause)
             raise fault.cause from fault
@@ -172,7 +175,7 @@ class _Scan:
         return dataset
 
     def _preflight(self, pictures: int) -> None:
-        """Check every device, with one line each; the first problem stops the scan before it begins."""
+        """Check every device and report one line for each. The first problem stops the scan before it begins."""
         devices = self._devices
         self._report("disk", preflight.check_disk(self._session.folder, pictures, self._scene.camera))
         self._report("turntable", preflight.check_table(devices.table))
@@ -206,14 +209,14 @@ class _Scan:
         self._refuse_still()
 
     def _wait(self) -> None:
-        """Wait as long as the observer pauses the scan; the arm is monitored during this time."""
+        """Wait while the observer pauses the scan, and monitor the arm during this time."""
         while self._observer.holds():
             self._stand.joints()
 
     def _refuse_still(self) -> None:
-        """Stop if the previous picture does not confirm the rotation of the table.
+        """Raise an error if the previous picture does not confirm the rotation of the table.
 
-        That picture is removed, the others are kept.
+        Only the previous picture, and other pictures at wrong angles, are removed.
         """
         wrong = self._watch.wrong()
         if wrong is None:
@@ -223,12 +226,12 @@ class _Scan:
             self._session.drop([file])
             self._observer.on_drop([file])
         raise RigError(
-            f"turntable: {why}: the table slipped or does not move, or the camera was pushed or hangs; this picture is removed: "
+            f"turntable: {why}, because the table slipped or does not move, or the camera was pushed or hangs. The picture was removed; "
             "free the table, check the camera, then finish the scan with --resume"
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
-        """Choose acceleration and pause by the duration of the picture's motion after a turn."""
+        """Choose acceleration and pause from the measured duration of the picture's motion after a turn."""
         if self._rest_known or len(views) < 2:
             return
         devices = self._devices
@@ -240,17 +243,17 @@ class _Scan:
         self._note("rest", f"turntable: {chosen.text()}")
 
     def _report_unverified(self, planned: int) -> None:
-        """Report properties of the scan that could not be verified."""
+        """Report the number of pictures whose angles could not be verified with the markers."""
         unread = len(self._watch.unread)
         if unread:
             self._note(
                 "unchecked",
-                f"the markers of {unread} of {planned} pictures could not be read: their angles are only known from the turntable's "
-                "reports; it was only checked that each picture differs from the previous one",
+                f"the markers of {unread} of {planned} pictures could not be read, so that their angles are known only from the turntable; "
+                "for these pictures, only a difference from the previous picture was verified",
             )
 
     def _look_about(self, index: int, near_deg: float) -> None:
-        """Check the picture, determine the table's angle, and correct the camera's position."""
+        """Check the picture, determine the table angle, and correct the camera's position."""
         shot, seen = self._stand.search(self._scene.plan.rings[index])
         self._turntable.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
@@ -264,18 +267,18 @@ class _Scan:
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turntable.angle_deg)
         self._turntable.add_sighting(seen)
         self._report(
-            "markers", "cannot be read from this position" if seen is None else f"{seen.markers} read, {seen.reprojection_px:.2f} px error"
+            "markers", "cannot be read from this position" if seen is None else f"{seen.markers} read, error {seen.reprojection_px:.2f} px"
         )
 
     def _run_with_recovery(self, action: Callable[[], T], *, near_deg: float) -> T:
-        """Run an action; if the board of table and lights fails in it, recover the board and repeat it."""
+        """Run an action. If the board of table and lights fails, recover the board and repeat the action."""
         faults = 0
         fault: BoardFaultError | None = None
         while True:
             try:
                 if fault is not None:
                     self._session.flush()  # the pictures determine the angle
-                    self._turntable.band, self._selected = self._main, None  # whatever band failed, the markers are needed
+                    self._turntable.band, self._selected = self._main, None  # the markers are needed, regardless of the band that failed
                     self._turn_filter(self._main)
                     if self._turntable.recover(fault, near_deg=near_deg, again=faults > 1):
                         self._placement += 1
@@ -301,9 +304,9 @@ class _Scan:
             self._devices.arm.turn_filter(part.filter_deg)
 
     def _shoot(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
-        """Turn, wait, take the picture, and verify that the table has not moved.
+        """Rotate the table, wait, take the picture, and verify that the table has not moved.
 
-        Then take the same view in the camera's other bands, and again for an observer that measures motion.
+        The same view is then taken in all other bands, and once more if the observer measures motion.
         """
         main, clock = self._main, self._devices.clock
         self._select(main)
@@ -332,7 +335,7 @@ class _Scan:
         return (frame, shot.image), self._other_bands(view, frame), again
 
     def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
-        """Take the same view in the camera's other bands, and restore the first one."""
+        """Take the same view in all other bands of the camera, and restore the lamps of the first band."""
         taken: list[Picture] = []
         for band in plan.ring_bands(self._scene, view.ring):
             if band == frame.band:
@@ -348,16 +351,17 @@ class _Scan:
         return taken
 
     def _lit_picture(self, angle_deg: float) -> Shot:
-        """Take a picture; verify that the table is static, and that the brightness of the lamps has not changed.
+        """Take a picture, and verify that the table is at rest and the brightness of the panel is unchanged.
 
-        The lamps cannot be read back.
+        The picture is the only evidence, because the state of the lamps cannot be read back.
         """
         bright = 0.0
         for again in (False, True):
             if again:
                 self._note(
                     "lights",
-                    f"lights: the brightness of the panel changed from {self._bright:.2f} to {bright:.2f} of full scale; switched on again",
+                    f"lights: the brightness of the panel changed from {self._bright:.2f} to {bright:.2f} of full scale; the lamps are "
+                    "switched on again",
                 )
                 self._turntable.light()
             shot = self._camera.picture(table_deg=angle_deg)
@@ -367,13 +371,13 @@ class _Scan:
                 return shot
         raise RigError(
             f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, "
-            "their supply and the view of the camera, then finish the scan with --resume"
+            "their supply and that nothing hides the panel, then finish the scan with --resume"
         )
 
     def _remove_slipped(self, pictures: list[Taken]) -> str:
-        """Remove pictures at other angles than commanded, and return a description of them.
+        """Remove pictures whose angles differ from the commanded angles, and return a description of these pictures.
 
-        Lost steps cannot be read back, but they affect all subsequent pictures.
+        The board cannot report lost steps, but they affect all subsequent pictures.
         """
         self._session.flush()
         slipped = self._turntable.find_slipped(pictures)
@@ -384,29 +388,33 @@ class _Scan:
         self._observer.on_drop(files)
         names = slipped[0].name if len(slipped) == 1 else f"{slipped[0].name} to {slipped[-1].name}"
         text = (
-            f"turntable: the markers of {names} show other angles than commanded, so that the table slipped or the camera was pushed, and "
+            f"turntable: the markers of {names} show angles that differ from the commanded angles, because the table slipped or the "
+            "camera was pushed; "
         )
         text += "these pictures are removed"
         self._note("slipped", text)
         return text
 
     def _stopped(self, error: BaseException) -> None:
-        """Write the log, and report how to resume the scan; the first error is the one that is reported."""
+        """Write the log, and report how to resume the scan.
+
+        Further errors are ignored, so that the first error is reported.
+        """
         with suppress(Exception):
             self._remove_slipped(self._turntable.pictures)
         with suppress(Exception):
             self._note("stopped", str(error) or type(error).__name__, quiet=True)
             done = len(self._session.save().frames)
-            motor = "" if self._turntable.lost else "; the table's motor remains on, so that its angle is kept"
+            motor = "" if self._turntable.lost else "; the table's motor remains on, so that the angle is not lost"
             if done:
-                self._say(f"{done} pictures are kept{motor}: finish the scan with --resume")
+                self._say(f"{done} pictures are kept{motor}; finish the scan with --resume")
 
     def _say(self, text: str) -> None:
         self._say_line(text)
         self._observer.on_line(text)
 
     def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
-        """Report an event, and add it to the dataset's log."""
+        """Report an event, and add it to the log of the dataset."""
         self._session.note(event, text, time_s=self._now_s())
         if not quiet:
             self._say(text)
@@ -419,13 +427,14 @@ class _Scan:
 
 
 def _check_plan(scene: Scene, planned: list[View]) -> None:
-    """Reject plans that are valid for the renderer, but not for a rig."""
+    """Reject plans that are valid for the renderer but not for a rig."""
     for i, ring in enumerate(scene.plan.rings, start=1):
         if ring.jitter_mm or ring.jitter_deg:
-            raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan, whose camera is static")
+            raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan, because the camera is static")
     for view in planned:
         if not LEAST_DEG <= view.table_deg <= MOST_DEG:
             raise UserError(
-                f"plan.rings {view.ring + 1}: first_deg moves the table to {view.table_deg:g} deg, but a scan's angles must be between "
-                f"{LEAST_DEG:g} and {MOST_DEG:g}: add or subtract 360"
+                f"plan.rings {view.ring + 1}: first_deg requires a table angle of {view.table_deg:g} deg, but the table angles of a scan "
+                "must "
+                f"be between {LEAST_DEG:g} and {MOST_DEG:g} deg; add or subtract 360"
             )

@@ -1,4 +1,4 @@
-"""Camera of a scan: pictures, with retries on failures, and the detected strip."""
+"""Camera of a scan: taking pictures with retries after failures, and reading the marker strip."""
 
 import hashlib
 from collections.abc import Callable
@@ -15,7 +15,7 @@ FIRST_PAUSE_S = 1.0
 
 
 class ScanCamera:
-    """Takes pictures for a scan."""
+    """Camera that takes the pictures of a scan, with retries after failures."""
 
     def __init__(self, camera: Camera, clock: Clock, scene: Scene, *, note: Callable[[str, str], None]) -> None:
         self._camera = camera
@@ -23,25 +23,25 @@ class ScanCamera:
         self._scene = scene
         self._note = note
         self._angles_deg: dict[bytes, float] = {}
-        """Table angles of the pictures, by their digests."""
+        """Table angle at which each picture was taken, deg, by the picture's digest."""
 
     def picture(self, *, table_deg: float | None = None) -> Shot:
-        """Take a picture; a camera that fails is reopened and tried again, with increasing pauses.
+        """Take a picture. If the camera fails, it is reopened and the picture repeated, with increasing pauses.
 
-        With ``table_deg``, the present table angle, a picture identical to one at another angle also counts as a
-        failure: because of noise, no two pictures are byte-identical unless the camera hangs.
+        With ``table_deg``, the present table angle, a picture that is identical to a picture at a different angle also
+        counts as a failure. Because of noise, no two pictures are identical unless the camera hangs.
 
         Raises
         ------
         RigError
-            If the camera fails repeatedly, or its pictures differ in size from the scene's camera.
+            If the camera fails repeatedly, or the size of its pictures differs from that of the scene's camera.
         """
         shot = self._take_picture(table_deg)
         check_size(shot.image, self._scene.camera)
         return shot
 
     def look(self) -> tuple[Shot, Sighting | None]:
-        """Take a picture and detect the strip in it."""
+        """Take a picture, and read the strip in it; None if the strip cannot be read."""
         shot = self.picture()
         return shot, read_strip(shot.image, self._scene)
 
@@ -58,8 +58,8 @@ class ScanCamera:
                     before_deg = self._angles_deg.setdefault(digest, table_deg)
                     if before_deg != table_deg:
                         raise RigError(
-                            f"camera: gave the same picture at {table_deg:g} deg as at {before_deg:g} deg, byte for byte: it hangs "
-                            "or shows nothing that turns; check the picture, and reconnect the camera"
+                            f"camera: the pictures at {table_deg:g} deg and {before_deg:g} deg are identical, because the camera hangs "
+                            "or shows nothing that rotates; check the picture, and reconnect the camera"
                         )
                 return shot
             except RigError as error:

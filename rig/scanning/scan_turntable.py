@@ -1,4 +1,7 @@
-"""Turntable of a scan: its angle is determined at the start, verified for every picture, and restored after a loss."""
+"""Turntable of a scan.
+
+The table angle is determined at the start, verified for every picture, and restored after the connection was lost.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,27 +18,28 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.picture_codec import Grey, decode_grey
 
 WAIT_S = 20.0
-"""Time-out for a lost board, during which it can be reconnected."""
+"""Timeout for reconnecting a lost board, s."""
 PAUSE_S = 1.0
 MOST_REFERENCES = 6
 BESIDE_DEG = 20.0
-"""Maximum azimuth of a camera on a tripod, from the x axis."""
+"""Maximum azimuth of a camera on a tripod relative to the x axis, deg."""
 FINE_DEG = 0.02
-"""Accuracy of the angle between two pictures."""
+"""Accuracy of the angle measured between two pictures, deg."""
 LOST_STEPS = 4
-"""Steps lost when a motor loses synchronism: a multiple of the period of its field, which is four full steps."""
+"""Number of full steps that are lost when the motor loses synchronism. It is a multiple of four, the period of the
+motor's magnetic field."""
 MOST_SLIPPED_DEG = 1.0
-"""Deviation from the commanded angle beyond which a picture was not taken there, for any motor."""
+"""Maximum deviation from the commanded angle, deg, for a picture to count as taken at that angle, with any motor."""
 UNSURE_DEG = 0.1
-"""Error of the markers in a single picture (0.6 px at 350 px of the strip's radius at 400x300), below which no slip is
-detected."""
+"""Error of the angle measured with the markers in a single picture, deg (0.6 px at 350 px of the strip's radius in
+400x300 pixels). Smaller deviations do not count as slip."""
 
 Taken = tuple[float, Path]
-"""Commanded angle and file of a picture."""
+"""Commanded table angle, deg, and file of a picture."""
 
 
 class BoardFaultError(Exception):
-    """A failure of the board of table and lights that reconnecting may correct."""
+    """Raised if the board of table and lights fails in a way that reconnecting may correct."""
 
     def __init__(self, cause: RigError) -> None:
         super().__init__(str(cause))
@@ -44,7 +48,7 @@ class BoardFaultError(Exception):
 
 @contextmanager
 def convert_board_errors() -> Iterator[None]:
-    """Convert failures of the board into `BoardFaultError`, to distinguish them from those of other devices."""
+    """Convert failures of the board to `BoardFaultError`, to distinguish them from failures of other devices."""
     try:
         yield
     except (LostError, NoAnswerError) as error:
@@ -52,7 +56,7 @@ def convert_board_errors() -> Iterator[None]:
 
 
 class ScanTurntable:
-    """The turntable with the state of its angle."""
+    """Turntable of a scan, including the state of its angle."""
 
     def __init__(
         self,
@@ -75,37 +79,40 @@ class ScanTurntable:
         """Pictures of the scan from the camera's present position."""
         self._acceleration: float | None = None  # chosen acceleration; None for that of the rig file
         self.band = ""
-        """Band for which the lamps are set."""
+        """Band to which the lamps are set."""
         self.lost = False
-        """Whether the board was lost and has not been recovered."""
+        """Whether the connection to the board was lost and has not been restored."""
 
     @property
     def slip_deg(self) -> float:
-        """Difference between measured and commanded angle beyond which steps were lost (half of the smallest loss)."""
+        """Minimum difference between measured and commanded angle that indicates lost steps, deg.
+
+        The difference is half of the smallest possible loss.
+        """
         return max(UNSURE_DEG, min(MOST_SLIPPED_DEG, LOST_STEPS / 2.0 * self._devices.rig.turntable.full_step_deg))
 
     def off_deg(self, table_deg: float, seen: Sighting) -> float:
-        """Return the difference between a picture's measured and its commanded angle.
+        """Return the difference between a picture's measured and commanded table angle, deg.
 
-        The first picture serves as the reference.
+        The first picture is used as the reference.
         """
         if not self._looks:
             self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
         return wrap_angle(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
 
     def forget_references(self) -> None:
-        """Discard the pictures used to restore the angle, as the camera has moved."""
+        """Discard the pictures with which the angle is restored, because the camera has moved."""
         self._looks.clear()
         self.pictures.clear()
 
     def add_sighting(self, seen: Sighting | None) -> None:
-        """Store a measurement of the strip at a known angle."""
+        """Store a measurement of the strip as a reference at the present table angle."""
         if seen is not None:
             self._looks.append(Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister))
 
     @staticmethod
     def pictures_of(session: Session) -> list[Taken]:
-        """Return the pictures of the camera's last position in an earlier run, which may not have been verified."""
+        """Return the pictures from the camera's last position in an earlier run, which may not have been verified."""
         return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
 
     def add_picture(self, table_deg: float, path: Path) -> None:
@@ -113,17 +120,17 @@ class ScanTurntable:
         self.pictures.append((table_deg, path))
 
     def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], near_deg: float) -> None:
-        """Determine the table's angle before the first picture of a run.
+        """Determine the table angle before the first picture of a run.
 
         Parameters
         ----------
         seen, image : Sighting or None, uint8 or uint16 array
-            Present measurement of the strip, and its picture.
+            Present measurement of the strip, and the picture in which it was made.
         earlier : list of Taken
-            Angles and pictures of the same ring from an earlier run, with which a table that kept its angle is
-            compared.
+            Angles and pictures of the same ring from an earlier run. They are used to verify the angle if the board
+            still knows it.
         near_deg : float
-            Next target angle.
+            Next target angle, deg.
         """
         references = self._read(earlier)
         kept_deg = self._kept_deg()
@@ -134,64 +141,71 @@ class ScanTurntable:
             elif seen is not None:
                 shown_deg, most_deg = facing_angle(seen, self._scene), BESIDE_DEG
             if abs(wrap_angle(shown_deg - kept_deg)) <= most_deg:
-                checked = "not checked by markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
-                self._note("angle", f"turntable: kept its angle, {kept_deg:.2f} deg ({checked})")
+                checked = "not verified with markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
+                self._note("angle", f"turntable: the angle is still known, {kept_deg:.2f} deg ({checked})")
                 return
-            self._note("angle", f"turntable: reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg: it was turned")
+            self._note(
+                "angle",
+                f"turntable: the board reports {kept_deg:.2f} deg, but the markers show {shown_deg % 360.0:.2f} deg, so that the table "
+                "was turned by hand",
+            )
         self._declare(self._find_angle(seen, image, references, near_deg, given_deg=self._given_deg))
 
     def angle_deg(self) -> float:
-        """Return the measured table angle."""
+        """Return the measured table angle, deg."""
         kept_deg = self._kept_deg()
         if kept_deg is None:
-            raise BoardFaultError(LostError("turntable: was reset and lost its angle"))
+            raise BoardFaultError(LostError("turntable: the board was reset and lost its angle"))
         return kept_deg
 
     def check_board(self) -> None:
         """Verify the connection to the board.
 
-        A board that was reset has switched the lights off, which must not be mistaken for a fault of the camera.
+        A board that was reset has switched the lights off, which must not be reported as a fault of the camera.
         """
         with convert_board_errors():
             self._devices.table.position_deg()
 
     def turn(self, angle_deg: float) -> float:
-        """Turn the table; return the measured angle, which agrees with the commanded one within the tolerance."""
+        """Rotate the table to an angle, and return the measured angle, deg.
+
+        Both angles agree within the tolerance.
+        """
         with convert_board_errors():
             read_deg = self._devices.table.move_to(angle_deg)
         self._compare(angle_deg, read_deg)
         return read_deg
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves."""
+        """Set the acceleration of subsequent moves, deg/s2."""
         with convert_board_errors():
             self._devices.table.accelerate(deg_per_s2)
         self._acceleration = deg_per_s2
 
     def verify(self, angle_deg: float) -> None:
-        """Verify the angle after a picture, as a board that was reset since the move has lost it."""
+        """Verify the table angle after a picture, since a board that was reset after the move has lost it."""
         with convert_board_errors():
             read_deg = self._devices.table.position_deg()
         self._compare(angle_deg, read_deg)
 
     def light(self, band: str | None = None) -> None:
-        """Switch the lights on for a band of the camera; None for the previous one."""
+        """Switch the lamps on with the settings of a band; None for the previously selected band."""
         self.band = self.band if band is None else band
         with convert_board_errors():
             bands.light(self._devices.lights, self._devices.rig, self.band)
 
     def recover(self, fault: BoardFaultError, *, near_deg: float, again: bool) -> bool:
-        """Reconnect the board and restore the angle; return whether it had to be determined again.
+        """Restore the connection to the board, and the table angle, after a failure.
 
         Parameters
         ----------
         fault : BoardFaultError
-            Failure of the board.
+            Failure from which the board must recover.
         near_deg : float
-            Next target angle.
+            Next target angle, deg.
         again : bool
-            Whether this is a repeated attempt. A board that only failed to answer is not reconnected at the first
-            attempt, since many boards reset on connection and lose the angle.
+            Whether this is a repeated attempt. A board that only failed to reply is not reconnected at the first
+            attempt, because many boards reset on connection and lose the angle.
 
         Returns
         -------
@@ -216,7 +230,7 @@ class ScanTurntable:
         if kept_deg is not None:
             shown_deg = angle_against(seen.cam_from_canister, references, self._scene) if seen is not None and references else kept_deg
             if abs(wrap_angle(shown_deg - kept_deg)) <= self.slip_deg:
-                self._note("angle", f"turntable: is reconnected and kept its angle, {kept_deg:.2f} deg")
+                self._note("angle", f"turntable: the board is connected again, and the angle is still known, {kept_deg:.2f} deg")
                 self.lost = False
                 return False
         self._declare(self._find_angle(seen, shot.image, references, near_deg, given_deg=None))
@@ -226,10 +240,11 @@ class ScanTurntable:
         return True
 
     def find_slipped(self, pictures: list[Taken]) -> list[Path]:
-        """Return the pictures whose markers show another angle than commanded.
+        """Return the pictures whose markers show an angle that differs from the commanded angle.
 
-        Pictures are checked from the last one back to the first that agrees, since lost steps affect all subsequent
-        pictures. They are compared with earlier measurements from the same position, or else with the first of them.
+        Pictures are checked backwards, from the last to the first that agrees, because lost steps affect all subsequent
+        pictures. They are compared with earlier measurements from the same position or, if there are none, with the
+        first picture.
         """
         references = self._looks or self._read(pictures[:1])
         found: list[Path] = []
@@ -243,9 +258,9 @@ class ScanTurntable:
         return found[::-1]
 
     def _refine(self, references: list[Reference], angle_deg: float) -> None:
-        """Measure the angle again after the table has arrived from its usual side.
+        """Measure the angle again after the table has approached a position from its usual side.
 
-        At the loss of the board, the backlash was in an unknown state.
+        When the board was lost, the state of the backlash was unknown.
         """
         read_deg = self.turn(angle_deg)
         self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
@@ -257,7 +272,7 @@ class ScanTurntable:
             self._declare(Angle(table_deg=read_deg + off_deg, source=f"{seen.markers} markers, without backlash"))
 
     def _kept_deg(self) -> float | None:
-        """Return the angle stored in the board, or None."""
+        """Return the table angle known to the board, deg, or None."""
         table = self._devices.table
         with convert_board_errors():
             return table.position_deg() if table.knows_zero() else None
@@ -271,11 +286,11 @@ class ScanTurntable:
     def _declare(self, angle: Angle) -> None:
         with convert_board_errors():
             self._devices.table.declare(angle.table_deg)
-        self._note("homed", f"turntable: is at {angle.table_deg:.2f} deg ({angle.source})")
+        self._note("homed", f"turntable: the table is at {angle.table_deg:.2f} deg ({angle.source})")
 
     def _compare(self, wanted_deg: float, read_deg: float) -> None:
         if not abs(read_deg - wanted_deg) <= self._devices.rig.turntable.tolerance_deg:
-            raise BoardFaultError(LostError(f"turntable: is at {read_deg:.3f} deg instead of {wanted_deg:.3f} deg"))
+            raise BoardFaultError(LostError(f"turntable: the table is at {read_deg:.3f} deg instead of {wanted_deg:.3f} deg"))
 
     def _reconnect(self, cause: RigError) -> None:
         clock = self._devices.clock
@@ -289,13 +304,13 @@ class ScanTurntable:
                 bands.light(self._devices.lights, self._devices.rig, self.band)
             except RigError as error:
                 if clock.now_s() >= until_s:
-                    raise type(cause)(f"{cause}; it did not reappear within {WAIT_S:.0f} s ({error})") from error
+                    raise type(cause)(f"{cause}; reconnecting the board failed for {WAIT_S:.0f} s ({error})") from error
                 clock.sleep(PAUSE_S)
             else:
                 return
 
     def _read(self, pictures: list[Taken]) -> list[Reference]:
-        """Detect the strip in some of the pictures, evenly distributed."""
+        """Read the strip in some of the pictures, evenly distributed over the list, as references."""
         step = max(1, -(-len(pictures) // MOST_REFERENCES))
         found: list[Reference] = []
         for table_deg, path in pictures[::step]:

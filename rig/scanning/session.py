@@ -1,8 +1,8 @@
-"""Folder of a scan: resuming an earlier run, and atomic writing of every picture immediately.
+"""Folder of a scan, with the resumption of an earlier run and the writing of pictures.
 
-A frame is listed in dataset.json before its picture is written. A listed frame without a picture never reached the
-disk; it is removed when the scan is resumed, and taken again. Pictures are encoded and written during the next
-movement, one at a time and in order.
+Every picture is written atomically, immediately after it was taken. A frame is listed in dataset.json before its
+picture is written. If the picture of a listed frame is missing, it was never written; the frame is removed when the
+scan is resumed, and taken again. Pictures are encoded and written during the next movement, one at a time and in order.
 """
 
 import hashlib
@@ -29,12 +29,12 @@ from rhizotwin.scenes.schema import to_plain
 PROGRAM = "rhizotwin scan"
 _VERSIONED = ("numpy", "opencv-python-headless", "pyserial")
 _MAY_CHANGE = {("name",), ("description",), ("turntable", "port"), ("arm", "port"), ("camera", "address")}
-"""Keys of the rig file that may change when a scan is resumed: reconnected devices may have other names."""
+"""Keys of the rig file that may change when a scan is resumed, since reconnected devices may have different names."""
 _MOST_NAMED = 4
 
 
 class Session:
-    """Frames of a scan, those on the disk and those still to be taken."""
+    """Frames of a scan: those that are stored, and those still to be taken."""
 
     def __init__(self, dataset: Dataset, planned: Sequence[View]) -> None:
         self._dataset = replace(dataset, frames=())
@@ -46,33 +46,36 @@ class Session:
 
     @property
     def folder(self) -> Path:
-        """The dataset folder."""
+        """Folder of the dataset."""
         return self._dataset.folder
 
     @property
     def begun_s(self) -> float:
-        """Time of the scan that earlier runs took."""
+        """Duration of all earlier runs of the scan, s."""
         return self._begun_s
 
     def last_station(self) -> list[Frame]:
         """Return the frames of the camera's last position, in the order of capture.
 
-        For a view in several bands, it is the one with both lights on.
+        For a view in several bands, only the frame with both lights on is returned.
         """
         taken = sorted(self._frames.values(), key=lambda frame: frame.time_s or 0.0)
         return [frame for frame in taken if frame.station == taken[-1].station and self._is_main(frame)]
 
     def remaining(self) -> list[View]:
-        """Return the views without a picture."""
+        """Return the views of the plan that have no picture yet."""
         self.flush()
         return [view for view in self._planned if any(file not in self._frames for file in self._view_files(view))]
 
     def next_placement(self, ring: int) -> int:
-        """Return the number of the next placement of the camera in a ring."""
+        """Return the number of the camera's next placement in a ring."""
         return 1 + max((frame.placement for frame in self._frames.values() if frame.ring == ring), default=-1)
 
     def frames_of(self, ring: int) -> list[Frame]:
-        """Return a ring's frames on the disk; for a view in several bands, the one with both lights on."""
+        """Return the stored frames of a ring.
+
+        For a view in several bands, only the frame with both lights on is returned.
+        """
         self.flush()
         return [frame for frame in self._frames.values() if frame.ring == ring and self._is_main(frame)]
 
@@ -82,34 +85,34 @@ class Session:
         return self._snapshot()
 
     def note(self, event: str, text: str, *, time_s: float) -> None:
-        """Add an event to the log; it is written with the next frame, or by `save`.
+        """Add an event to the log. The log is written with the next frame, or by `save`.
 
         Parameters
         ----------
         event, text : str
             Identifier of the event, and its description.
         time_s : float
-            Time since the start of the scan.
+            Time since the start of the scan, s.
         """
         said = {"event": event, "text": text, "scan_s": round(time_s, 3), "utc": datetime.now(UTC).isoformat(timespec="seconds")}
         self._dataset = replace(self._dataset, origin={**self._dataset.origin, "log": [*self._dataset.origin["log"], said]})
 
     def record(self, frame: Frame, image: Grey) -> None:
-        """Begin to write a frame and its picture, after the previous one was written.
+        """Begin to write a frame and its picture, as soon as the previous picture is written.
 
-        Errors in writing the previous one are raised here.
+        Errors in writing the previous picture are raised here.
         """
         self.flush()
         self._pending = self._writer.submit(self._write, frame, image)
 
     def drop(self, files: Sequence[str]) -> None:
-        """Remove wrong pictures, in all bands of their views; they are taken again."""
+        """Remove wrong pictures, in all bands of their views, so that they are taken again."""
         self.flush()
         views = {self._frames[file].view for file in files if file in self._frames} - {None}
         for file in {
             *files,
             *(frame.file for frame in self._frames.values() if frame.view in views),
-        }:  # before the list is changed: a listed picture that is missing is taken again as well
+        }:  # files are removed before the list changes, because a listed picture that is missing is also taken again
             (self.folder / file).unlink(missing_ok=True)
             self._frames.pop(file, None)
         if self._frames:
@@ -118,7 +121,7 @@ class Session:
             (self.folder / "dataset.json").unlink(missing_ok=True)
 
     def flush(self) -> None:
-        """Wait until all data are on the disk.
+        """Wait until all data are written to the disk.
 
         Raises
         ------
@@ -130,11 +133,11 @@ class Session:
             try:
                 pending.result()
             finally:
-                if pending.done():  # otherwise interrupted while waiting: the picture is still being written
+                if pending.done():  # otherwise the waiting was interrupted, and the picture is still being written
                     self._pending = None
 
     def save(self, *, complete: bool = False) -> Dataset:
-        """Write the frames with the log, and with the state of completion."""
+        """Write the frames, the log and the state of completion, and return the dataset."""
         self.flush()
         if complete:
             self._dataset = replace(self._dataset, origin={**self._dataset.origin, "complete": True})
@@ -142,7 +145,7 @@ class Session:
         return save_dataset(dataset) if dataset.frames else dataset  # a dataset has at least one frame
 
     def close(self) -> None:
-        """Wait for the writer."""
+        """Wait until the last picture is written, and stop the writer."""
         self._writer.shutdown(wait=True)
 
     def _write(self, frame: Frame, image: Grey) -> None:
@@ -163,14 +166,14 @@ class Session:
 
 
 def _load_stopped(folder: Path, resume: bool) -> Dataset:
-    """Return the dataset of a stopped scan in a folder; raise an error unless it is to be resumed."""
+    """Return the dataset of an interrupted scan in a folder; raise an error unless it is to be resumed."""
     before = load_dataset(folder)
     if before.origin.get("program") != PROGRAM:
-        raise UserError(f"{folder} contains a dataset that was not made by a scan: choose a new folder for the scan")
+        raise UserError(f"{folder} contains a dataset that was not created by a scan; choose a new folder for the scan")
     if not resume:
-        state = "a finished scan" if before.origin.get("complete") else f"a scan that was stopped after {len(before.frames)} pictures"
+        state = "a finished scan" if before.origin.get("complete") else f"a scan that was interrupted after {len(before.frames)} pictures"
         hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
-        raise UserError(f"{folder} contains {state}: {hint}choose a new folder")
+        raise UserError(f"{folder} contains {state}; {hint}choose a new folder")
     return before
 
 
@@ -184,28 +187,28 @@ def open_session(
     seed: int | None = None,
     resume: bool = False,
 ) -> Session:
-    """Begin a scan in a new folder, or resume the one that was stopped there.
+    """Begin a scan in a new folder, or resume an interrupted scan in its folder.
 
     Parameters
     ----------
     folder : path
-        New or empty folder, or with ``resume`` that of a stopped scan. The caller must lock it with
+        New or empty folder or, with ``resume``, the folder of an interrupted scan. The caller must lock it with
         `scenes.folders.lock_folder`.
     scene : Scene
-        Scene of the scan; the dataset does not include its specimen.
+        Scene of the scan. The dataset does not include the specimen.
     planned : sequence of View
         Views to take.
     rig, settings : RigFile, mapping of object
-        Rig and settings of the scan, which must agree with those at its beginning.
+        Rig and settings of the scan. They must not change when a scan is resumed.
     seed : int or None
         Random seed of the twin's errors.
     resume : bool
-        Whether to resume a stopped scan; without frames in the folder a new one begins.
+        Whether to resume an interrupted scan. If the folder has no frames, a new scan begins.
 
     Raises
     ------
     UserError
-        If the folder contains other files, or a scan of another scene, plan, rig or other settings; the message states
+        If the folder contains other files, or a scan with a different scene, plan, rig or settings; the message states
         the differences.
     """
     folder = Path(folder)
@@ -223,35 +226,35 @@ def open_session(
     if not (folder / "dataset.json").is_file():
         inside = [path for name in contents(folder) if name != "truth" for path in [folder / name, *(folder / name).rglob("*")]]
         if any(path.is_file() for path in inside):
-            raise UserError(f"{folder} is not empty and contains no stopped scan: choose a new folder for the dataset")
+            raise UserError(f"{folder} is not empty and contains no interrupted scan; choose a new folder for the dataset")
         return Session(new, planned)
     before = _load_stopped(folder, resume)
     _check_differences(before, new)
     kept = tuple(frame for frame in before.frames if _is_complete(folder, frame))
     strange = {frame.file for frame in kept} - {picture_file(view, band) for view in planned for band in plan.ring_bands(known, view.ring)}
     if strange:
-        raise UserError(f"{folder} contains {sorted(strange)[0]}, which is not part of the plan: choose a new folder for the scan")
+        raise UserError(f"{folder} contains {sorted(strange)[0]}, which is not part of the plan; choose a new folder for the scan")
     complete = bool(before.origin.get("complete")) and len(kept) == sum(len(plan.ring_bands(known, view.ring)) for view in planned)
     return Session(replace(before, frames=kept, origin={**origin, **before.origin, "rig": origin["rig"], "complete": complete}), planned)
 
 
 def picture_file(view: View, band: str = "") -> str:
-    """Return the path of a view's picture in the dataset."""
+    """Return the path of a view's picture, relative to the dataset's folder."""
     return f"images/{plan.picture_name(view.index, band)}.png"
 
 
 def _is_complete(folder: Path, frame: Frame) -> bool:
-    """Return whether a listed frame's picture exists; raise an error if it differs from the recorded one."""
+    """Return whether the picture of a listed frame exists; raise an error if it differs from the recorded picture."""
     path = folder / frame.file
     if not path.is_file():
         return False
     if frame.sha256 and file_sha256(path) != frame.sha256:
-        raise UserError(f"{path}: differs from the recorded picture; remove it to take it again")
+        raise UserError(f"{path} differs from the recorded picture; remove it, so that it is taken again")
     return True
 
 
 def _check_differences(before: Dataset, now: Dataset) -> None:
-    """Raise an error if scene, plan, rig or settings of a resumed scan differ from those at its beginning."""
+    """Raise an error if scene, plan, rig or settings have changed since a scan began."""
     found = _differences(to_plain(before.scene), to_plain(now.scene), ())
     found = [("scene", *path) for path in found if path not in (("name",), ("description",))]
     rig = _differences(before.origin.get("rig", {}), now.origin["rig"], ())
@@ -260,11 +263,11 @@ def _check_differences(before: Dataset, now: Dataset) -> None:
     found += _differences({**before.origin.get("settings", {}), "seed": before.seed}, {**settings, "seed": now.seed}, ())
     if found:
         names = ", ".join(".".join(path) for path in found[:_MOST_NAMED]) + (" and more" if len(found) > _MOST_NAMED else "")
-        raise UserError(f"{now.folder} contains a scan with another {names}: use the same values, or choose a new folder")
+        raise UserError(f"{now.folder} contains a scan with different values of {names}; use the same values, or choose a new folder")
 
 
 def _differences(before: Any, now: Any, path: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return the paths of values that differ."""
+    """Return the paths of all values that differ between two nested objects."""
     if isinstance(before, Mapping) and isinstance(now, Mapping):
         names = [*before, *(name for name in now if name not in before)]
         return [found for name in names for found in _differences(before.get(name), now.get(name), (*path, str(name)))]

@@ -1,4 +1,4 @@
-"""Duration of the motion in pictures after a stop of the table, from which the pause before a picture is derived."""
+"""Measurement of how long pictures move after the table stops, from which the pause before each picture is derived."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,59 +9,60 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.scenes.picture_codec import Grey
 
 WATCH_S = 12.0
-"""Duration of the measurement: water of 15 cm sloshes at 2 to 3 Hz and is still after some ten periods; roots swing
-more slowly."""
+"""Duration of the measurement, s. Water in a vessel of 15 cm sloshes at 2 to 3 Hz and is at rest after about ten
+periods. Roots swing more slowly."""
 LATE = 1.0 / 3.0
-"""Last fraction of the pictures, which must be still, and determine the noise."""
+"""Fraction of the pictures, at the end of the series, that must be at rest and determine the noise."""
 ABOVE_NOISE = 1.15
-"""Ratio of a picture's difference to the noise above which it has moved: the rms over 1e5 pixels varies far less."""
+"""Minimum ratio of a picture's difference to the noise for the picture to count as moved. The root mean square over 1e5
+pixels varies much less."""
 MARGIN = 1.5
-"""Safety factor of a duration measured after one move, applied to the others."""
+"""Safety factor for applying a duration measured after one move to all other moves."""
 STRIDE = 2
-"""Step of the sampled pixels in both directions."""
+"""Sampling step of pixels in both directions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SettlingTime:
-    """Motion after a stop."""
+    """Duration and size of the motion in pictures after a stop."""
 
     rest_s: float | None
-    """Time after which nothing moves beyond noise; None if motion continued to the end."""
+    """Time after the stop at which motion is below the noise, s; None if motion continued to the end."""
     moved: float
-    """Ratio of the first picture's difference from the still ones to the difference by noise alone."""
+    """Difference of the first picture from the mean picture at rest, as a multiple of the difference due to noise."""
 
 
 def measure_settling_time(pictures: Sequence[Grey], times_s: Sequence[float]) -> SettlingTime:
-    """Measure the time at which pictures stopped moving.
+    """Measure the time after which pictures no longer move.
 
     Parameters
     ----------
     pictures : (N) of (H, W)
-        Pictures in the order of time, beginning at the stop; at least 6.
+        At least six pictures in chronological order, beginning at the stop.
     times_s : (N) float
-        Times after the stop.
+        Times after the stop, s.
 
     Returns
     -------
     SettlingTime
-        Its rest is the time of the first picture after which none differs from the mean of the late ones by more than
-        noise.
+        ``rest_s`` is the time of the first picture after which no picture differs from the mean of the late pictures by
+        more than noise.
 
     Notes
     -----
-    With M late pictures of noise s, an early one differs from their mean by ``s sqrt(1 + 1/M)`` (rms), a late one by
-    ``s sqrt(1 - 1/M)``. Motion that continues to the end is detected by a disagreement of two estimates of the noise:
-    the spread of the late pictures, and the difference of neighbours.
+    With M late pictures of noise s, an early picture differs from their mean by ``s sqrt(1 + 1/M)`` (rms), and a late
+    picture by ``s sqrt(1 - 1/M)``. Motion that continues to the end is detected by a disagreement of two estimates of
+    the noise: the spread of the late pictures, and the difference between successive pictures.
     """
     if len(pictures) < 6 or len(pictures) != len(times_s):
-        raise ValueError(f"{len(pictures)=} and {len(times_s)=} but expected 6 or more of both")
+        raise ValueError(f"{len(pictures)=} and {len(times_s)=} but at least 6 of both are required")
     stack = np.stack([picture[::STRIDE, ::STRIDE].astype(np.float32) for picture in pictures])
     late = stack[-max(3, round(LATE * len(stack))) :]
     count = len(late)
     mean = late.mean(axis=0)
     noise = float(np.sqrt(np.mean((late - mean) ** 2) * count / (count - 1)))
     steps = np.diff(late, axis=0)
-    stepping = float(np.sqrt(np.mean(steps**2) / 2.0))  # the difference of neighbours contains sqrt(2) times the noise
+    stepping = float(np.sqrt(np.mean(steps**2) / 2.0))  # the difference between successive pictures contains sqrt(2) times the noise
     apart = np.sqrt(np.mean((stack - mean) ** 2, axis=(1, 2)))
     floor = min(noise, stepping) * np.sqrt(1.0 + 1.0 / count)
     moving = apart > ABOVE_NOISE * max(floor, 1e-9)
@@ -81,16 +82,16 @@ def take_series(
     look : callable
         Function that takes a picture.
     clock : Clock
-        Clock for the times.
+        Clock for times and pauses.
     seconds : float
-        Duration.
+        Duration of the series, s.
     every_s : float
-        Pause between pictures.
+        Interval between the starts of pictures, s.
 
     Returns
     -------
     list of (H, W) arrays, list of float
-        At least six pictures, and their times in seconds from the call.
+        At least six pictures, and the time from the call to the start of each picture, s.
     """
     begun_s, pictures, times_s = clock.now_s(), list[Grey](), list[float]()
     while (now_s := clock.now_s() - begun_s) < seconds or len(pictures) < 6:

@@ -1,4 +1,4 @@
-"""Stand of the camera during a scan: the arm (`rig.scanning.arm_stand`), or a tripod moved by the user."""
+"""Stand of the camera during a scan: the arm (`rig.scanning.arm_stand`), or a tripod that the user moves."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -14,11 +14,11 @@ from rhizotwin.rig.scanning.scan_camera import ScanCamera
 from rhizotwin.scenes.model import Ring, Scene
 
 FAR_MM, FAR_DEG = 40.0, 5.0
-"""Errors of the tripod's position beyond which the user is asked to move it again."""
+"""Position error, mm, and tilt error, deg, of a tripod above which the user is asked to move it again."""
 
 
 class Stand(Protocol):
-    """Moves the camera to the position of a ring."""
+    """Interface of a stand that places the camera at the positions of the plan's rings."""
 
     failed: bool
 
@@ -29,32 +29,32 @@ class Stand(Protocol):
         """Move the camera to the position of a ring."""
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
-        """Take a picture and detect the strip in it, searching for it if necessary."""
+        """Take a picture and read the strip in it, searching for the strip if necessary."""
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the camera's position by the detected strip, and return its final measurement.
+        """Correct the camera's position using the measured pose of the strip, and return the final measurement.
 
         Parameters
         ----------
         ring : Ring
             Ring with the target position.
         seen : Sighting or None
-            Present measurement of the strip.
+            Present measurement of the strip; None if the strip cannot be read.
         angle_deg : callable
-            Function that returns the table's angle.
+            Function that returns the present table angle, deg.
 
         Returns
         -------
         Sighting or None
-            Final measurement of the strip.
+            Final measurement of the strip; None if the strip cannot be read.
         """
 
     def joints(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
-        """Return the commanded and the present joint angles; None without an arm."""
+        """Return the commanded and the measured joint angles, deg; None for both without an arm."""
 
 
 class Tripod:
-    """A tripod moved by the user: for the first ring before the scan, for each further ring when asked."""
+    """Camera stand that the user moves: before the scan for the first ring, and on request for each further ring."""
 
     def __init__(self, scene: Scene, camera: ScanCamera, *, ask: Ask | None, note: Callable[[str, str], None]) -> None:
         self._scene = scene
@@ -64,15 +64,15 @@ class Tripod:
         self.failed = False
 
     def refuse(self, rings: Sequence[Ring]) -> None:
-        """Raise an error for several rings if there is no user to move the camera."""
+        """Raise an error if the plan has several rings but there is no user to move the camera."""
         if self._ask is None and any(ring != self._scene.plan.rings[0] for ring in rings):
             raise RigError(
-                f"camera: the plan has {len(self._scene.plan.rings)} rings, but no arm, and there is no user to move the camera: "
-                "run it in a terminal, or scan ring by ring with --plan"
+                f"camera: the plan has {len(self._scene.plan.rings)} rings, but the rig has no arm, and no user can be asked to move the "
+                "camera; run the scan in a terminal, or scan ring by ring with --plan"
             )
 
     def place(self, ring: Ring) -> None:
-        """Ask the user to move the camera; for the first ring it is already in position."""
+        """Ask the user to move the camera. For the first ring it is already in position."""
         if ring == self._scene.plan.rings[0]:
             return
         if self._ask is None:
@@ -81,49 +81,51 @@ class Tripod:
         self._ask(f"Move the camera: {describe_ring(ring)}. Press Enter when done: ")
 
     def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002
-        """Take a picture and detect the strip in it."""
+        """Take a picture, and read the strip in it; None if the strip cannot be read."""
         return self._camera.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Report the camera's position, and ask for another attempt if it is far from the plan.
+        """Report the camera's position, and ask the user to move it again if it is far from the plan.
 
         Parameters
         ----------
         ring : Ring
             Ring with the target position.
         seen : Sighting or None
-            Present measurement of the strip.
+            Present measurement of the strip; None if the strip cannot be read.
         angle_deg : callable
-            Function that returns the table's angle.
+            Function that returns the present table angle, deg.
 
         Returns
         -------
         Sighting or None
-            Final measurement of the strip.
+            Final measurement of the strip; None if the strip cannot be read.
         """
         while True:
             if seen is None:
-                self._note("placed", "camera: its position is unknown: the strip cannot be read from there")
+                self._note("placed", "camera: the position is unknown, because the strip cannot be read from there")
                 return None
             cam_from_rig = seen.cam_from_rig(angle_deg(), direction=self._scene.turntable.direction)
             distance_mm, height_mm, tilt_deg = camera_position(cam_from_rig)
             off_mm = float(np.hypot(distance_mm - ring.distance_mm, height_mm - ring.height_mm))
-            where = f"camera: is {distance_mm:.0f} mm from the axis at z = {height_mm:.0f} mm, {tilt_deg:.1f} deg down"
+            where = f"camera: it is {distance_mm:.0f} mm from the axis, at z = {height_mm:.0f} mm, tilted down by {tilt_deg:.1f} deg"
             near = off_mm <= FAR_MM and abs(tilt_deg - ring.tilt_deg) <= FAR_DEG
             if near or self._ask is None:
                 self._note("placed", f"{where} (planned: {describe_ring(ring)})")
                 return seen
-            answer = self._ask(f"{where}, but planned is {describe_ring(ring)}. Move it and press Enter, or type ok to keep it: ")
+            answer = self._ask(
+                f"{where}, but should be {describe_ring(ring)}. Move the camera and press Enter, or type ok to keep its position: "
+            )
             if answer.strip().lower() == "ok":
                 self._note("placed", f"{where} (planned: {describe_ring(ring)})")
                 return seen
             _, seen = self._camera.look()
 
     def joints(self) -> tuple[None, None]:
-        """Return None, as there is no arm."""
+        """Return None for commanded and measured joint angles, since there is no arm."""
         return None, None
 
 
 def describe_ring(ring: Ring) -> str:
-    """Return a description of the camera position of a ring."""
-    return f"{ring.distance_mm:g} mm from the axis at z = {ring.height_mm:g} mm, {ring.tilt_deg:g} deg down"
+    """Return a text with the camera's position and tilt for a ring."""
+    return f"{ring.distance_mm:g} mm from the axis, at z = {ring.height_mm:g} mm, tilted down by {ring.tilt_deg:g} deg"

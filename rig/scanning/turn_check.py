@@ -1,4 +1,4 @@
-"""Verification of the table's rotation in each picture of a scan, while the next one is being taken."""
+"""Verification of the table's rotation in each picture of a scan, while the next picture is being taken."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -13,9 +13,9 @@ from rhizotwin.scenes.picture_codec import Grey
 
 
 class TurnCheck:
-    """Detects the strip in each picture during the next movement.
+    """Verification of each picture's table angle during the next movement, from the marker strip.
 
-    Without a strip it checks whether the rotation changed the picture.
+    If the strip cannot be read, only a change of the picture by the rotation is verified.
     """
 
     def __init__(self, turntable: ScanTurntable, scene: Scene, observer: Observer) -> None:
@@ -26,30 +26,30 @@ class TurnCheck:
         self._before: tuple[Frame, Grey] | None = None
         self._pending: tuple[Frame, Future[tuple[Sighting | None, float | None]]] | None = None
         self.unread: list[str] = []
-        """Files whose angle is not confirmed by markers."""
+        """Names of the files whose angle is not confirmed by markers."""
 
     def begin_ring(self) -> None:
-        """Discard the previous picture, as the camera has moved."""
+        """Discard the previous picture, because the camera has moved."""
         self._before = self._pending = None
 
     def begin_look(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
-        """Begin to check a picture; the result for the previous one must have been read (`wrong`).
+        """Begin to check a picture. The result of the previous picture must have been read before, with `wrong`.
 
         Parameters
         ----------
         frame : Frame
             Frame of the picture.
         image : (H, W) uint8 or uint16 array
-            The picture.
+            Picture to check.
         again : (H, W) uint8 or uint16 array or None
-            Second picture at the same stop; None if there is none.
+            Second picture at the same table position, if any.
         """
         before = None if self._before is None or self._before[0].table_deg == frame.table_deg else self._before[1]
         self._pending = frame, self._reader.submit(self._look, frame, image, before, again)
         self._before = frame, image
 
     def wrong(self) -> tuple[str, str] | None:
-        """Return the file of the last picture and a description of its fault; None if it is as expected."""
+        """Return the file name and the fault of the last picture; None if the picture is as expected."""
         if self._pending is None:
             return None
         frame, looked = self._pending
@@ -59,15 +59,18 @@ class TurnCheck:
         if seen is not None:
             off_deg = self._turntable.off_deg(commanded_deg, seen)
             if abs(off_deg) > self._turntable.slip_deg:
-                return frame.file, f"the markers of {frame.file} deviate by {off_deg:+.2f} deg from the commanded {commanded_deg:g} deg"
+                return (
+                    frame.file,
+                    f"the markers of {frame.file} deviate by {off_deg:+.2f} deg from the commanded angle of {commanded_deg:g} deg",
+                )
             return None
         if changed is not None and changed < LEAST_SHARE:
-            return frame.file, f"{frame.file} does not differ from the previous picture, although the table was turned"
+            return frame.file, f"{frame.file} does not differ from the previous picture, although the table should have turned"
         self.unread.append(frame.file)
         return None
 
     def close(self) -> None:
-        """Stop the reader."""
+        """Stop the background thread."""
         self._reader.shutdown(wait=True, cancel_futures=True)
 
     def _look(self, frame: Frame, image: Grey, before: Grey | None, again: Grey | None) -> tuple[Sighting | None, float | None]:

@@ -1,1 +1,1 @@
-"""Serial lines: transmission, recording and replay."""
+"""Serial lines: transmission, recording and replay of bytes."""

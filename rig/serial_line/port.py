@@ -1,6 +1,6 @@
-"""Serial port with error messages that state a remedy.
+"""Serial port whose error messages state a remedy.
 
-It is a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial.
+The port can be a tty, a pseudo-terminal, ``socket://``, or any other URL supported by pyserial.
 """
 
 import errno
@@ -27,54 +27,54 @@ _BUSY = {errno.EBUSY, errno.EAGAIN}
 
 
 class Wire(Protocol):
-    """Interface of a port used by drivers: `Port`, or `rig.serial_line.recording.ReplayPort` as its replacement."""
+    """Interface of the port that drivers use: `Port`, or `rig.serial_line.recording.ReplayPort` for a replay."""
 
     @property
     def clock(self) -> Clock:
-        """Clock of the time-outs."""
+        """Clock with which timeouts are measured."""
 
     @property
     def url(self) -> str:
-        """URL of the port."""
+        """URL or device file of the port."""
 
     @property
     def device(self) -> str:
         """Name of the connected device, used in messages."""
 
     def write(self, data: bytes) -> None:
-        """Send bytes."""
+        """Send bytes to the device."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes as soon as there are any; empty after the time-out."""
+        """Return received bytes as soon as there are any, or no bytes after the timeout."""
 
     def discard_input(self) -> None:
-        """Discard received bytes."""
+        """Discard all bytes received so far."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class Port:
-    """An open serial port.
+    """Open serial port.
 
     Parameters
     ----------
     url
-        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``. It is locked against other programs, a
-        socket against those of this computer.
+        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``. A device file is locked against all other
+        programs, a socket against programs on this computer.
     baud
-        Bits per second.
+        Baud rate, bit/s.
     clock
-        Clock of the recording's time stamps and of the drivers' deadlines.
+        Clock for the time stamps of the recording and the deadlines of the drivers.
     device
-        Name of the connected device, used in messages: "turntable", "arm".
+        Name of the connected device, used in messages: "turntable" or "arm".
     recorder
-        Records every transmitted byte.
+        Recorder of all transmitted bytes, if any.
 
     Raises
     ------
     RigError
-        If the port cannot be opened, with a remedy.
+        If the port cannot be opened; the message states a remedy.
     """
 
     def __init__(self, url: str, *, baud: int, clock: Clock, device: str, recorder: Recorder | None = None) -> None:
@@ -101,14 +101,14 @@ class Port:
             raise
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
+        """Send bytes to the device.
 
         Raises
         ------
         LostError
             If the device was unplugged.
         NoAnswerError
-            If it does not accept bytes.
+            If the device does not accept bytes.
         """
         if self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, ">", data)
@@ -117,13 +117,14 @@ class Port:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
             raise NoAnswerError(
-                f"{self.device} on {self.url}: accepted no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
+                f"{self.device} on {self.url}: the device accepted no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check "
+                "the cable"
             ) from error
         except OSError as error:
             raise self._lost(error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes as soon as there are any; empty after the time-out (0 to not wait).
+        """Return received bytes as soon as there are any, or no bytes after the timeout (0: without waiting).
 
         Raises
         ------
@@ -133,20 +134,20 @@ class Port:
         self._check_open()
         try:
             data = self._waiting() or self._wait(timeout_s)
-        except OSError as error:  # in_waiting raises a bare OSError, while read and write raise SerialException
+        except OSError as error:  # in_waiting raises a plain OSError, whereas read and write raise SerialException
             raise self._lost(error) from error
         if data and self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, "<", data)
         return data
 
     def discard_input(self) -> None:
-        """Discard received bytes; they are recorded nevertheless, so that a replay contains them."""
-        for _ in range(16):  # do not wait for a device that sends without end
+        """Discard all bytes received so far. They are nevertheless recorded, so that a replay contains them."""
+        for _ in range(16):  # a limit, because a device may never stop sending
             if not self.read(0.0):
                 return
 
     def close(self) -> None:
-        """Close the port; no effect if it is already closed."""
+        """Close the port. There is no effect if it is already closed."""
         self._is_open = False
         with suppress(OSError):
             self._serial.close()
@@ -176,24 +177,28 @@ class Port:
         return b""
 
     def _lost(self, error: OSError) -> LostError:
-        return LostError(f"{self.device} on {self.url}: unplugged or switched off ({error}); check its cable and supply, then start again")
+        return LostError(
+            f"{self.device} on {self.url}: the device was unplugged or switched off ({error}); check its cable and supply, then start again"
+        )
 
 
 def _hold(url: str, device: str, stack: ExitStack) -> None:
-    """Lock a network port against other programs of this computer, as the system does for device files."""
+    """Lock a network port against other programs on this computer, as the system does for device files."""
     name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
     try:
         stack.enter_context(lock_file(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
     except UserError as error:
         raise RigError(str(error)) from error
     except PermissionError as error:
-        raise RigError(f"{device}: {url} is used by another user of this computer ({error.filename}); wait until that ends") from error
+        raise RigError(
+            f"{device}: {url} is being used by another user of this computer ({error.filename}); wait until the port is free"
+        ) from error
 
 
 def _slice_s(left_s: float) -> float:
-    """Return the largest power of two that is not longer (except for the last millisecond).
+    """Return the largest power of two that does not exceed the remaining time, within 1 ms and 8 s.
 
-    Thus only a few different time-outs are used, and they rarely change.
+    Thus only a few different timeouts are used, and they rarely change.
     """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
@@ -203,12 +208,12 @@ def _open_error(url: str, error: OSError | ValueError) -> str:
     code = error.errno if isinstance(error, OSError) else None
     if code == errno.EACCES:
         return (
-            f"{url} may not be opened by you; join the group of serial ports ('sudo usermod -aG dialout $USER' on most systems), "
+            f"you are not permitted to open {url}; join the group of serial ports ('sudo usermod -aG dialout $USER' on most systems), "
             "log out and in, and try again"
         )
     if code in _BUSY:
-        return f"{url} is used by another program; close that one and try again"
+        return f"{url} is being used by another program; close that program and try again"
     if code in _ABSENT:
         there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"{url} does not exist (existing serial ports: {there}); plug the device in, or correct its port in the rig file"
+        return f"{url} does not exist (existing serial ports: {there}); connect the device, or correct its port in the rig file"
     return f"{url} cannot be opened as a serial port ({error}); check the device, and its port in the rig file"

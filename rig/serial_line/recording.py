@@ -1,9 +1,9 @@
 """Recording of every transmitted byte as JSON lines, and a port that replays a recording.
 
-With it, a session on the bench becomes a test of the drivers. A file contains successive sessions. A session begins
-with a line ``{"recording": 1, "time": ..., "versions": ...}``, followed by ``{"t_s", "device", "open": {"url",
-"baud"}}`` for each opened port and ``{"t_s", "device", "dir": ">" or "<", "hex"}`` for bytes sent to (``>``) and
-received from (``<``) a device.
+A recording of a bench session can be used as a test of the drivers. A file contains successive sessions. Each session
+begins with a line ``{"recording": 1, "time": ..., "versions": ...}``. It is followed by a line ``{"t_s", "device",
+"open": {"url", "baud"}}`` for each opened port, and by lines ``{"t_s", "device", "dir": ">" or "<", "hex"}`` for bytes
+sent to (``>``) and received from (``<``) a device.
 """
 
 import json
@@ -22,13 +22,13 @@ FORMAT = 1
 
 
 class Recorder:
-    """Writer that appends to a recording; every line is flushed immediately, so that a crash loses none.
+    """Writer that appends to a recording. Every line is flushed immediately, so that a crash loses no line.
 
     Raises
     ------
     RigError
-        If the file cannot be written; also from `record`, but only once, as a full disk must not prevent the lamps from
-        being switched off.
+        If the file cannot be written. `record` raises the error only once, because a full disk must not prevent the
+        lamps from being switched off.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -55,7 +55,7 @@ class Recorder:
         Parameters
         ----------
         t_s : float
-            Time.
+            Time of the event, s.
         device : str
             Name of the device, such as ``turntable``.
         url, baud : str, int
@@ -69,18 +69,18 @@ class Recorder:
         Parameters
         ----------
         t_s : float
-            Time.
+            Time of the transmission, s.
         device : str
             Name of the device, such as ``turntable``.
         direction : {'>', '<'}
-            Direction: to the device, or from it.
+            Direction of the transmission: ``>`` to the device, ``<`` from the device.
         data : bytes
             Transmitted bytes.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the recording's file."""
         with suppress(OSError):
             self._stream.close()
 
@@ -95,14 +95,16 @@ class Recorder:
             raise self._failed(error) from error
         self._broken = written != len(line)
         if self._broken:
-            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or do not record")
+            raise RigError(
+                f"{self._path}: the recording cannot be written (the disk is full); free some space, or scan without a recording"
+            )
 
     def _failed(self, error: OSError) -> RigError:
-        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or do not record")
+        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or scan without a recording")
 
 
 def _end_line(path: Path) -> None:
-    """Remove an incomplete last line that a crash or a full disk left."""
+    """Remove an incomplete last line, which a crash or a full disk has left."""
     if not path.is_file():  # a pipe or a device
         return
     with path.open("r+b") as stream:
@@ -112,41 +114,41 @@ def _end_line(path: Path) -> None:
 
 
 class ReplayError(UserError):
-    """A driver deviated from the recording.
+    """Raised if a driver deviates from the recording that is replayed.
 
-    It is not a `RigError`, so that drivers do not handle it as a failure of the device.
+    The class is not a `RigError`, so that drivers do not handle it as a failure of the device.
     """
 
 
 class ReplayClock:
-    """Clock whose time advances only by `sleep`, without waiting."""
+    """Clock that only `sleep` advances, without waiting."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
 
     def now_s(self) -> float:
-        """Return seconds since the start of the replay."""
+        """Return the time since the start of the replay, s."""
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Advance the time."""
+        """Advance the time without waiting."""
         self._now_s += max(seconds, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Entry:
     line: int
-    """Line number in the file, from 1."""
+    """Line number in the file, starting at 1."""
     sent: bool
     data: bytes
 
 
 class ReplayPort:
-    """Replacement of a `rig.serial_line.port.Port` that replays a recording.
+    """Replacement for a `rig.serial_line.port.Port` that replays a recording.
 
-    It requires the same sent bytes as in the recording, and returns the received ones. Only the order matters, not the
-    times: a read returns the next received bytes, unless something was sent before them; then time advances up to the
-    time-out. After the first difference every call fails with it.
+    The port requires the driver to send the recorded bytes, and returns the recorded replies. Only the order matters,
+    not the times: a read returns the next received bytes, unless other bytes were sent before them in the recording. In
+    that case time advances by the timeout. After the first difference, every call raises the same error.
     """
 
     def __init__(self, path: Path, device: str, entries: list[_Entry], clock: Clock) -> None:
@@ -164,22 +166,22 @@ class ReplayPort:
         Raises
         ------
         ReplayError
-            If other bytes were sent at this point of the recording.
+            If they differ from the bytes sent at this point of the recording.
         """
         self._check()
         left = data
         while left:
             entry = self._entry()
             if entry is None:
-                raise self._differs(f"the recording ends, but {left!r} was sent after it")
+                raise self._differs(f"the driver sent {left!r} after the end of the recording")
             if not entry.sent:
-                raise self._differs(f"line {entry.line} has {entry.data!r} received, but {left!r} was sent before it was read")
+                raise self._differs(f"the driver sent {left!r} before it read {entry.data!r}, which was received in line {entry.line}")
             wanted = entry.data[self._done : self._done + len(left)]
             if not left.startswith(wanted):
                 same = next(i for i, (a, b) in enumerate(zip(wanted, left, strict=False)) if a != b)
                 byte = self._done + same
                 raise self._differs(
-                    f"line {entry.line} has {entry.data!r} sent, but the driver differs from byte {byte} on: {left[same:]!r}"
+                    f"{entry.data!r} was sent in line {entry.line}, but the driver differs from byte {byte} onwards: {left[same:]!r}"
                 )
             left = left[len(wanted) :]
             self._done += len(wanted)
@@ -187,7 +189,7 @@ class ReplayPort:
                 self._at, self._done = self._at + 1, 0
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes received at this point of the recording, or nothing after the time-out."""
+        """Return the bytes received at this point of the recording, or no bytes after the timeout."""
         self._check()
         entry = self._entry()
         if entry is None or entry.sent:
@@ -197,12 +199,12 @@ class ReplayPort:
         return entry.data
 
     def discard_input(self) -> None:
-        """Skip received bytes up to the next sent ones."""
+        """Skip received bytes until the next bytes that were sent."""
         while self.read(0.0):
             pass
 
     def close(self) -> None:
-        """Do nothing; see `finish`."""
+        """Do nothing. The end of a replay is checked by `finish`."""
 
     def finish(self) -> None:
         """Check that the whole recording was replayed.
@@ -210,13 +212,13 @@ class ReplayPort:
         Raises
         ------
         ReplayError
-            If a part of it is left.
+            If a part of the recording was not replayed.
         """
         self._check()
         entry = self._entry()
         if entry is not None:
             raise self._differs(
-                f"line {entry.line} has {entry.data!r} {'sent' if entry.sent else 'received'}, but the driver stopped before it"
+                f"the driver stopped before line {entry.line}, in which {entry.data!r} was {'sent' if entry.sent else 'received'}"
             )
 
     def _entry(self) -> _Entry | None:
@@ -232,23 +234,23 @@ class ReplayPort:
 
 
 def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, session: int = -1) -> ReplayPort:
-    """Open one device of a recording for replay.
+    """Open the recording of a device for replay.
 
     Parameters
     ----------
     path : path
         Path of the recording.
     device : str
-        Name of the device in the recording: "turntable", "arm".
+        Name of the device in the recording: "turntable" or "arm".
     clock : Clock or None
-        Clock of the driver, virtual for a fast replay; None for a `ReplayClock`.
+        Clock of the driver. None for a `ReplayClock`, which replays without waiting.
     session : int
-        Index of the session in the file, as in a list; the last one by default.
+        Index of the session in the file. Negative indices count from the end; the default is the last session.
 
     Returns
     -------
     ReplayPort
-        Port that returns the recorded answers of the device.
+        Port that returns the recorded replies of the device.
 
     Raises
     ------
@@ -259,30 +261,30 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
     try:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read as a recording ({error})") from error
-    # an incomplete last line was truncated by a crash
+        raise UserError(f"{path}: the file cannot be read as a recording ({error})") from error
+    # the last line is incomplete if a crash has truncated it
     plain = [_parse_line(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
-        raise UserError(f"{path}: is not a recording of format {FORMAT}")
+        raise UserError(f"{path}: the file is not a recording of format {FORMAT}")
     if not -len(begins) <= session < len(begins):
-        raise UserError(f"{path}: has {len(begins)} sessions, but session {session} was requested")
+        raise UserError(f"{path}: the recording has {len(begins)} sessions, but session {session} was requested")
     first = begins[session]
     end = min((i for i in begins if i > first), default=len(plain))
     mine = [(i, entry) for i, entry in enumerate(plain[first:end], start=first + 1) if entry.get("device") == device]
     if not mine:
         names = sorted({str(entry["device"]) for entry in plain[first:end] if "device" in entry})
-        raise UserError(f"{path}: has no device {device!r} in this session, only {', '.join(names) or 'none'}")
+        raise UserError(f"{path}: this session does not contain the device {device!r}; its devices are: {', '.join(names) or 'none'}")
     entries = [_Entry(line=i, sent=entry["sent"], data=entry["data"]) for i, entry in mine if "dir" in entry]
     return ReplayPort(path, device, entries, ReplayClock() if clock is None else clock)
 
 
 def _parse_line(path: Path, number: int, line: str) -> dict[str, Any]:
-    """Parse one line, and check all entries that `replay_port` uses."""
+    """Parse a line, and check all entries that `replay_port` uses."""
     try:
         plain = json.loads(line)
         if not isinstance(plain, dict):
-            raise ValueError("no object")
+            raise ValueError("not a JSON object")
         if "dir" in plain:
             plain["sent"] = {">": True, "<": False}[plain["dir"]]
             plain["data"] = bytes.fromhex(plain["hex"])

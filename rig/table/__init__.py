@@ -1,1 +1,1 @@
-"""Turntable and lights: the Marlin board, or a Raspberry Pi's own pins."""
+"""Drivers of turntable and lights, for a Marlin board or the pins of a Raspberry Pi."""

@@ -1,7 +1,8 @@
-"""Electronics of the thesis: a DRV8825 and NeoPixels on a Raspberry Pi's pins, as turntable and lights.
+"""Turntable and lights with the electronics of the thesis: a DRV8825 and NeoPixels on the pins of a Raspberry Pi.
 
-Nothing can be read back: the angle is the number of steps that were sent. It is known from `declare` until the motor is
-switched off; after the start of a program it must be determined from the markers.
+The electronics cannot report the table angle. The driver computes it from the number of steps that were sent. The angle
+is known from `declare` until the motor is switched off. After the start of a program it must be determined from the
+markers.
 """
 
 from collections.abc import Sequence
@@ -16,17 +17,18 @@ from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
 
 SETUP_S = 1e-3
-"""Delay between a change of direction or current and the first step; the DRV8825 requires 650 ns, and 1.7 ms after
-sleep."""
+"""Delay between a change of direction or current and the first step, s. The DRV8825 requires 650 ns, and 1.7 ms after
+sleep mode."""
 WAKE_S = 0.05
-"""Delay after the current is switched on, during which the rotor jumps to its position."""
+"""Delay after the current is switched on, s, during which the rotor jumps to its position."""
 LATE_S = 2.0
-"""Time-out of a move in addition to its computed duration, as the pulses are timed by a thread of a busy computer."""
+"""Timeout of a move, s, added to its computed duration. The pulses are timed by a thread, which other programs can
+delay."""
 POLL_S = 0.01
 
 
 class HatTurntable:
-    """A `rig.devices.Turntable`."""
+    """Turntable driven by a DRV8825; implements `rig.devices.Turntable`."""
 
     def __init__(self, pins: Pins, hat: HatPart, part: TurntablePart, clock: Clock) -> None:
         self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
@@ -42,12 +44,12 @@ class HatTurntable:
         return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps per degree, {where}"
 
     def prepare(self) -> None:
-        """Switch the motor's current on; the rotor may jump, so that the angle becomes unknown.
+        """Switch the motor's current on. The rotor may jump, so that the table angle becomes unknown.
 
         Raises
         ------
         RigError
-            If the driver reports a fault.
+            If the DRV8825 reports a fault.
         """
         self._steps, self._seated = None, False
         self._pins.output(self._hat.step_pin, 0)
@@ -58,43 +60,46 @@ class HatTurntable:
         self._check_fault()
 
     def position_deg(self) -> float:
-        """Return the angle from the number of steps; if it is unknown, a value below any valid angle."""
+        """Return the table angle computed from the number of steps, deg.
+
+        If it is unknown, the result is below any valid angle.
+        """
         return 10.0 * LEAST_DEG if self._steps is None else round(self._steps * self._step_deg, 6)
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this angle, to the nearest microstep.
+        """Define the present position as this table angle, rounded to the nearest microstep.
 
         Raises
         ------
         UnsafeError
-            For an angle outside -90 to 720.
+            If the angle is outside -90 to 720 deg.
         """
         _check_angle(angle_deg)
         if not self._on:
-            raise LostError("turntable: its motor is off, so that its angle would be lost; connect it first")
+            raise LostError("turntable: the motor is off, so that the angle would be lost; switch it on first")
         self._steps, self._seated = round(angle_deg / self._step_deg), False
 
     def knows_zero(self) -> bool:
-        """Whether an angle was declared after the motor was switched on."""
+        """Return whether an angle was declared after the motor was switched on."""
         return self._on and self._steps is not None
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves."""
+        """Set the acceleration of subsequent moves, deg/s2."""
         self._acceleration = deg_per_s2
 
     def move_to(self, angle_deg: float) -> float:
-        """Turn with constant acceleration, always arriving from below; return the angle of the nearest microstep.
+        """Rotate to an angle, always approached from below, and return the angle of the nearest microstep, deg.
 
         Raises
         ------
         LostError
-            If the angle is unknown, or the driver reports a fault during the move.
+            If the angle is unknown, or the DRV8825 reports a fault during the move.
         UnsafeError
-            For an angle outside -90 to 720.
+            If the angle is outside -90 to 720 deg.
         """
         _check_angle(angle_deg)
         if self._steps is None or not self._on:
-            raise LostError("turntable: the table's angle is unknown; determine it by the markers, or declare it")
+            raise LostError("turntable: the table's angle is unknown; determine it from the markers, or declare it")
         goal, room = round(angle_deg / self._step_deg), round(self._part.approach_deg / self._step_deg)
         here = self._steps
         if room and goal < (here if self._seated else here + room):
@@ -104,7 +109,7 @@ class HatTurntable:
         return self.position_deg()
 
     def release(self) -> None:
-        """Switch the motor off; the angle becomes unknown."""
+        """Switch the motor off. The table angle becomes unknown."""
         self._steps, self._seated, self._on = None, False, False
         self._pins.output(self._hat.enable_pin, 1)
 
@@ -114,9 +119,9 @@ class HatTurntable:
         self._pins.close()
 
     def _run(self, here: int, goal: int) -> int:
-        """Send the steps of one move and wait for its end.
+        """Send the steps of one move, wait for its end, and return the new position in microsteps.
 
-        If it is interrupted, the angle becomes unknown.
+        If the move is interrupted, the table angle becomes unknown.
         """
         count = abs(goal - here)
         if not count:
@@ -133,7 +138,10 @@ class HatTurntable:
             self._pins.steps(self._hat.step_pin, np.diff(due_s, prepend=0.0).tolist())
             while self._pins.busy(self._hat.step_pin):
                 if self._clock.now_s() > until_s:
-                    raise LostError(f"turntable: {count} steps were delayed by more than {LATE_S:g} s; is the computer overloaded?")
+                    raise LostError(
+                        f"turntable: {count} steps were delayed by more than {LATE_S:g} s, because the computer is overloaded; close "
+                        "other programs"
+                    )
                 self._clock.sleep(POLL_S)
         except BaseException:
             self.release()  # remaining pulses must not turn the table
@@ -145,11 +153,13 @@ class HatTurntable:
     def _check_fault(self) -> None:
         if self._pins.read(self._hat.fault_pin) == 0:
             self.release()
-            raise LostError("turntable: the DRV8825 reports a fault (too hot, or too much current); check its cooling, current and wires")
+            raise LostError(
+                "turntable: the DRV8825 reports a fault (overheating or overcurrent); check its cooling, current limit and wiring"
+            )
 
 
 class HatLights:
-    """A `rig.devices.Lights`."""
+    """Lamps driven by the pins of a Raspberry Pi; implements `rig.devices.Lights`."""
 
     def __init__(self, pixels: Pixels, pins: Pins, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._pixels, self._pins, self._part, self._clock = pixels, pins, part, clock
@@ -163,14 +173,14 @@ class HatLights:
         panel, front : float
             Levels from 0 to 1, as fractions of the colours in the rig file.
         band : BandPart or None
-            Colours and output of a band; None for those of ``[lights]``, without output.
+            Colours and switched output of a band; None for the colours of ``[lights]``, without a switched output.
         """
         check_levels(panel=panel, front=front)
         self._fill(panel, front, band)
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch all off."""
+        """Switch all lamps off."""
         self._fill(0.0, 0.0)
 
     def _fill(self, panel: float, front: float, band: BandPart | None = None) -> None:
@@ -186,6 +196,4 @@ class HatLights:
 
 def _check_angle(angle_deg: float) -> None:
     if not LEAST_DEG <= angle_deg <= MOST_DEG:
-        raise UnsafeError(
-            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that differs by full turns"
-        )
+        raise UnsafeError(f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; add or subtract full turns")

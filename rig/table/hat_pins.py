@@ -1,4 +1,4 @@
-"""Pins and pixels of a Raspberry Pi by `lgpio` and `rpi_ws281x`, which are loaded when first used."""
+"""Pins and NeoPixels of a Raspberry Pi, using `lgpio` and `rpi_ws281x`, which are imported when first used."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -7,44 +7,44 @@ from typing import Any, Protocol
 from rhizotwin.rig.errors import NoAnswerError, RigError
 
 PIXEL_HZ = 800_000
-"""Bit rate of WS2812B."""
+"""Bit rate of WS2812B pixels, Hz."""
 DMA = (10, 11)
-"""DMA channels of the two strips, as in rpi_ws281x's example for two strips."""
+"""DMA channels of the two strips, as in the rpi_ws281x example for two strips."""
 HIGH_S = 2e-6
-"""Duration of a step's pulse: the DRV8825 requires 1.9 us (data sheet, timing requirements)."""
+"""Duration of a step pulse, s. The DRV8825 requires 1.9 us (data sheet, timing requirements)."""
 
 
 class Pins(Protocol):
-    """Digital pins by GPIO number."""
+    """Interface of digital pins, addressed by GPIO number."""
 
     def output(self, pin: int, level: int) -> None:
         """Configure a pin as an output, or change its level."""
 
     def read(self, pin: int) -> int:
-        """Read an input; with its pull-up it is 1 unless it is pulled down."""
+        """Read an input pin, whose pull-up sets the level to 1 unless the pin is pulled low."""
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses, each followed by its pause, timed by a thread of the library."""
+        """Begin to send pulses, each followed by a pause. They are timed by a thread of the library."""
 
     def busy(self, pin: int) -> bool:
-        """Whether pulses are still being sent."""
+        """Return whether pulses are still being sent."""
 
     def close(self) -> None:
-        """Release the pins."""
+        """Release all pins."""
 
 
 class Pixels(Protocol):
-    """Two NeoPixel strips."""
+    """Interface of two NeoPixel strips."""
 
     def fill(self, strip: int, rgb: tuple[int, int, int]) -> None:
-        """Set all pixels of strip 0 (panel) or 1 (front) to one colour."""
+        """Set all pixels of strip 0 (panel) or strip 1 (front light) to a colour."""
 
     def close(self) -> None:
         """Switch both strips off."""
 
 
 class LgpioPins:
-    """`Pins` by lgpio."""
+    """Digital pins accessed through lgpio; implements `Pins`."""
 
     def __init__(self) -> None:
         self._library = _load("lgpio", "sudo apt install python3-lgpio, or pip install 'rhizotwin[hat]'")
@@ -53,7 +53,9 @@ class LgpioPins:
         try:
             self._chip = self._library.gpiochip_open(0)
         except self._library.error as error:
-            raise NoAnswerError(f"hat: the pins cannot be opened ({error}); this requires a Raspberry Pi and the group gpio") from None
+            raise NoAnswerError(
+                f"hat: the pins cannot be opened ({error}); the pins require a Raspberry Pi, and your membership in the group gpio"
+            ) from None
 
     def output(self, pin: int, level: int) -> None:
         """Configure a pin as an output, or change its level."""
@@ -64,14 +66,14 @@ class LgpioPins:
             self._outputs.add(pin)
 
     def read(self, pin: int) -> int:
-        """Read an input with a pull-up."""
+        """Read an input pin with a pull-up."""
         if pin not in self._inputs:
             self._call("gpio_claim_input", pin, self._library.SET_PULL_UP)
             self._inputs.add(pin)
         return int(self._call("gpio_read", pin))
 
     def steps(self, pin: int, pauses_s: Sequence[float]) -> None:
-        """Begin to send pulses as a wave: high, low for the rest of the pause."""
+        """Begin to send pulses as a wave. Each pulse is high, and then low for the rest of the pause."""
         pulse, high_us = self._library.pulse, round(1e6 * HIGH_S)
         wave = []
         for pause_s in pauses_s:
@@ -79,11 +81,11 @@ class LgpioPins:
         self._call("tx_wave", pin, wave)
 
     def busy(self, pin: int) -> bool:
-        """Whether the wave is still being sent."""
+        """Return whether the wave is still being sent."""
         return bool(self._call("tx_busy", pin, self._library.TX_WAVE))
 
     def close(self) -> None:
-        """Release the pins."""
+        """Release all pins."""
         self._library.gpiochip_close(self._chip)
 
     def _call(self, name: str, *arguments: Any) -> Any:
@@ -94,10 +96,10 @@ class LgpioPins:
 
 
 class Ws281xPixels:
-    """`Pixels` by rpi_ws281x."""
+    """NeoPixel strips accessed through rpi_ws281x; implements `Pixels`."""
 
     def __init__(self, pins: tuple[int, int], counts: tuple[int, int]) -> None:
-        library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5: use a Marlin board there)")
+        library = _load("rpi_ws281x", "pip install 'rhizotwin[hat]' (not available for a Raspberry Pi 5, which requires a Marlin board)")
         self._colour = library.Color
         self._strips = [
             library.PixelStrip(count, pin, PIXEL_HZ, DMA[strip], channel=strip)
@@ -108,11 +110,11 @@ class Ws281xPixels:
                 strip.begin()
             except RuntimeError as error:
                 raise RigError(
-                    f"hat: the NeoPixels cannot be driven ({error}); this requires root permissions and dtparam=audio=off"
+                    f"hat: the NeoPixels cannot be driven ({error}); they require root permissions and dtparam=audio=off"
                 ) from None
 
     def fill(self, strip: int, rgb: tuple[int, int, int]) -> None:
-        """Set all pixels of a strip to one colour."""
+        """Set all pixels of a strip to a colour."""
         one = self._strips[strip]
         for pixel in range(one.numPixels()):
             one.setPixelColor(pixel, self._colour(*rgb))
@@ -128,4 +130,4 @@ def _load(name: str, install: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise RigError(f"hat: the library {name} is missing; {install}") from None
+        raise RigError(f"hat: the library {name} is missing; install it with {install}") from None

@@ -1,4 +1,4 @@
-"""Lamps: two NeoPixel strips of a Marlin board, and loads on its fan outputs."""
+"""Lamps of a Marlin board: two NeoPixel strips, and lamps on its fan outputs."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,10 @@ _FULL = 255
 
 
 class MarlinLights:
-    """A `rig.devices.Lights` that shares its link with the turntable."""
+    """Lamps driven by a Marlin board; implements `rig.devices.Lights`.
+
+    The link to the board is shared with the turntable.
+    """
 
     def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._link = link
@@ -22,14 +25,14 @@ class MarlinLights:
         self._outputs = sorted({band.output for band in bands if band.output is not None})
 
     def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
-        """Set the lamps and wait until their light is steady.
+        """Set the lamps, and wait until their light is steady.
 
         Parameters
         ----------
         panel, front : float
             Levels from 0 to 1, as fractions of the colours in the rig file.
         band : BandPart or None
-            Colours and output of a band; None for those of ``[lights]``, without output.
+            Colours and switched output of a band; None for the colours of ``[lights]``, without a switched output.
         """
         check_levels(panel=panel, front=front)
         if not self._link.ready:
@@ -38,12 +41,12 @@ class MarlinLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch both off in any state; a lost board is reconnected.
+        """Switch all lamps off in any state of the board. A lost connection is restored.
 
         Raises
         ------
         NoAnswerError
-            If the board does not confirm that they are off; the command was sent nevertheless.
+            If the board does not confirm that the lamps are off. The command was sent nevertheless.
         LostError
             If the board is no longer connected.
         """
@@ -63,7 +66,7 @@ class MarlinLights:
             self._link.start()
         try:
             self._show(0.0, 0.0)
-        except LostError:  # it was reset, and answers after its restart
+        except LostError:  # the board was reset, and replies after its restart
             self._link.start()
             self._show(0.0, 0.0)
 
@@ -74,4 +77,4 @@ class MarlinLights:
             self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
         for output in self._outputs:
             self._link.command(f"M106 P{output} S{_FULL}" if band and output == band.output else f"M107 P{output}")
-        self._link.ask("M114", POSITION)  # previous commands are done when this one is answered
+        self._link.ask("M114", POSITION)  # all previous commands are complete when the board replies to this command

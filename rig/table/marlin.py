@@ -1,9 +1,11 @@
-"""Link to a Marlin board: numbered lines with checksums, one at a time, repeated until they are received.
+"""Link to a Marlin board.
 
-The board accepts lines only in the order of their numbers, so that a repeated line is executed once: the second copy is
-rejected, and the requested number in the rejection confirms that the first one was received. This handles every loss of
-an answer. A single answer cannot reveal an ``ok`` that belongs to an earlier line (late or duplicated). Therefore
-commands only count as executed after a subsequent command that prints a reply was answered, see `MarlinLink.ask`.
+The link sends numbered lines with checksums one at a time, and repeats them until they are received. The board accepts
+lines only in the order of their numbers, so that a repeated line is executed only once. The board rejects the second
+copy, and the number requested in the rejection confirms that the first copy was received. This handles every loss of a
+reply. However, a single reply cannot show whether an ``ok`` refers to an earlier line (because it is late or
+duplicated). Therefore commands count as executed only after the board has replied to a subsequent command that prints
+output, see `MarlinLink.ask`.
 """
 
 import re
@@ -15,45 +17,45 @@ from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kin
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
-"""Time within which boards that reset on connection send their greeting; others send nothing."""
+"""Maximum time after which a board that resets on connection begins its greeting, s. Other boards send no greeting."""
 STARTS = 3
 ASKS = 3
 
 
 class MarlinLink:
-    """Link to the board on a port, shared by turntable and lights."""
+    """Link to a Marlin board on a port, shared by turntable and lights."""
 
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
         self._journal = Journal()
-        # possible duration of an interrupted or unanswered command
+        # maximum remaining duration of an interrupted command, or of a command without reply
         self._unsettled_s: float | None = None
         self._lost: str | None = f"{self._wire.name}: not connected yet"
         self.firmware = ""
-        """Firmware as reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
+        """Firmware reported by M115, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
         self.capabilities: frozenset[str] = frozenset()
         self.sessions = 0
-        """Number of starts of the link; earlier knowledge of the board's state is then invalid."""
+        """Number of times the link was started. Each start invalidates earlier knowledge of the board's state."""
 
     @property
     def name(self) -> str:
-        """Device and port, used in messages."""
+        """Name of device and port, used in messages."""
         return self._wire.name
 
     @property
     def ready(self) -> bool:
-        """Whether the link was started and the board has not been lost since."""
+        """Return whether the link was started and the board has not been lost since."""
         return self._lost is None
 
     def start(self) -> None:
         """Synchronise line numbers, query the firmware, and switch off its automatic reports.
 
-        Table and lights are not changed.
+        The table and the lights do not change.
 
         Raises
         ------
         NoAnswerError
-            If there is no answer, or it is not from Marlin.
+            If there is no reply, or the reply is not from Marlin.
         LostError
             If the board resets repeatedly, is halted, or was unplugged.
         """
@@ -68,29 +70,29 @@ class MarlinLink:
                 return
 
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
-        """Send a command until it is received; return the lines printed by the board.
+        """Send a command repeatedly until it is received, and return the lines printed by the board.
 
-        A received command is not necessarily executed: moves are only queued, and an ``ok`` may have belonged to an
-        earlier command. Use `ask` to verify execution.
+        A received command is not necessarily executed: moves are only queued, and an ``ok`` may refer to an earlier
+        command. Use `ask` to verify the execution.
 
         Parameters
         ----------
         text : str
             Command without number and checksum.
         expect_s : float
-            Maximum time of the board until its ``ok``.
+            Maximum time until the board sends ``ok``, s.
         optional : bool
-            Whether the firmware need not support the command.
+            Whether the firmware is permitted not to support the command.
 
         Returns
         -------
         list of str
-            Lines before ``ok``.
+            Lines printed before ``ok``.
 
         Raises
         ------
         NoAnswerError
-            If the board did not receive it after every retry; the link remains usable.
+            If the board did not receive the command after all retries. The link remains usable.
         LostError
             If the board was reset, halted or unplugged, now or since the last `start`.
         RigError
@@ -99,50 +101,50 @@ class MarlinLink:
         return self._exchange_guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
-        """Send a command and return its reply.
+        """Send a command, and return the match of a pattern in the board's reply.
 
-        The board executes commands in order, so that all previous ones are done (moves only if followed by M400).
+        Since the board executes commands in order, all previous commands are complete (moves only if followed by M400).
 
         Parameters
         ----------
         text : str
-            The command.
+            Command without number and checksum.
         pattern : Pattern[str]
-            Pattern searched for in each line of the answer. It must not match truncated lines; a digit may still be
+            Pattern searched for in each line of the reply. It must not match truncated lines, but a digit may still be
             wrong.
         expect_s : float
-            Maximum duration of the command.
+            Maximum duration of the command, s.
 
         Returns
         -------
         re.Match[str]
-            Match in the line of the reply.
+            Match in a line of the reply.
 
         Raises
         ------
         NoAnswerError, LostError, RigError
-            See `command`; also if the answers are invalid.
+            See `command`; also if the replies are invalid.
         """
         return self._ask(text, pattern, expect_s=expect_s)[0]
 
     def send_unheard(self, *texts: str) -> None:
-        """Send commands to a board whose answers cannot be received.
+        """Send commands to a board whose replies cannot be received.
 
-        They are sent three times without numbers, so that lost lines have no effect.
+        The commands are sent three times without line numbers, so that lost lines have no effect.
         """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move immediately, if the firmware supports it (EMERGENCY_PARSER); return whether it does.
+        """Stop a move immediately if the firmware supports it (EMERGENCY_PARSER), and return whether it does.
 
-        The table's angle becomes unknown.
+        The table angle becomes unknown.
         """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
         try:
-            self._wire.send(b"M410\n")  # acts on reception, regardless of the queue
+            self._wire.send(b"M410\n")  # executed on reception, regardless of the queue
         except LostError as error:
             self._lost = str(error)
             raise
@@ -153,7 +155,7 @@ class MarlinLink:
         return True
 
     def close(self) -> None:
-        """Close the port; no effect if it is already closed."""
+        """Close the port. There is no effect if it is already closed."""
         self._lost = f"{self._wire.name}: closed"
         self._wire.close()
 
@@ -168,14 +170,14 @@ class MarlinLink:
         self.capabilities = frozenset(found[1] for line in lines if (found := CAPABILITY.search(line)))
         self.sessions += 1
         self.command(f"M113 S{BUSY_EVERY_S}", optional=True)
-        for reports in ("M155 S0", "M154 S0"):  # unsolicited reports would interfere with the answers
+        for reports in ("M155 S0", "M154 S0"):  # unsolicited reports would interfere with the replies
             self.command(reports, optional=True)
         self.command("M211 S0", optional=True)  # software endstops
-        self.command("M18 S0")  # otherwise the idle motor is released, and its angle lost
+        self.command("M18 S0")  # otherwise the idle motor is released, and the table angle lost
         self.ask("M114", POSITION)
 
     def _listen_to_greeting(self) -> None:
-        """Wait for the end of the greeting of a starting board, or for the silence of a running one."""
+        """Wait for the end of the greeting of a starting board, or for the timeout if the board is already running."""
         clock = self._wire.clock
         self._wire.fresh()
         until_s = clock.now_s() + BOOT_S
@@ -195,7 +197,9 @@ class MarlinLink:
                 if found := pattern.search(line):
                     return found, output
         heard = repr(output[-1]) if output else "nothing"
-        raise NoAnswerError(f"{self._wire.name}: does not answer {text} as Marlin does ({heard}); check port, baud rate and cable")
+        raise NoAnswerError(
+            f"{self._wire.name}: the reply to {text} is not that of a Marlin board ({heard}); check port, baud rate and cable"
+        )
 
     def _exchange_guarded(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:
         if self._lost is not None:
@@ -209,7 +213,10 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Resynchronise after an interrupted command, so that its late answers are not attributed to the next one."""
+        """Resynchronise after an interrupted command.
+
+        Late replies are then not attributed to the next command.
+        """
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 
     def _number_and_exchange(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:

@@ -1,4 +1,7 @@
-"""Transmission of one command to the board until it is received: sending, answers, rejections and repetitions."""
+"""Transmission of one command to a Marlin board until it is received.
+
+The exchange handles replies, rejections and repetitions.
+"""
 
 import re
 from dataclasses import dataclass, field
@@ -8,20 +11,23 @@ from rhizotwin.rig.table.marlin_lines import Kind, Line, encode_line
 from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 ANSWER_S = 10.0
-"""Silence, in addition to the expected duration of a command, after which it is sent again."""
+"""Time without a reply after which a command is sent again, s, added to the command's expected duration."""
 BUSY_S = 3.0
-"""The same after the board has reported that it is busy, which it does every `BUSY_EVERY_S`."""
+"""Time without a reply after which a command is sent again, s, if the board has reported that it is busy. The board
+repeats this report every `BUSY_EVERY_S`."""
 BUSY_EVERY_S = 2
 AGAIN_S = 3.0
-"""The same after a repetition because of silence."""
+"""Time without a reply after which a command is sent again, s, if it was already repeated because of a missing
+reply."""
 TRAILING_S = 0.5
-"""Time-out of a line that should follow immediately: the ``ok`` after ``Resend``, which some versions omit."""
+"""Timeout for a line that should follow immediately, s: the ``ok`` after ``Resend``, which some firmware versions
+omit."""
 LONGEST_S = 60.0
-"""Maximum duration of a command in addition to twice its expected duration, regardless of the board's output."""
+"""Maximum duration of a command, s, added to twice its expected duration, regardless of the board's output."""
 MOST_REFUSALS = 10
 MOST_SILENCES = 5
 MOST_HINTS = 2
-"""Maximum number of early repetitions because of a line that resembles an ``ok``."""
+"""Maximum number of early repetitions that are triggered by a line similar to ``ok``."""
 MOST_COPIES = 6
 MOST_LINES = 2000
 _KEPT = 50
@@ -29,7 +35,7 @@ _KEPT = 50
 
 @dataclass(frozen=True)
 class Sent:
-    """A line that was sent."""
+    """Command that was sent, as text and as encoded line."""
 
     text: str
     data: bytes
@@ -42,15 +48,15 @@ class Sent:
 
 @dataclass
 class Journal:
-    """Lines of a session by number, in case the board requests one again."""
+    """Lines of a session by number, which the board can request again."""
 
     last: int = 0
     lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", encode_line(0, "M110 N0"))})
     optional: set[str] = field(default_factory=set)
-    """Commands that the firmware need not support."""
+    """Commands that the firmware is permitted not to support."""
 
     def add(self, text: str, *, optional: bool) -> None:
-        """Add a command with the next number; an interruption leaves the journal consistent."""
+        """Add a command with the next line number. An interruption leaves the journal consistent."""
         number = self.last + 1
         sent = Sent(text, encode_line(number, text))
         if optional:
@@ -61,14 +67,14 @@ class Journal:
 
 
 class Exchange:
-    """Transmission of the last line of a journal.
+    """Transmission of the last line of a journal until the board has received it.
 
     Parameters
     ----------
     expect_s
-        Maximum time of the board until its ``ok``.
+        Maximum time until the board sends ``ok``, s.
     awaited
-        Pattern that must occur in the answers.
+        Pattern that must occur in the replies, if any.
     """
 
     def __init__(self, wire: MarlinWire, journal: Journal, *, expect_s: float, awaited: re.Pattern[str] | None) -> None:
@@ -76,30 +82,30 @@ class Exchange:
         self._journal = journal
         self._expect_s = expect_s
         self._awaited = awaited
-        # line in transmission: the last one, or an earlier one that the board did not receive
+        # line in transmission: the last line, or an earlier line that the board did not receive
         self._number = journal.last
-        self._quiet_s = wire.clock.now_s()  # time at which silence becomes too long
+        self._quiet_s = wire.clock.now_s()  # time at which a missing reply counts as lost
         self._end_s = self._quiet_s + LONGEST_S + 2.0 * expect_s
         self._output: list[str] = []
         self._answered = awaited is None
         self._acknowledged = False
         self._wanted: set[int] = set()  # numbers in the rejection that is being read
         self._refused = False
-        self._doubtful = False  # an unrecognised error occurred: the next ok confirms nothing
-        self._copies = 0  # number of unanswered copies of the line
+        self._doubtful = False  # an unrecognised error occurred, so that the next ok confirms nothing
+        self._copies = 0  # number of copies of the line without a reply
         self._refusals = self._silences = self._hints = self._waits = 0
         self._hinted = False
         self._unknown_text: str | None = None
 
     def run(self) -> list[str]:
-        """Send the line until the board has received it; return the printed lines.
+        """Send the line repeatedly until the board has received it, and return the printed lines.
 
         Raises
         ------
         NoAnswerError
-            If the board has not received it after every retry.
+            If the board has not received the line after all retries.
         LostError
-            If the board was reset, halted, or was unplugged.
+            If the board was reset, halted or unplugged.
         """
         self._wire.fresh()
         self._send()
@@ -111,14 +117,14 @@ class Exchange:
                 self._hear(line)
             elif self._silence():
                 return self._output
-        raise self._no_answer("kept sending other lines")
+        raise self._no_answer("the board kept sending unrelated lines")
 
     def check_known(self) -> None:
-        """Raise `RigError` if the firmware reported an unknown command."""
+        """Raise a `RigError` if the firmware does not support a command that was sent."""
         if self._unknown_text is not None:
             raise RigError(
                 f'{self._wire.name}: the firmware does not support "{self._unknown_text}"; '
-                "build Marlin 2.1 with the options that the docs list"
+                "build Marlin 2.1 with the options listed in the documentation"
             )
 
     def _send(self, *, patience_s: float | None = None) -> None:
@@ -130,21 +136,21 @@ class Exchange:
         self._quiet_s = self._wire.clock.now_s() + (self._expect_s + ANSWER_S if patience_s is None else patience_s)
 
     def _silence(self) -> bool:
-        """Handle a missing answer; return whether the exchange is over."""
+        """Handle a missing reply, and return whether the exchange is complete."""
         if self._refused:
             self._refusal()
             return False
         if self._acknowledged:
             return True
         if self._wire.clock.now_s() >= self._end_s:
-            raise self._no_answer("was busy without end")
+            raise self._no_answer("the board remained busy")
         if self._hinted:
             self._hints += 1
             self._send()
             return False
         self._silences += 1
         if self._silences > MOST_SILENCES:
-            raise self._no_answer("did not reply")
+            raise self._no_answer("the board did not reply")
         self._send(patience_s=AGAIN_S)
         return False
 
@@ -163,7 +169,7 @@ class Exchange:
                 self._quiet_s = now_s + BUSY_S
         elif line.kind is Kind.WAIT:
             self._waits += 1
-            # the first may have crossed with our line; the second means that no ok will follow
+            # the first may have been sent before our line arrived; the second means that no ok will follow
             if self._waits == 2 and not self._refused:
                 self._quiet_s = now_s
         elif line.kind is Kind.UNKNOWN:
@@ -178,11 +184,11 @@ class Exchange:
                 self._quiet_s = now_s + TRAILING_S
 
     def _handle_ok(self, line: Line) -> None:
-        """Handle an ``ok``."""
+        """Handle an ``ok`` from the board."""
         now_s = self._wire.clock.now_s()
         if self._refused:
             self._refusal()
-        elif line.number is not None and line.number != self._number:  # ADVANCED_OK: that of another line, or damaged
+        elif line.number is not None and line.number != self._number:  # ADVANCED_OK of a different line, or a damaged number
             self._hinted = self._hints < MOST_HINTS
             self._quiet_s = min(self._quiet_s, now_s + TRAILING_S) if self._hinted else self._quiet_s
         elif self._doubtful:
@@ -190,7 +196,7 @@ class Exchange:
             self._copies -= 1
             self._silences += 1
             if self._silences > MOST_SILENCES:
-                raise self._no_answer("answered with errors")
+                raise self._no_answer("the board replied with errors")
             self._send()
         elif self._number < self._journal.last:
             self._number += 1
@@ -201,30 +207,30 @@ class Exchange:
             self._copies -= 1
 
     def _acknowledge(self) -> None:
-        """Wait a little longer if answers to further copies, or the required output, are still to come.
+        """Register the line as received, and wait briefly for outstanding replies or the required output.
 
-        The required output may take as long as the command, as the ``ok`` may have been that of an earlier one.
+        The required output may take as long as the command, because the ``ok`` may refer to an earlier command.
         """
         self._acknowledged = True
         self._quiet_s = self._wire.clock.now_s() + TRAILING_S + (0.0 if self._answered else self._expect_s)
 
     def _refusal(self) -> None:
-        """Handle a complete rejection: send the requested line."""
-        # its two lines contradict each other, so that one is damaged
+        """Handle a complete rejection by sending the requested line."""
+        # if the two lines of the rejection contradict each other, one of them is damaged
         wanted = self._wanted.pop() if len(self._wanted) == 1 else None
         self._wanted.clear()
         self._refused = self._doubtful = False
         self._copies -= 1
         if wanted == self._journal.last + 1:
             if not self._acknowledged:
-                self._copies -= 1  # answers arrive in order: the ok of the first copy was lost
+                self._copies -= 1  # replies arrive in order, so that the ok for the first copy was lost
             self._acknowledge()
             return
         if wanted == 1 and self._number > 1:
-            raise self._wire.was_reset("its line numbers restarted")
+            raise self._wire.was_reset("the line numbers restarted")
         self._refusals += 1
         if self._refusals > MOST_REFUSALS:
-            raise self._no_answer(f"rejected it {MOST_REFUSALS} times")
+            raise self._no_answer(f"the board rejected the line {MOST_REFUSALS} times")
         if wanted is not None and wanted in self._journal.lines and wanted <= self._journal.last:
             if wanted != self._number:
                 self._copies = 0
@@ -233,7 +239,7 @@ class Exchange:
         self._send()
 
     def _unknown(self, quoted: str) -> None:
-        """Handle a command reported as unknown: one of ours, or one that was damaged in transmission."""
+        """Handle a command reported as unknown, which was either sent by this program or damaged in transmission."""
         name = quoted.split()[0] if quoted.split() else ""
         if name in self._journal.optional:
             return

@@ -1,6 +1,6 @@
-"""Lines of Marlin's serial protocol: encoding of commands, and meaning of the board's lines.
+"""Lines of Marlin's serial protocol: encoding of commands, and interpretation of the board's lines.
 
-After queue.cpp and language.h of Marlin 2.1.
+The formats are those of queue.cpp and language.h in Marlin 2.1.
 """
 
 import re
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 MAX_LINE = 96
-"""MAX_CMD_SIZE of the firmware."""
+"""MAX_CMD_SIZE of the firmware, bytes."""
 
 POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
-"""Reply to M114. Versions differ after X (no E, spaces after the colons); a truncated line has no Count and does not
-match."""
+"""Pattern of the reply to M114. Firmware versions differ after X (no E, spaces after the colons). A truncated line has
+no Count and does not match."""
 FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
-"""Reply to M115."""
+"""Pattern of the reply to M115."""
 CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]+):1$")
 
 
@@ -22,36 +22,37 @@ class Kind(Enum):
     """Meaning of a line from the board."""
 
     OK = auto()
-    """A command was received."""
+    """Confirmation that a command was received."""
     LIKE_OK = auto()
-    """A damaged ``ok``, or one joined with another line: reception is uncertain, but sending again need not wait long.
-    """
+    """Damaged ``ok``, or ``ok`` joined with another line. Reception is uncertain, but the command can be sent again
+    without waiting long."""
     BUSY = auto()
-    """A command is still being executed."""
+    """Report that a command is still being executed."""
     WAIT = auto()
-    """The board is idle."""
+    """Report that the board is idle."""
     REFUSED = auto()
-    """A line was rejected; the number is that of the requested line."""
+    """Rejection of a line. The number is that of the requested line."""
     ERROR = auto()
-    """Another error, or a damaged rejection."""
+    """Any other error, or a damaged rejection."""
     UNKNOWN = auto()
-    """The firmware does not support the command; an ``ok`` follows nevertheless."""
+    """Report that the firmware does not support a command. An ``ok`` follows nevertheless."""
     RESET = auto()
-    """Part of the greeting after a reset."""
+    """Line of the greeting that the board sends after a reset."""
     HALTED = auto()
-    """The firmware was killed, or halted."""
+    """Report that the firmware was killed or halted."""
     OTHER = auto()
     """Output of a command, or noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """A line from the board."""
+    """Line received from the board, with its meaning."""
 
     kind: Kind
     text: str
     number: int | None = None
-    """For REFUSED: number of the requested line. For OK with ADVANCED_OK: number of the received line."""
+    """Line number in the reply. REFUSED: number of the requested line. OK with ADVANCED_OK: number of the received
+    line."""
 
 
 _HALTED = re.compile(r"Printer halted|kill\(\) called|M112 Shutdown|Printer stopped due to errors")
@@ -64,12 +65,12 @@ _NOISE = "".join(map(chr, [*range(33), 127, 0xFFFD]))
 
 
 def encode_line(number: int, text: str) -> bytes:
-    """Return a command as the line that is sent: number, command, and the XOR of all bytes before the asterisk.
+    """Encode a command as a line: number, command, and the XOR of all bytes before the asterisk.
 
     Raises
     ------
     ValueError
-        If the command violates the line format, or is too long for the firmware's buffer.
+        If the command violates the line format or is too long for the firmware's buffer.
     """
     body = f"N{number} {text}"
     checksum = 0
@@ -82,9 +83,10 @@ def encode_line(number: int, text: str) -> bytes:
 
 
 def read_line(raw: bytes) -> Line:
-    """Return the meaning of a line.
+    """Decode a line from the board, and determine its meaning.
 
-    Noise at its ends is removed; noise inside is kept, since a number without a damaged digit would be another number.
+    Noise at the ends of the line is removed. Noise inside is kept, because removing a damaged digit would change a
+    number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
     if _HALTED.search(text):

@@ -1,4 +1,4 @@
-"""Line-oriented access to the port of a Marlin board."""
+"""Line-based access to the port of a Marlin board."""
 
 from collections import deque
 
@@ -10,7 +10,7 @@ MOST_BYTES = 65536
 
 
 class MarlinWire:
-    """Sends bytes, returns lines, and detects the loss of the board."""
+    """Port of a Marlin board that sends bytes, returns lines, and detects the loss of the board."""
 
     def __init__(self, port: Wire) -> None:
         self._port = port
@@ -19,19 +19,19 @@ class MarlinWire:
         self._heard = 0
         self.clock = port.clock
         self.name = f"{port.device} on {port.url}"
-        """Device and port, used in messages."""
+        """Name of device and port, used in messages."""
 
     def send(self, data: bytes) -> None:
-        """Send bytes."""
+        """Send bytes to the board."""
         self._port.write(data)
 
     def next(self, until_s: float) -> Line | None:
-        """Return the next line, or None if there is none up to this time.
+        """Return the next line, or None if no line is received before the given time (s).
 
         Raises
         ------
         NoAnswerError
-            If too much was received since `fresh` or `drain`.
+            If too many bytes were received since `fresh` or `drain`.
         """
         while not self._lines:
             data = self._port.read(max(until_s - self.clock.now_s(), 0.0))
@@ -39,7 +39,7 @@ class MarlinWire:
                 return None
             self._heard += len(data)
             if self._heard > MOST_BYTES:
-                raise NoAnswerError(f"{self.name}: sends invalid data without end; check baud rate and cable")
+                raise NoAnswerError(f"{self.name}: the device sends invalid data continuously; check baud rate and cable")
             self._buffer += data
             *whole, rest = self._buffer.split(b"\n")
             self._buffer = bytearray(rest)
@@ -51,17 +51,17 @@ class MarlinWire:
         self._heard = 0
 
     def forget(self) -> None:
-        """Discard received lines that were not yet returned."""
+        """Discard received lines that were not returned yet."""
         self._lines.clear()
         self._buffer.clear()
 
     def drain(self) -> None:
-        """Discard lines received since the last command, such as late and duplicated answers.
+        """Discard lines received since the last command, such as late and duplicated replies.
 
         Raises
         ------
         LostError
-            If they contain the greeting of a board that was reset.
+            If the discarded lines contain the greeting of a board that was reset.
         """
         self.fresh()
         while (line := self.next(self.clock.now_s())) is not None:
@@ -69,16 +69,17 @@ class MarlinWire:
         self.forget()
 
     def check(self, line: Line) -> None:
-        """Raise `LostError` for a line that indicates a reset or a halt of the board."""
+        """Raise a `LostError` if a line indicates a reset or a halt of the board."""
         if line.kind is Kind.RESET:
             raise self.was_reset(f'it sent "{line.text}"')
         if line.kind is Kind.HALTED:
-            raise LostError(f'{self.name}: the board halted ("{line.text}"); find out why, then switch it off and on')
+            raise LostError(f'{self.name}: the board has halted ("{line.text}"); find the cause, then switch the board off and on')
 
     def was_reset(self, why: str) -> LostError:
-        """Return the error of a reset board."""
+        """Return the error for a board that was reset."""
         return LostError(
-            f"{self.name}: the board was reset ({why}), so that its angle is lost; check supply and cable, and determine the angle again"
+            f"{self.name}: the board was reset ({why}), so that the table angle is lost; check supply and cable, and determine the angle "
+            "again"
         )
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Times of a stepper motor's steps: constant acceleration, constant speed, constant deceleration."""
+"""Timing of a stepper motor's steps for a move with constant acceleration, constant speed and constant deceleration."""
 
 import numpy as np
 
@@ -6,17 +6,17 @@ from rhizotwin.scenes.frames import Array
 
 
 def move_s(way: float, *, speed: float, acceleration: float) -> float:
-    """Return the duration of a move from rest to rest; distance, speed and acceleration use the same unit of length.
+    """Return the duration of a move that begins and ends at rest, s.
 
     Parameters
     ----------
     way, speed, acceleration : float
-        Distance, maximum speed and acceleration of the move.
+        Distance, maximum speed and acceleration of the move, with the same unit of length.
 
     Returns
     -------
     float
-        Duration in s.
+        Duration, s.
     """
     ramp = min(speed**2 / (2.0 * acceleration), way / 2.0)
     top = np.sqrt(2.0 * acceleration * ramp)
@@ -24,12 +24,12 @@ def move_s(way: float, *, speed: float, acceleration: float) -> float:
 
 
 def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
-    """Return the times of the steps of a move, from its beginning.
+    """Return the times of the steps of a move, relative to its beginning.
 
     Parameters
     ----------
     steps : int
-        Number of steps, 0 or more.
+        Number of steps, at least 0.
     speed : float
         Maximum speed, steps per second.
     acceleration : float
@@ -38,12 +38,12 @@ def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
     Returns
     -------
     (steps,) float64 array
-        Increasing times in seconds. A move too short for the maximum speed changes from acceleration to deceleration in
-        its middle.
+        Increasing times in seconds. In a move that is too short to reach the maximum speed, acceleration changes to
+        deceleration at half the distance.
 
     Notes
     -----
-    From s = a t^2 / 2, the time of step s of the first ramp is sqrt(2 s / a); the last ramp is its mirror image.
+    From s = a t^2 / 2, the time of step s in the first ramp is sqrt(2 s / a). The last ramp is its mirror image.
     """
     s = np.arange(1, steps + 1, dtype=np.float64)
     ramp = min(speed**2 / (2.0 * acceleration), steps / 2.0)

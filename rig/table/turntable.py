@@ -1,4 +1,4 @@
-"""Turntable: axis X of a Marlin board, in degrees."""
+"""Turntable that is driven as axis X of a Marlin board, in degrees."""
 
 import math
 
@@ -11,22 +11,22 @@ from rhizotwin.rig.table.marlin_lines import POSITION
 from rhizotwin.rig.table.ramp import move_s
 
 ZERO_X_DEG = 360.0
-"""X of the firmware at table angle 0. After a reset the board reports X = 0, which no table angle gives, so that the
-board itself stores whether its angle was declared."""
+"""Value of X in the firmware at table angle 0, deg. After a reset the board reports X = 0, which corresponds to no
+permitted table angle. Thus the board itself stores whether its angle was declared."""
 KNOWN_X_DEG = 200.0
-"""Minimum X of a board with a declared angle."""
+"""Minimum value of X that indicates a declared angle, deg."""
 _ROUNDED_DEG = 0.0051
-"""Rounding: M114 prints two decimals of a single-precision number."""
+"""Maximum rounding error of a reported angle, deg. M114 prints two decimals of a single-precision number."""
 _START_S = 2.0
-"""Maximum delay of a move beyond its computed duration."""
+"""Maximum delay of a move beyond its computed duration, s."""
 _LOOKS = 3
 _PAUSE_S = 0.2
-"""Pause before another reading, in which late answers arrive and are discarded."""
+"""Pause before a repeated reading, s, in which late replies arrive and are discarded."""
 _READINGS = 6
 
 
 class MarlinTurntable:
-    """A `rig.devices.Turntable`."""
+    """Turntable driven by a Marlin board; implements `rig.devices.Turntable`."""
 
     def __init__(self, link: MarlinLink, part: TurntablePart, clock: Clock) -> None:
         self._link = link
@@ -43,7 +43,7 @@ class MarlinTurntable:
         return f"{self._link.firmware}, {where}"
 
     def prepare(self) -> None:
-        """Connect: synchronise line numbers, switch the motor on permanently, use absolute angles."""
+        """Connect: synchronise line numbers, switch the motor on permanently, and select absolute angles."""
         self._verified, self._seated = None, False
         self._link.start()
         self._link.command("M17")
@@ -54,19 +54,20 @@ class MarlinTurntable:
         self._link.ask("M114", POSITION)
 
     def position_deg(self) -> float:
-        """Read the angle from the board; a value below -90 if the board has no declared angle.
+        """Read the table angle from the board, deg. The result is below -90 if the board has no declared angle.
 
-        A reply carries no checksum; it is accepted if it equals the last verified one, or if two successive ones agree.
+        A reply has no checksum. It is accepted if it equals the last verified reply, or if two successive replies
+        agree.
         """
         return _table_deg(self._x_deg())
 
     def declare(self, angle_deg: float) -> None:
-        """Define the present position as this angle (no motion).
+        """Define the present position as this table angle, without motion.
 
         Raises
         ------
         UnsafeError
-            For an angle outside -90 to 720.
+            If the angle is outside -90 to 720 deg.
         """
         _check_angle(angle_deg)
         self._verified, self._seated = None, False
@@ -75,26 +76,26 @@ class MarlinTurntable:
         self._verify(angle_deg)
 
     def knows_zero(self) -> bool:
-        """Whether the board still has a declared angle: False after power-up or a reset."""
+        """Return whether the board still knows its declared angle, which is lost by a power-up or reset."""
         return self._x_deg() >= KNOWN_X_DEG
 
     def accelerate(self, deg_per_s2: float) -> None:
-        """Set the acceleration of subsequent moves (M204 T: moves without extrusion)."""
+        """Set the acceleration of subsequent moves, deg/s2, with M204 T (acceleration of moves without extrusion)."""
         self._acceleration = deg_per_s2
         self._link.command(f"M204 T{_plain(deg_per_s2)}")
 
     def move_to(self, angle_deg: float) -> float:
-        """Turn, always arriving from below; wait until done, and return the measured angle.
+        """Rotate to an angle, always approached from below, wait for the end, and return the measured angle, deg.
 
-        A downward move, and the first move after the motor was switched on or the angle declared, overshoots downward
-        by `approach_deg` and returns, so that backlash is always on the same side.
+        A downward move overshoots by ``approach_deg`` and returns, so that the backlash is always on the same side. The
+        same applies to the first move after the motor was switched on or an angle declared.
 
         Raises
         ------
         LostError
-            If the board was reset, or reports another angle after the move than commanded.
+            If the board was reset, or reports an angle after the move that differs from the commanded angle.
         UnsafeError
-            For an angle outside -90 to 720.
+            If the angle is outside -90 to 720 deg.
         """
         _check_angle(angle_deg)
         here = _table_deg(self._known_x_deg())
@@ -113,7 +114,7 @@ class MarlinTurntable:
         return read_deg
 
     def release(self) -> None:
-        """Switch the motor off. As the rotor may then turn, the board's angle is cleared first."""
+        """Switch the motor off. The angle stored in the board is cleared first, because the rotor may then turn."""
         self._verified, self._seated = None, False
         if not self._link.ready:
             self._link.start()
@@ -127,13 +128,13 @@ class MarlinTurntable:
         self._link.close()
 
     def _feed(self) -> float:
-        """Return the speed per minute, the unit of G1."""
+        """Return the speed in degrees per minute, the unit of G1."""
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
-        """Return the angle reported by the board, once it agrees with the commanded one.
+        """Return the angle reported by the board, deg, when it agrees with the commanded angle.
 
-        A different reply is not accepted immediately.
+        Readings that differ are repeated before an error is raised.
         """
         read_deg = before_deg = math.nan
         for look in range(_LOOKS):
@@ -146,21 +147,21 @@ class MarlinTurntable:
                 self._verified = (self._link.sessions, x_deg)
                 return read_deg
         raise LostError(
-            f"{self._link.name}: reports {read_deg:.2f} deg after a move to {angle_deg:.2f} deg; check the "
-            "firmware's axis limits, then determine the angle again"
+            f"{self._link.name}: the board reports {read_deg:.2f} deg after a move to {angle_deg:.2f} deg; check the axis limits "
+            "of the firmware, then determine the table angle again"
         )
 
     def _known_x_deg(self) -> float:
-        """Return the table's X; it is only read if it is not known from the last move."""
+        """Return the firmware's X, deg, which is read only if it is not known from the last move."""
         if self._verified is not None and self._link.ready and self._verified[0] == self._link.sessions:
             return self._verified[1]
         x_deg = self._x_deg()
         if x_deg < KNOWN_X_DEG:
-            raise LostError(f"{self._link.name}: the table's angle is unknown; determine it by the markers, or declare it")
+            raise LostError(f"{self._link.name}: the table's angle is unknown; determine it from the markers, or declare it")
         return x_deg
 
     def _x_deg(self) -> float:
-        """Read X until a reply can be accepted."""
+        """Read X, deg, repeatedly until a reply can be accepted."""
         verified = self._verified[1] if self._verified is not None else math.nan
         before = math.nan
         for _ in range(_READINGS):
@@ -168,7 +169,7 @@ class MarlinTurntable:
             if x_deg in (verified, before):
                 return x_deg
             before = x_deg
-        raise NoAnswerError(f"{self._link.name}: reports a different angle at every reading; check the cable, then start again")
+        raise NoAnswerError(f"{self._link.name}: the board reports a different angle at every reading; check the cable, then start again")
 
     def _look(self, *, expect_s: float = 0.0) -> float:
         return float(self._link.ask("M114", POSITION, expect_s=expect_s)[1])
@@ -176,9 +177,7 @@ class MarlinTurntable:
 
 def _check_angle(angle_deg: float) -> None:
     if not LEAST_DEG <= angle_deg <= MOST_DEG:
-        raise UnsafeError(
-            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that differs by full turns"
-        )
+        raise UnsafeError(f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; add or subtract full turns")
 
 
 def _table_deg(x_deg: float) -> float:
@@ -186,5 +185,5 @@ def _table_deg(x_deg: float) -> float:
 
 
 def _plain(value: float) -> str:
-    """Return a number in G-code format, without exponent and trailing zeros."""
+    """Format a number for G-code, without exponent and trailing zeros."""
     return f"{value:.4f}".rstrip("0").rstrip(".")

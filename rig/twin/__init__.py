@@ -1,8 +1,8 @@
-"""An emulated rig: devices with physical errors, and a camera that shows their true state.
+"""Emulated rig: devices with physical errors that use the real protocols, and a camera that shows their true state.
 
-The devices use the same protocols as the real ones.
+Drivers and scans use the emulated devices in the same way as real devices.
 
-Layers, each of which depends only on those listed before it:
+Each layer depends only on the layers listed before it:
 
 clock, imperfections, servo, stepper,  device models in virtual time, without protocols
 lamps

@@ -1,6 +1,6 @@
-"""Interface of an adapter: the protocol of one device.
+"""Interface of an adapter, which implements the protocol of one emulated device.
 
-It receives the host's bytes, and returns bytes with the times at which they are due.
+An adapter receives the host's bytes, and returns bytes with the times at which they are due.
 """
 
 from dataclasses import dataclass
@@ -9,28 +9,28 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Reply:
-    """One message of a device: a line of text, or a frame."""
+    """Message of a device: a line of text, or a frame."""
 
     due_s: float
-    """Time at which the device begins to send it."""
+    """Time at which the device begins to send the message, s."""
     data: bytes
 
 
 class Adapter(Protocol):
-    """Implements the protocol of a device, without transmission."""
+    """Interface of a device's protocol, without transmission."""
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Receive bytes from the host."""
+        """Receive bytes from the host, and return the replies."""
 
     def next_s(self) -> float:
-        """Return the time of the next action of `poll`; infinity if there is none."""
+        """Return the time of the next action of `poll`, s; infinity if none is scheduled."""
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Perform the actions that are due."""
+        """Perform the actions that are due, and return the resulting messages."""
 
 
 class Motor(Protocol):
-    """Motor driven by a board; angles are degrees of the motor's own count since power-up."""
+    """Interface of a motor driven by a board. Angles are counted in degrees since power-up."""
 
     steps_per_deg: float
     acceleration_deg_per_s2: float
@@ -38,21 +38,21 @@ class Motor(Protocol):
 
     @property
     def steps(self) -> int:
-        """Number of microsteps given."""
+        """Number of microsteps sent since power-up."""
 
     @property
     def full(self) -> bool:
-        """Whether the queue is full."""
+        """Whether the queue of moves is full."""
 
     @property
     def moving(self) -> bool:
-        """Whether the motor moves."""
+        """Whether the motor is moving."""
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` are left."""
+        """Return the time until at most ``moves`` moves remain, s."""
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
-        """Add a move."""
+        """Add a move to the queue."""
 
     def energise(self) -> None:
         """Switch the coils on."""
@@ -61,20 +61,20 @@ class Motor(Protocol):
         """Switch the coils off."""
 
     def stop(self) -> None:
-        """Stop immediately."""
+        """Stop immediately, and discard queued moves."""
 
     def power_up(self) -> None:
         """Reset to the state after power-up."""
 
 
 class Strip(Protocol):
-    """A strip of LEDs."""
+    """Interface of a strip of LEDs."""
 
     def show(self, rgb: tuple[int, int, int], *, led: int | None = None) -> None:
-        """Set the colour of LEDs."""
+        """Set the colour of all LEDs, or of a single LED."""
 
     def dim(self, brightness: int) -> None:
-        """Set the brightness of all LEDs."""
+        """Set the brightness of all LEDs, from 0 to 255."""
 
     def power_up(self) -> None:
-        """Switch off, as after power-up."""
+        """Switch all LEDs off, as after power-up."""

@@ -1,6 +1,7 @@
 """Camera of the twin, and its driver.
 
-The sensor may stop, deliver old pictures or expose wrongly, which the driver must detect, as for a real camera.
+The emulated sensor may stop, deliver old pictures or expose wrongly. The driver must detect these faults, as for a real
+camera.
 """
 
 from collections.abc import Callable
@@ -15,18 +16,19 @@ from rhizotwin.scenes.picture_codec import Grey
 
 READOUT_S = 0.03
 PATIENCE_S = 10.0
-"""Time-out of a picture, in addition to its exposure."""
+"""Timeout for a picture, s, added to its exposure."""
 TRIES = 3
 NEAR = 0.01
 """Relative tolerance of the reported exposure time and gain."""
 
 Look = Callable[[float], Grey]
-"""Function of the exposure relative to the nominal one that returns the picture that the camera would now store."""
+"""Type of a function that returns the picture stored at present, for a given exposure relative to the nominal
+exposure."""
 
 
 @dataclass(frozen=True)
 class _Raw:
-    """Picture from the sensor with its reported settings."""
+    """Picture from the emulated sensor, with the settings that the sensor reports."""
 
     image: Grey
     began_s: float
@@ -35,20 +37,20 @@ class _Raw:
 
 
 class TwinCamera:
-    """A `rig.devices.Camera` that takes pictures of a twin.
+    """Driver of the twin's camera; implements `rig.devices.Camera`.
 
     Parameters
     ----------
     look
-        Function that takes the picture.
+        Function that returns the picture of the twin for a relative exposure.
     clock
-        Clock in which exposures take time.
+        Clock of the twin, which exposures advance.
     part
         Settings of the camera.
     nominal
-        Settings at which the scene has its nominal brightness.
+        Settings with which pictures have the scene's nominal brightness.
     pending
-        Faults that have not yet occurred.
+        Faults that have not occurred yet.
     """
 
     def __init__(self, look: Look, clock: Clock, *, part: CameraPart, nominal: CameraPart, pending: Pending) -> None:
@@ -62,37 +64,37 @@ class TwinCamera:
         self._last: _Raw | None = None
 
     def describe(self) -> str:
-        """Return a description of the camera."""
+        """Return a description of the camera and its settings."""
         return f"the twin's camera, exposure {1000.0 * self._part.exposure_s:g} ms, gain {self._part.gain:g}"
 
     def prepare(self) -> None:
-        """Verify the camera with a picture."""
+        """Verify the camera by taking a picture."""
         self.capture()
 
     def capture(self) -> Shot:
         """Take a picture whose exposure begins after this call.
 
-        Old and wrongly exposed pictures are discarded and taken again.
+        Old or wrongly exposed pictures are discarded, and taken again.
 
         Raises
         ------
         NoAnswerError
-            If no picture arrives, or none with the required exposure.
+            If no picture is received, or no picture has the required exposure.
         """
         wrong = ""
         for _ in range(TRIES):
             asked_s = self._clock.now_s()
             raw = self._frame()
             if raw.began_s < asked_s:
-                wrong = "gives old pictures"
+                wrong = "the pictures are old"
             elif not (_near(raw.exposure_s, self._part.exposure_s) and _near(raw.gain, self._part.gain)):
-                wrong = f"exposes for {1000.0 * raw.exposure_s:g} ms instead of {1000.0 * self._part.exposure_s:g} ms"
+                wrong = f"the exposure is {1000.0 * raw.exposure_s:g} ms instead of {1000.0 * self._part.exposure_s:g} ms"
             else:
                 return Shot(image=raw.image, exposure_s=raw.exposure_s, gain=raw.gain)
-        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and check that no other program uses it")
+        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); reopen the camera, and check that no other program uses it")
 
     def close(self) -> None:
-        """Do nothing, as there is nothing to release."""
+        """Do nothing, because there is nothing to release."""
 
     def _frame(self) -> _Raw:
         self._count += 1
@@ -108,14 +110,16 @@ class TwinCamera:
         waited_s = self._back_s - self._clock.now_s()
         self._clock.sleep(min(waited_s, PATIENCE_S))
         if waited_s > PATIENCE_S:
-            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and power, then resume with --resume")
+            raise NoAnswerError(
+                f"camera: no picture was received within {PATIENCE_S:g} s; check its cable and supply, then finish the scan with --resume"
+            )
         if stale:
             return self._last or self._expose(exposure_s, began_s=-1.0)
         self._last = self._expose(exposure_s, began_s=self._clock.now_s())
         return self._last
 
     def _expose(self, exposure_s: float, *, began_s: float) -> _Raw:
-        """Render the world at the middle of the exposure."""
+        """Return the picture of the twin's state in the middle of the exposure."""
         self._clock.sleep(exposure_s / 2.0)
         image = self._look(exposure_s * self._part.gain / (self._nominal.exposure_s * self._nominal.gain))
         self._clock.sleep(exposure_s / 2.0 + READOUT_S)

@@ -1,4 +1,4 @@
-"""The emulated carousel: it moves in virtual time, may be blocked, and may hold canisters in the wrong places."""
+"""Emulated carousel, which moves in virtual time, and can be blocked or contain canisters in wrong places."""
 
 from collections.abc import Callable
 
@@ -6,22 +6,22 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.errors import UnsafeError
 
 LIFT_S = 4.0
-"""Time to lift a canister onto the turntable, or off it."""
+"""Time for lifting a canister onto the turntable or off it, s."""
 STEP_S = 1.5
-"""Time to turn the carousel by one place."""
+"""Time for rotating the carousel by one place, s."""
 
 
 class TwinCarousel:
-    """A `rig.devices.Carousel` without hardware.
+    """Emulated canister changer; implements `rig.devices.Carousel`.
 
     Parameters
     ----------
     clock
-        Whose time its movements take.
+        Clock of the twin, which movements advance.
     canisters
-        Number of the canister in each place, from place 1; 0: the place is empty.
+        Number of the canister in each place, beginning with place 1; 0 for an empty place.
     put
-        Called with the number of the canister that has been put on the turntable; 0: it is empty.
+        Function that is called with the number of the canister placed on the turntable, or 0 for an empty turntable.
     """
 
     def __init__(self, clock: Clock, canisters: list[int], put: Callable[[int], object]) -> None:
@@ -31,38 +31,38 @@ class TwinCarousel:
         self._at = 1
         self._loaded = 0
         self.blocked = False
-        """Whether something is in its way."""
+        """Whether the carousel is blocked, and raises an error when it is rotated."""
 
     def describe(self) -> str:
-        """Return a short description."""
+        """Return a short description with the number of places."""
         return f"emulated carousel with {len(self._canisters)} places"
 
     def prepare(self) -> None:
-        """Turn to place 1."""
+        """Rotate the carousel to place 1."""
         self._turn(1)
 
     def load(self, place: int) -> None:
-        """Put the canister of a place on the turntable.
+        """Place the canister of a given place on the turntable.
 
         Raises
         ------
         UnsafeError
-            When it is blocked, or has no such place, or the place is empty.
+            If the carousel is blocked, the place does not exist, or the place is empty.
         """
         if self._loaded == place:
             return
         self.unload()
         if not 1 <= place <= len(self._canisters):
-            raise UnsafeError(f"carousel: has no place {place}, only 1 to {len(self._canisters)}; correct the experiment file")
+            raise UnsafeError(f"carousel: there is no place {place}, only places 1 to {len(self._canisters)}; correct the experiment file")
         self._turn(place)
         if not self._canisters[place - 1]:
-            raise UnsafeError(f"carousel: place {place} is empty; put the canister there and go on")
+            raise UnsafeError(f"carousel: place {place} is empty; put the canister there and continue")
         self._clock.sleep(LIFT_S)
         self._loaded = place
         self._put(self._canisters[place - 1])
 
     def unload(self) -> None:
-        """Put the canister on the turntable back to its place."""
+        """Return the canister on the turntable to its place."""
         if self._loaded:
             self._turn(self._loaded)
             self._clock.sleep(LIFT_S)
@@ -70,10 +70,10 @@ class TwinCarousel:
             self._put(0)
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing, because there is no port to close."""
 
     def _turn(self, place: int) -> None:
         if self.blocked:
-            raise UnsafeError("carousel: does not turn; remove what blocks it and go on")
+            raise UnsafeError("carousel: the carousel does not rotate; remove the obstacle and continue")
         self._clock.sleep(STEP_S * abs(place - self._at))
         self._at = place

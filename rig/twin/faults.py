@@ -1,4 +1,4 @@
-"""Faults of a twin, as data: in transmission, in a device, and in the camera."""
+"""Descriptions of faults that the twin can simulate: in transmission, in a device, and in the camera."""
 
 import threading
 from dataclasses import dataclass, replace
@@ -17,26 +17,28 @@ FOR_GOOD = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One fault."""
+    """Fault to be simulated, with the time at which it occurs."""
 
     kind: str
-    """A kind of `MENU`."""
+    """Name of a kind of fault in `MENU`."""
     device: Device
     at_message: int | None = None
-    """Number (from 1) of the device's message at which it occurs: reply, request or picture, depending on the kind."""
+    """Number, starting at 1, of the device's message at which the fault occurs. Depending on the kind, replies,
+    requests or pictures are counted."""
     at_s: float | None = None
-    """Virtual time after which it occurs, at the next message. If neither is given, it occurs immediately."""
+    """Virtual time, s; the fault occurs at the first message after it. If neither message nor time is given, the fault
+    occurs immediately."""
     amount: float = 0.5
-    """Seconds (of a delay or an absence), or the part of a message that is affected (0 to 1), depending on the kind."""
+    """Depending on the kind: duration of a delay or an absence, s, or the affected fraction of a message (0 to 1)."""
     count: int = 1
     """Number of successive messages that are affected."""
     joint: int = 1
-    """Affected servo of the arm: index of the joint, base first."""
+    """Index of the affected servo of the arm, beginning with the base."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaultKind:
-    """Description of a kind of fault."""
+    """Kind of fault that the twin can simulate, with its parameters."""
 
     name: str
     what: str
@@ -44,11 +46,11 @@ class FaultKind:
     devices: tuple[Device, ...]
     where: Where
     amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
-    """Amounts from which a random one is chosen."""
+    """Amounts from which the amount of a random fault is drawn."""
     counts: tuple[int, ...] = (1,)
-    """Numbers of messages from which a random one is chosen."""
+    """Numbers of affected messages from which the count of a random fault is drawn."""
     protocol: Literal["lx", "lsc"] | None = None
-    """Protocol of the arm for which the fault exists; None for both."""
+    """Protocol of the arm for which the fault exists; None for both protocols."""
 
 
 _SERIAL: tuple[Device, ...] = ("table", "arm")
@@ -80,11 +82,14 @@ MENU: tuple[FaultKind, ...] = (
     FaultKind(name="request_dropped", what="a request is lost", devices=_SERIAL, where="request", counts=_SEVERAL),
     FaultKind(name="ok_missing", what="an ok is lost", devices=("table",), where="reply", counts=_SEVERAL),
     FaultKind(
-        name="ok_missing_after_resend", what="a line is corrupted, and no ok follows the Resend", devices=("table",), where="request"
+        name="ok_missing_after_resend",
+        what="a line is corrupted, and the ok after the Resend is missing",
+        devices=("table",),
+        where="request",
     ),
     FaultKind(
         name="busy",
-        what="the board reports busy every two seconds for AMOUNT seconds before it answers",
+        what="the board reports busy every two seconds for AMOUNT seconds before it replies",
         devices=("table",),
         where="reply",
         amounts=(3.0, 9.0, 45.0),
@@ -140,15 +145,15 @@ KIND_NAMES: tuple[str, ...] = tuple(_KINDS)
 
 
 def fault_kind(name: str) -> FaultKind:
-    """Return a kind of fault by its name.
+    """Return the kind of fault with a given name.
 
     Raises
     ------
     UserError
-        For an unknown name.
+        If there is no kind with this name.
     """
     if name not in _KINDS:
-        raise UserError(f'there is no fault "{name}"{suggestion(name, list(_KINDS))}; there are {", ".join(_KINDS)}')
+        raise UserError(f'there is no fault "{name}"{suggestion(name, list(_KINDS))}; available faults are {", ".join(_KINDS)}')
     return _KINDS[name]
 
 
@@ -160,17 +165,17 @@ def draw_faults(
     Parameters
     ----------
     rng : Generator
-        Random generator of device, time, amount and count.
+        Random generator for device, time, amount and count.
     kinds : tuple of str
-        Names of the kinds.
+        Names of the kinds of faults.
     messages, duration_s, shots : int, float, int
-        Expected numbers of replies (or requests) of a device, seconds and pictures of the scan, within which the time
-        is drawn.
+        Expected number of replies (or requests) per device, duration (s) and number of pictures of the scan. The times
+        of faults are drawn within these limits.
 
     Returns
     -------
     tuple of Fault
-        Faults in the order of the kinds.
+        Faults in the order of ``kinds``.
     """
     faults = []
     for kind in map(fault_kind, kinds):
@@ -192,12 +197,12 @@ def draw_faults(
 
 
 def parse_fault(text: str) -> Fault:
-    """Parse a fault from a line such as ``reset``, ``reply_late table amount=3 at_s=20`` or ``stalled joint=2``.
+    """Parse a fault from text such as ``reset``, ``reply_late table amount=3 at_s=20`` or ``stalled joint=2``.
 
     Raises
     ------
     UserError
-        If the line is invalid, with the valid options.
+        If the text is invalid; the message states the valid options.
     """
     name, *words = text.split() or [""]
     kind = fault_kind(name)
@@ -232,7 +237,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class Pending:
-    """Faults that have not yet occurred; can be used from several threads."""
+    """Set of faults that have not occurred yet. Can be used from several threads."""
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
@@ -240,10 +245,10 @@ class Pending:
         self._lock = threading.Lock()
         self._left = list(faults)
         self.happened: list[tuple[float, Fault]] = []
-        """Faults that have occurred, with their times."""
+        """Faults that have occurred, with their times, s."""
 
     def add(self, fault: Fault) -> None:
-        """Add a fault."""
+        """Add a fault to the set."""
         fault_kind(fault.kind)
         with self._lock:
             self._left.append(fault)
@@ -254,18 +259,18 @@ class Pending:
             self._left.clear()
 
     def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
-        """Return the faults that affect message ``number`` of a device, in order; `use` marks one as occurred.
+        """Return the faults that affect message ``number`` of a device, in order. `use` marks a fault as occurred.
 
         Parameters
         ----------
         device : Device
             Device of the message.
         where : Where
-            Place of the fault: in transmission or in the device.
+            Place of the fault: reply, request, device or picture.
         number : int
             Number of the message.
         now_s : float
-            Time of the twin.
+            Time of the twin, s.
 
         Returns
         -------
@@ -277,14 +282,14 @@ class Pending:
         return [fault for fault in here if _is_due(fault, number, now_s)]
 
     def use(self, fault: Fault, now_s: float) -> None:
-        """Count one message affected by a fault."""
+        """Register that a fault has affected one message."""
         with self._lock:
             self.happened.append((now_s, fault))
             i = next(i for i, left in enumerate(self._left) if left is fault)
             self._left[i : i + 1] = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
 
     def next_s(self) -> float:
-        """Return the time of the next device fault that is scheduled by time."""
+        """Return the time of the next device fault that is scheduled by time, s; infinity if there is none."""
         with self._lock:
             times = [fault.at_s for fault in self._left if fault.at_s is not None and fault_kind(fault.kind).where == "device"]
         return min(times, default=float("inf"))

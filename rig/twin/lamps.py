@@ -1,6 +1,6 @@
-"""Model of a lamp: a strip of LEDs with individual colours and a common brightness; its light follows with a ramp.
+"""Model of a lamp: a strip of LEDs with individual colours and a common brightness.
 
-It is independent of protocols.
+The light follows changes with a linear ramp. The model is independent of protocols.
 """
 
 import numpy as np
@@ -12,16 +12,16 @@ Rgb = tuple[int, int, int]
 
 
 class Lamp:
-    """One strip of LEDs.
+    """Strip of LEDs whose light changes with a ramp.
 
     Parameters
     ----------
     full_rgb
-        Colour of level 1 at full brightness.
+        Colour that corresponds to level 1 at full brightness.
     imperfections
         Ramp and error of the brightness.
     key
-        Key of the lamp's random stream.
+        Key of the random stream of the lamp.
     """
 
     def __init__(self, *, full_rgb: Rgb, imperfections: Imperfections, key: Key) -> None:
@@ -35,21 +35,24 @@ class Lamp:
 
     @property
     def level(self) -> float:
-        """Present light, as a fraction of the maximum."""
+        """Present light as a fraction of the maximum."""
         return self._level
 
     @property
     def goal(self) -> float:
-        """Level that the lamp has or approaches."""
+        """Level at which the light settles, as a fraction of the maximum."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
 
     def share_of(self, rgb: Rgb) -> float | None:
-        """Return the ratio to levels for which this colour is the maximum; None for another colour, or a dark lamp."""
+        """Return the factor that converts the lamp's level to a level relative to a given colour.
+
+        The result is None if the lamp is dark or shows a different colour.
+        """
         shown = self._brightness > 0 and all(led == rgb for led in self._rgb) and sum(rgb) > 0
         return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
-        """Set the colour of all LEDs, or of one if it exists, 0-255 each."""
+        """Set the colour of all LEDs, or of a single LED if it exists. Each component is from 0 to 255."""
         if led is None:
             self._rgb = [rgb] * LEDS
         elif 0 <= led < LEDS:
@@ -57,18 +60,18 @@ class Lamp:
         self._settle()
 
     def dim(self, brightness: int) -> None:
-        """Set the brightness of all LEDs, 0-255; it remains until changed."""
+        """Set the brightness of all LEDs, from 0 to 255. The brightness remains until it is changed."""
         self._brightness = brightness
         self._settle()
 
     def power_up(self) -> None:
-        """Switch off, as LEDs do when their board starts."""
+        """Switch all LEDs off, as LEDs do when their board starts."""
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
         self._settle()
 
     def advance(self, dt_s: float) -> None:
-        """Advance the time."""
+        """Advance the light by a time step (s)."""
         if self._level != self.goal:
             step = dt_s / self._ramp_s if self._ramp_s > 0.0 else np.inf
             self._level += float(np.clip(self.goal - self._level, -step, step))

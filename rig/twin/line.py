@@ -1,4 +1,4 @@
-"""A serial line with transmission times in both directions, and faults."""
+"""Emulated serial line with transmission times in both directions, and faults."""
 
 import math
 from bisect import insort
@@ -14,24 +14,24 @@ NOISE = bytes((0xFF, 0x00, 0x55, 0x13, 0x9C, 0x0A, 0x55, 0x55, 0xFE, 0x7F, 0x01,
 BUSY = b"echo:busy: processing\n"
 BUSY_EVERY_S = 2.0
 SPLIT_EVERY = 4
-"""One in this number of messages reaches the host in two pieces."""
+"""Interval, in messages, at which a message reaches the host in two pieces."""
 
 
 class Line:
-    """Connection between the host and one device.
+    """Emulated serial connection between the host and one device.
 
     Parameters
     ----------
     device
-        Name of the device, to which faults refer.
+        Name of the device to which faults refer.
     adapter
-        Adapter of the device.
+        Adapter that implements the device's protocol.
     baud
-        Baud rate, which determines the transmission time with 10 bits per byte.
+        Baud rate, bit/s. It determines the transmission time, with 10 bits per byte.
     pending
-        Faults that have not yet occurred.
+        Faults that have not occurred yet.
     break_device
-        Called with a fault of kind "device" that is due at a message.
+        Function that is called with each fault of kind "device" that is due at a message.
     """
 
     def __init__(self, device: Device, adapter: Adapter, *, baud: int, pending: Pending, break_device: Callable[[Fault], None]) -> None:
@@ -50,7 +50,7 @@ class Line:
         self._mute_ok = False
         self.plugged = True
         self.plugs = 0
-        """Number of disconnections; ports opened before the last one are invalid."""
+        """Number of disconnections. Ports that were opened before the last disconnection are invalid."""
 
     def write(self, data: bytes, now_s: float) -> None:
         """Receive bytes from the host."""
@@ -68,7 +68,7 @@ class Line:
         self._requests.append((self._request_free_s, data))
 
     def take(self, size: int | None = None) -> bytes:
-        """Return up to ``size`` of the bytes that have arrived at the host."""
+        """Return and remove up to ``size`` of the bytes that have arrived at the host."""
         size = len(self._received) if size is None else size
         data = bytes(self._received[:size])
         del self._received[:size]
@@ -76,15 +76,15 @@ class Line:
 
     @property
     def waiting(self) -> int:
-        """Number of bytes that have arrived at the host."""
+        """Number of bytes that have arrived at the host and were not read yet."""
         return len(self._received)
 
     def drop_input(self) -> None:
-        """Discard bytes that have arrived, as the flush of a serial port does."""
+        """Discard the bytes that have arrived, as flushing a serial port does."""
         self._received.clear()
 
     def unplug(self) -> None:
-        """Disconnect the cable; bytes in transmission are lost."""
+        """Disconnect the cable. Bytes in transmission are lost."""
         self.plugged = False
         self.plugs += 1
         self._requests.clear()
@@ -99,11 +99,11 @@ class Line:
         self.plugged = True
 
     def silence(self) -> None:
-        """Discard replies that the device has not sent, as it was reset."""
+        """Discard replies that a device has not sent yet, because it was reset."""
         self._replies.clear()
 
     def next_s(self) -> float:
-        """Return the time of the next arrival of a byte."""
+        """Return the time of the next event on the line, s."""
         times = [self.adapter.next_s()]
         if self._requests:
             times.append(self._requests[0][0])
@@ -114,7 +114,7 @@ class Line:
         return min(times)
 
     def advance_to(self, now_s: float) -> None:
-        """Deliver the bytes that are due."""
+        """Deliver all bytes that are due."""
         while self._requests and self._requests[0][0] <= now_s:
             self._answer(self.adapter.receive(self._requests.popleft()[1], now_s))
         self._answer(self.adapter.poll(now_s))
@@ -131,7 +131,7 @@ class Line:
         insort(self._arrivals, (at_s, data), key=lambda arrival: arrival[0])
 
     def _send(self, reply: Reply, now_s: float) -> None:
-        """Transmit a reply, with the faults that affect it."""
+        """Transmit a reply, and apply the faults that are due."""
         self._reply_count += 1
         for fault in self._pending.due(self.device, "device", self._reply_count, now_s):
             self._break_device(fault)
@@ -166,7 +166,7 @@ class Line:
 
 
 def apply_fault(pieces: list[bytes], fault: Fault) -> list[bytes]:
-    """Return the messages that result from some messages after a transmission fault."""
+    """Apply a transmission fault to messages, and return the resulting messages."""
     if fault.kind in ("reply_dropped", "ok_missing"):
         return []
     if fault.kind == "reply_corrupted":
@@ -183,7 +183,7 @@ def apply_fault(pieces: list[bytes], fault: Fault) -> list[bytes]:
 
 
 def corrupt(data: bytes, amount: float) -> bytes:
-    """Return a message with one inverted bit, which ``amount`` (0 to 1) selects."""
+    """Return a message with one inverted bit, whose position is selected by ``amount`` (0 to 1)."""
     if not data:
         return data
     bit = min(int(amount * 8 * len(data)), 8 * len(data) - 1)

@@ -1,6 +1,7 @@
-"""Protocol of LX bus servos: binary frames, without physics and transmission (which includes the echo).
+"""Protocol of LX bus servos with binary frames.
 
-After LewanSoul's "Bus Servo Communication Protocol". Frame: 55 55 | id | length | command | parameters | checksum.
+The module is independent of physics and of transmission, which includes the echo. Source: LewanSoul, "Bus Servo
+Communication Protocol". Frame: ``55 55 | id | length | command | parameters | checksum``.
 """
 
 import math
@@ -11,28 +12,28 @@ from rhizotwin.rig.twin.adapter import Reply
 from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.0015
-"""Delay from the end of a request to its reply."""
+"""Delay between the end of a request and its reply, s."""
 BROADCAST = 254
 ID_READ = 14
-"""The only broadcast request with a reply."""
+"""Number of the only broadcast request that has a reply."""
 MAX_LENGTH = 10
-"""Maximum length of a frame; larger values are noise."""
+"""Maximum length of a frame. Larger values are treated as noise."""
 
 
 class LxAdapter:
-    """The servos on one bus."""
+    """Emulated LX servos on one bus."""
 
     def __init__(self, servos: dict[int, Servo], supply: Supply) -> None:
         self._servos = servos
         self._supply = supply
         self._buffer = bytearray()
-        # parameters of settings that are only stored: (servo, write command)
+        # parameters of settings that are only stored, by servo and write command
         self._kept: dict[tuple[int, int], bytes] = {}
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Receive bytes from the host.
+        """Receive bytes from the host, and return the replies.
 
-        Frames with a wrong checksum are ignored, as are all bytes while the supply is off.
+        Frames with a wrong checksum are ignored. While the supply is off, all bytes are ignored.
         """
         if not self._supply.up:
             self._buffer.clear()
@@ -48,15 +49,15 @@ class LxAdapter:
         return replies
 
     def next_s(self) -> float:
-        """Return infinity, as servos send nothing unsolicited."""
+        """Return infinity, because servos send nothing unsolicited."""
         return math.inf
 
     def poll(self, _now_s: float) -> list[Reply]:
-        """Do nothing, as servos send nothing unsolicited."""
+        """Do nothing, because servos send nothing unsolicited."""
         return []
 
     def _frame(self) -> bytes | None:
-        """Remove the next complete and valid frame from the buffer."""
+        """Remove the next complete and valid frame from the buffer, and return it."""
         buffer = self._buffer
         while True:
             start = buffer.find(b"\x55\x55")
@@ -84,7 +85,7 @@ class LxAdapter:
         return [number] if number in self._servos else []
 
     def _answer(self, number: int, command: int, parameters: bytes) -> bytes | None:
-        """Execute a command of one servo, and return the reply if there is one."""
+        """Execute a command of one servo, and return its reply, or None."""
         servo = self._servos[number]
         if command in _READS:
             return build_frame(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
@@ -126,7 +127,7 @@ def checksum(body: bytes) -> int:
 
 
 def build_frame(number: int, command: int, parameters: bytes) -> bytes:
-    """Return a complete frame.
+    """Build a frame from servo number, command and parameters.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def build_frame(number: int, command: int, parameters: bytes) -> bytes:
 
 
 def _merge_collision(frames: list[bytes]) -> bytes:
-    """Return the bytes that the host receives if several servos reply at once: a low level dominates."""
+    """Return the bytes that the host receives if several servos reply simultaneously. A low level dominates."""
     heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
     for frame in frames:
         for i, byte in enumerate(frame):
@@ -172,7 +173,7 @@ _READS: dict[int, Callable[[int, Servo, Supply], bytes]] = {
     32: lambda _n, servo, _s: bytes([servo.holds]),
 }
 
-# Settings without effect here that can be read back. Read command: write command and default.
+# Settings without effect in the emulation that can be read back. Read command: write command and default.
 _STORED_READS: dict[int, tuple[int, bytes]] = {
     19: (17, b"\x00"),
     21: (20, _ANGLE_LIMITS),

@@ -1,7 +1,7 @@
-"""Marlin 2.1's line protocol: numbers, checksums, resends, sequential execution, busy lines, reset and kill.
+"""Line protocol of Marlin 2.1: numbers, checksums, resends, sequential execution, busy lines, reset and kill.
 
-It is independent of physics. After Marlin's queue.cpp, e_parser.h, language.h and setup(); the commands are implemented
-in `rig.twin.marlin_commands`.
+The module is independent of physics, and follows queue.cpp, e_parser.h, language.h and setup() of Marlin. The commands
+are implemented in `rig.twin.marlin_commands`.
 """
 
 import math
@@ -12,9 +12,9 @@ from rhizotwin.rig.twin.adapter import Motor, Reply, Strip
 from rhizotwin.rig.twin.marlin_commands import VERSION, MarlinCommands
 
 THINKING_S = 0.001
-"""Delay from a line to its answer."""
+"""Delay between a line and its reply, s."""
 BOOT_S = 0.3
-"""Delay from a reset to the first line of the banner."""
+"""Delay between a reset and the first line of the banner, s."""
 BUSY_EVERY_S = 2.0
 MAX_LINE = 96
 BANNER = (
@@ -30,18 +30,18 @@ _EMERGENCY = re.compile(r"(?:N\s*\d+\s*)?(M112|M410|M108)(?!\d)")
 
 
 class MarlinAdapter:
-    """A board with Marlin firmware.
+    """Emulated board with Marlin firmware.
 
     Parameters
     ----------
     motor
-        Motor of axis X.
+        Motor that is driven as axis X.
     strips
         LED strips 0 and 1.
     outputs_on
-        Set of fan outputs that are on; None if there are no outputs.
+        Set of fan outputs that are on, which is updated; None if there are no outputs.
     ok_after_resend
-        Whether ``Resend:`` is followed by an ``ok``; some 2.0.x versions omit it.
+        Whether ``Resend:`` is followed by ``ok``. Some 2.0.x versions omit it.
     """
 
     def __init__(
@@ -61,18 +61,21 @@ class MarlinAdapter:
         self._last = 0
         self._busy_every_s = BUSY_EVERY_S
         self._next_busy_s = math.inf
-        self._done_s: float | None = None  # time at which the blocking command is done
+        self._done_s: float | None = None  # time at which the blocking command is complete
         self._boot_s: float | None = None  # time of the banner
         self._boot_reason = ""
 
     def reset(self, now_s: float, *, reason: str = "External Reset") -> None:
-        """Reset as by the reset button: the state is lost, then the banner follows."""
+        """Reset the board as by the reset button. The state is lost, and the banner follows."""
         self._start_anew()
         self.commands.power_up()
         self._boot_s, self._boot_reason = now_s + BOOT_S, reason
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Receive bytes from the host; they are lost while the board starts, or after it was killed."""
+        """Receive bytes from the host, and return the replies.
+
+        Bytes are lost while the board starts, or after it was killed.
+        """
         if self._boot_s is not None or self.halted:
             return []
         replies: list[Reply] = []
@@ -89,7 +92,7 @@ class MarlinAdapter:
         return replies + self._work(now_s)
 
     def next_s(self) -> float:
-        """Return the time of the board's next output or action."""
+        """Return the time of the board's next output or action, s; infinity if none is scheduled."""
         if self.halted:
             return math.inf
         if self._boot_s is not None:
@@ -97,7 +100,7 @@ class MarlinAdapter:
         return min(math.inf if self._done_s is None else self._done_s, self._next_busy_s, self.commands.next_s())
 
     def poll(self, now_s: float) -> list[Reply]:
-        """Send the banner, busy lines and late answers; release the motor after its idle time."""
+        """Return banner, busy lines and late replies that are due, and release the motor after its idle time."""
         if self.halted or now_s < self.next_s():
             return []
         if self._boot_s is not None:
@@ -111,7 +114,7 @@ class MarlinAdapter:
         return replies
 
     def _work(self, now_s: float) -> list[Reply]:
-        """Execute waiting lines, up to a blocking one."""
+        """Execute waiting lines, up to a command that blocks."""
         replies: list[Reply] = []
         while not self.halted:
             if self._done_s is not None:
@@ -125,7 +128,7 @@ class MarlinAdapter:
         return replies
 
     def _line(self, line: str, now_s: float) -> list[str]:
-        """Check number and checksum, execute the command, and return the lines of the answer."""
+        """Check number and checksum, execute the command, and return the lines of the reply."""
         if line.startswith("N"):
             renumber = line.find("M110")
             second = line.find("N", renumber) if renumber >= 0 else -1  # the last N in the line counts
@@ -197,7 +200,7 @@ def _xor(text: str) -> int:
 
 
 def _whole(text: str) -> int:
-    """Return the integer at the beginning of a text, as C's strtol does."""
+    """Return the integer at the beginning of a text, as strtol of C does."""
     found = re.match(r"\s*([-+]?\d+)", text)
     return int(found[1]) if found else 0
 

@@ -1,4 +1,4 @@
-"""Marlin's G and M codes on a board with one axis and two LED strips."""
+"""G and M codes of Marlin, for a board with one axis and two LED strips."""
 
 import math
 from collections.abc import Callable
@@ -16,24 +16,24 @@ ABOUT = (
 CAPABILITIES = ("SERIAL_XON_XOFF:0", "EEPROM:0", "AUTOREPORT_TEMP:1", "EMERGENCY_PARSER:1", "HOST_ACTION_COMMANDS:0", "BUSY_PROTOCOL:1")
 STOPPED = "Printer stopped due to errors. Fix the error and use M999 to restart. (Temperature is reset. Set it after restarting)"
 _SILENT = frozenset(("G21", "M82", "M83", "M108", "M111", "M154", "M155", "M201", "M203", "M205", "M211", "M220", "M410", "M500", "M501"))
-"""Commands accepted without effect here; M108 and M410 were executed on reception."""
+"""Commands that are accepted without effect in the emulation. M108 and M410 were already executed on reception."""
 
 Words = dict[str, float | None]
-"""Letters of a command with their numbers; None for a letter without one."""
+"""Letters of a command with their numbers; None for a letter without a number."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of a command."""
+    """Output of a command, and the delay of its ``ok``."""
 
     texts: tuple[str, ...] = ()
-    """Lines before the ``ok``."""
+    """Lines printed before the ``ok``."""
     wait_s: float = 0.0
-    """Delay of the ``ok``."""
+    """Delay of the ``ok``, s."""
 
 
 class MarlinCommands:
-    """State of the board and implementation of its commands."""
+    """State of an emulated Marlin board, and implementation of its commands."""
 
     def __init__(self, motor: Motor, strips: tuple[Strip, Strip], outputs_on: set[int]) -> None:
         self._motor = motor
@@ -70,28 +70,28 @@ class MarlinCommands:
         }
 
     def power_up(self) -> None:
-        """Reset the devices to the state after power-up."""
+        """Reset motor, outputs and strips to the state after power-up."""
         self._motor.power_up()
         self._outputs_on.clear()
         for strip in self._strips:
             strip.power_up()
 
     def do(self, name: str, words: Words, now_s: float) -> Answer | None:
-        """Execute a command; return None for an unknown command.
+        """Execute a command; return None if the command is unknown.
 
         Parameters
         ----------
         name : str
             Name of the command, such as ``G0``.
         words : Words
-            Letters with numbers.
+            Letters of the command, with their numbers.
         now_s : float
-            Time of the twin.
+            Time of the twin, s.
 
         Returns
         -------
         Answer or None
-            Lines, and the time at which they are printed.
+            Printed lines, and the delay of the ``ok``.
         """
         if name in _SILENT:
             return Answer()
@@ -103,15 +103,15 @@ class MarlinCommands:
         self._goal_deg = self._motor.steps / self._firmware_steps + self._offset_deg
 
     def kill(self) -> None:
-        """Execute M112: switch everything off."""
+        """Execute M112: switch the motor off."""
         self._motor.release()
 
     def next_s(self) -> float:
-        """Return the time at which the idle motor is released."""
+        """Return the time at which the idle motor is released, s."""
         return self._used_s + self._idle_s
 
     def poll(self, now_s: float) -> None:
-        """Release the motor after its idle time."""
+        """Release the motor when its idle time has passed."""
         if now_s < self.next_s():
             return
         if self._motor.moving:
@@ -173,7 +173,7 @@ class MarlinCommands:
         return Answer(() if words else (f"echo: M92 X{self._firmware_steps:.2f} Y80.00 Z400.00",))
 
     def _accelerate(self, words: Words, _now_s: float) -> Answer:
-        """Execute M204: T is the acceleration of moves without extrusion."""
+        """Execute M204, where T is the acceleration of moves without extrusion."""
         if travel := words.get("T"):
             self._motor.acceleration_deg_per_s2 = travel * self._firmware_steps / self._motor.steps_per_deg
         return Answer()
@@ -186,7 +186,7 @@ class MarlinCommands:
         return Answer((ABOUT, *(f"Cap:{capability}" for capability in CAPABILITIES)))
 
     def _light(self, words: Words, _now_s: float) -> Answer:
-        """Execute M150: a letter without a number is 255, an omitted colour is 0 unless K is given."""
+        """Execute M150. A letter without a number means 255, and an omitted colour means 0 unless K is given."""
         values = {letter: 255 if number is None else min(max(int(number), 0), 255) for letter, number in words.items()}
         for i in (0, 1):
             if values.get("S", i) != i:
@@ -203,7 +203,7 @@ class MarlinCommands:
         return Answer()
 
     def _switch(self, words: Words, _now_s: float) -> Answer:
-        """Execute M106: set a fan output by number; without a level it is 255."""
+        """Execute M106 for the given fan output. A missing level means 255."""
         level, output = words.get("S", 255.0), int(words.get("P") or 0)
         (self._outputs_on.add if level is None or level > 0.0 else self._outputs_on.discard)(output)
         return Answer()

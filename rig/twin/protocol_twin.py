@@ -1,8 +1,8 @@
-"""Handler of ``twin://ID/table`` and ``twin://ID/arm`` for pyserial.
+"""Handler of the URLs ``twin://ID/table`` and ``twin://ID/arm`` for pyserial.
 
-It provides the ports of a twin within this process, in its virtual time. A read with a time-out advances the twin's
-clock until the bytes have arrived, or the time-out is over. Nothing waits and nothing runs in parallel, so that the
-same seed gives the same bytes.
+The handler provides the ports of a twin within this process, in its virtual time. A read with a timeout advances the
+twin's clock until the bytes have arrived or the timeout has expired. There is no waiting and no concurrency, so that
+the same seed always produces the same bytes.
 """
 
 import errno
@@ -20,13 +20,13 @@ from rhizotwin.rig.twin.line import Line
 PACKAGE = "rhizotwin.rig.twin"
 """Package in which pyserial searches for this module."""
 CALL_S = 20e-6
-"""Duration of a call to the port, so that polling loops reach their deadlines."""
+"""Virtual duration of a call to the port, s, so that polling loops reach their deadlines."""
 GONE = "device reports readiness to read but returned no data (device disconnected or multiple access on port?)"
 
 
 @dataclass(eq=False)
 class Socket:
-    """The connection of a port to the twin."""
+    """Connection of a port to the twin."""
 
     line: Line
     clock: VirtualClock
@@ -39,14 +39,14 @@ _SOCKETS: "weakref.WeakValueDictionary[str, Socket]" = weakref.WeakValueDictiona
 
 
 def register(url: str, socket: Socket) -> None:
-    """Assign a URL to a socket, as long as the socket exists."""
+    """Assign a URL to a socket for as long as the socket exists."""
     _SOCKETS[url.lower()] = socket
 
 
 class Serial(SerialBase):
-    """A port of a twin, which behaves like a USB serial port on Linux, including its errors."""
+    """Port of a twin, which behaves like a USB serial port on Linux, including its errors."""
 
-    # set by SerialBase and its properties
+    # these attributes are set by SerialBase and its properties
     is_open: bool
     _port: str | None
     _timeout: float | None
@@ -58,7 +58,7 @@ class Serial(SerialBase):
         super().__init__(*args, **kwargs)
 
     def open(self) -> None:
-        """Open the port; bytes that arrived before are discarded."""
+        """Open the port. Bytes that arrived before are discarded."""
         if self.is_open:
             raise SerialException("Port is already open.")
         socket = _SOCKETS.get(str(self._port).lower())
@@ -83,7 +83,7 @@ class Serial(SerialBase):
 
     @property
     def in_waiting(self) -> int:
-        """Number of bytes that have arrived."""
+        """Number of bytes that have arrived and were not read yet."""
         socket = self._there()
         if self._dead(socket):
             raise OSError(errno.EIO, "Input/output error")
@@ -91,7 +91,7 @@ class Serial(SerialBase):
         return socket.line.waiting
 
     def read(self, size: int = 1) -> bytes:
-        """Read up to ``size`` bytes, waiting for them in virtual time as long as the time-out allows."""
+        """Read up to ``size`` bytes, waiting for them in virtual time until the timeout expires."""
         socket = self._there()
         clock = socket.clock
         deadline_s = math.inf if self._timeout is None else clock.now_s() + max(self._timeout, CALL_S)
@@ -103,11 +103,11 @@ class Serial(SerialBase):
             if len(data) >= size or clock.now_s() >= deadline_s:
                 return data
             if math.isinf(deadline_s) and math.isinf(clock.next_s()):
-                raise SerialException("a read without a time-out would block forever: no event is pending in virtual time")
+                raise SerialException("a read without a timeout would block forever, because no event is pending in virtual time")
             clock.step(deadline_s)
 
     def write(self, data: Any, /) -> int:
-        """Send bytes."""
+        """Send bytes, and return their number."""
         socket = self._there()
         if self._dead(socket):
             raise SerialException("write failed: [Errno 5] Input/output error")
@@ -120,11 +120,11 @@ class Serial(SerialBase):
         self._there()
 
     def reset_input_buffer(self) -> None:
-        """Discard bytes that have arrived."""
+        """Discard the bytes that have arrived."""
         self._there().line.drop_input()
 
     def reset_output_buffer(self) -> None:
-        """Do nothing, as written bytes are already in transmission."""
+        """Do nothing, because written bytes are already in transmission."""
         self._there()
 
     def _there(self) -> Socket:
@@ -133,17 +133,17 @@ class Serial(SerialBase):
         return self._socket
 
     def _dead(self, socket: Socket) -> bool:
-        """Whether the cable was disconnected since the port was opened; after reconnection a new port is required."""
+        """Return whether the cable was disconnected after the port was opened. A new port is then required."""
         return not socket.line.plugged or socket.line.plugs != self._plugs
 
     def _reconfigure_port(self) -> None:
-        """Accept any setting, as a USB port does."""
+        """Accept any setting of the port, as a USB port does."""
 
     def _update_dtr_state(self) -> None:
-        """Ignore the state of DTR."""
+        """Ignore the state of the modem line DTR."""
 
     def _update_rts_state(self) -> None:
-        """Ignore the state of RTS."""
+        """Ignore the state of the modem line RTS."""
 
     def _update_break_state(self) -> None:
         """Ignore the break condition."""

@@ -1,9 +1,9 @@
 """Serial lines of a twin as pseudo-terminals in real time, which any program can open.
 
-Properties of pseudo-terminals on which this module relies: as no slave descriptor is kept open here, ``POLLHUP`` on the
-master means that no program has the port open; reads then fail with EIO, which is not an error. pyserial discards bytes
-that arrived before it opened a port. A closed master is a disconnected cable. There are no modem lines, so that a reset
-by DTR is not visible; the baud rate is ignored, as lines have their own transmission times.
+This module relies on the following properties of pseudo-terminals. Since no slave descriptor is kept open, ``POLLHUP``
+on the master means that no program has opened the port. Reads then fail with EIO, which is not an error. pyserial
+discards bytes that arrived before it opened a port. A closed master represents a disconnected cable. There are no modem
+lines, so that a reset by DTR is not visible. The baud rate is ignored, because lines have their own transmission times.
 """
 
 import errno
@@ -20,28 +20,28 @@ from rhizotwin.rig.twin.clock import ScaledClock, VirtualClock
 from rhizotwin.rig.twin.line import Line
 
 LOOK_AGAIN_S = 0.02
-"""Interval of checks of ports that no program has open."""
+"""Polling interval for ports that no program has opened, s."""
 LONGEST_WAIT_S = 0.25
 QUIET_S = 0.05
-"""Delay of output after a port was opened, while pyserial is still flushing."""
+"""Delay of output after a port was opened, s, while pyserial may still flush its buffers."""
 _CHUNK = 4096
 
 
 class PtyPorts:
-    """The lines of a twin as ports, with the thread that advances the twin's time at the pace of real time.
+    """Serial lines of a twin as ports, with a thread that advances the twin's time together with real time.
 
     Parameters
     ----------
     lines
-        Lines by name, which is also that of the port's link.
+        Lines by name. The link to each port has the same name.
     clock
-        Clock of the twin, which nothing else may advance.
+        Clock of the twin, which must not be advanced by any other code.
     folder
-        Folder of the links to the ports, whose paths remain the same when a cable is disconnected and reconnected.
+        Folder of the links to the ports. The links' paths do not change when a cable is disconnected and reconnected.
     speed
-        Speed relative to real time.
+        Speed of the twin relative to real time.
     opened
-        Function that is called with a line's name when a program opens its port.
+        Function that is called with the name of a line when a program opens its port.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class PtyPorts:
         opened: Callable[[str], None] | None = None,
     ) -> None:
         self.lock = threading.RLock()
-        """Lock for all access to the twin."""
+        """Lock that must be held for all access to the twin."""
         self.real = ScaledClock(speed)
         self._clock = clock
         self._opened = opened or (lambda _name: None)
@@ -65,15 +65,15 @@ class PtyPorts:
 
     @property
     def paths(self) -> dict[str, Path]:
-        """Paths of the ports, by name."""
+        """Paths of the links to the ports, by name of the line."""
         return {name: port.link for name, port in self._ports.items()}
 
     def start(self) -> None:
-        """Start to serve the ports."""
+        """Start the thread that serves the ports."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Close the ports and wait for the thread."""
+        """Close the ports, and wait for the end of the thread."""
         self._stopping = True
         self.wake()
         if self._thread.is_alive():
@@ -85,12 +85,12 @@ class PtyPorts:
                 os.close(descriptor)
 
     def wake(self) -> None:
-        """Let the thread serve the ports immediately after an external change."""
+        """Make the thread serve the ports immediately after an external change."""
         with suppress(OSError):
             os.write(self._wake_write, b"x")
 
     def catch_up(self) -> None:
-        """Advance the twin to the present; the lock must be held."""
+        """Advance the twin to the present time. The lock must be held."""
         self._clock.advance_to(self.real.now_s())
 
     def _run(self) -> None:
@@ -104,7 +104,8 @@ class PtyPorts:
                         self._opened(name)
                     if port.is_open and port.master is not None:
                         poller.register(port.master, select.POLLIN)
-                # Relative to the served time: events since then must not be delayed by sleeping.
+                # The waiting time is relative to the time served, so that events since then are not delayed by
+                # sleeping.
                 wait_s = (self._clock.next_s() - self.real.now_s()) / self.real.speed
             closed = any(not port.is_open or port.holds_back for port in self._ports.values())
             wait_s = min(max(wait_s, 0.0), LOOK_AGAIN_S if closed else LONGEST_WAIT_S)
@@ -114,7 +115,7 @@ class PtyPorts:
 
 
 class _Port:
-    """One pseudo-terminal."""
+    """Pseudo-terminal of one serial line."""
 
     def __init__(self, line: Line, link: Path) -> None:
         self.line = line
@@ -131,7 +132,7 @@ class _Port:
         return bool(self._unsent)
 
     def plug(self) -> None:
-        """Create a pseudo-terminal in raw mode, and point the link to it."""
+        """Create a pseudo-terminal in raw mode, and redirect the link to it."""
         self.master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self.master, False)
@@ -143,7 +144,7 @@ class _Port:
         self.is_open = False
 
     def pull(self) -> None:
-        """Close the master, as a disconnected cable does."""
+        """Close the master, which represents disconnecting the cable."""
         if self.master is not None:
             os.close(self.master)
             self.master = None
@@ -152,7 +153,7 @@ class _Port:
         self._unsent = b""
 
     def serve(self, now_s: float) -> bool:
-        """Transfer bytes between terminal and line; return whether a program has just opened the port."""
+        """Transfer bytes between terminal and line, and return whether a program has just opened the port."""
         if self.line.plugged != (self.master is not None):
             self.plug() if self.line.plugged else self.pull()
         if self.master is None:

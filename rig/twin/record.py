@@ -1,6 +1,6 @@
-"""Record of the true state in the twin's pictures, by their content.
+"""Record of the twin's true state in each picture.
 
-It identifies the files of a scan, also after a restart.
+Pictures are identified by their content, so that they are also recognised in the files of a scan, and after a restart.
 """
 
 import hashlib
@@ -18,23 +18,23 @@ from rhizotwin.scenes.picture_codec import Grey
 
 @dataclass(frozen=True, kw_only=True)
 class TakenShot:
-    """One picture taken by the twin's camera."""
+    """Picture taken by the twin's camera, with the true state."""
 
     pixels: str
-    """SHA-256 of its pixels (`picture_digest`)."""
+    """SHA-256 of the picture's pixels (`picture_digest`)."""
     time_s: float
-    """Virtual time of the exposure's middle."""
+    """Virtual time of the middle of the exposure, s."""
     sight: Sight
 
 
 def picture_digest(image: Grey) -> str:
-    """Return the SHA-256 of a picture's size, depth and pixels, in hexadecimal."""
+    """Return the SHA-256 of a picture's size, bit depth and pixels as hexadecimal text."""
     head = f"{image.shape} {image.dtype}".encode()
     return hashlib.sha256(head + np.ascontiguousarray(image).tobytes()).hexdigest()
 
 
 class Record:
-    """The pictures taken, in memory and, after `keep_in`, in a file of JSON lines."""
+    """Record of all pictures taken, in memory and, after `keep_in`, in a file of JSON lines."""
 
     def __init__(self) -> None:
         self.shots: list[TakenShot] = []
@@ -42,7 +42,7 @@ class Record:
         self._path: Path | None = None
 
     def keep_in(self, path: Path) -> None:
-        """Load the shots of an earlier run from a file, and append further ones to it.
+        """Load the pictures of an earlier run from a file, and append further pictures to it.
 
         Raises
         ------
@@ -59,26 +59,26 @@ class Record:
             with path.open("a", encoding="utf-8") as file:
                 file.writelines(_line(shot) for shot in self.shots)
         except OSError as error:
-            raise UserError(f"{path}: cannot be used for the twin's record ({error.strerror})") from error
+            raise UserError(f"{path}: the file cannot be used for the twin's record of pictures ({error.strerror})") from error
         self._path = path
 
     def end(self) -> None:
-        """Remove the file, which is no longer needed."""
+        """Remove the file when it is no longer needed."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
             self._path = None
 
     def add(self, image: Grey, sight: Sight, time_s: float) -> None:
-        """Record a picture.
+        """Add a picture to the record.
 
         Parameters
         ----------
         image : (H, W) uint8 or uint16 array
-            Picture as stored by the camera.
+            Picture that the camera has stored.
         sight : Sight
-            State of the world in the picture.
+            True state of the twin in the picture.
         time_s : float
-            Time of the picture.
+            Virtual time of the middle of the exposure, s.
         """
         shot = TakenShot(pixels=picture_digest(image), time_s=time_s, sight=sight)
         self.shots.append(shot)
@@ -88,7 +88,7 @@ class Record:
                 file.write(_line(shot))
 
     def shot_of(self, image: Grey) -> TakenShot | None:
-        """Return the shot of a picture; None if it was not taken by this twin."""
+        """Return the recorded entry of a picture; None if the picture was not taken by this twin."""
         return self._known.get(picture_digest(image))
 
 
@@ -98,7 +98,7 @@ def _line(shot: TakenShot) -> str:
 
 
 def _parse_line(line: str) -> TakenShot | None:
-    """Parse a line; return None for an incomplete one of a killed run."""
+    """Parse a line; return None if a killed run has left it incomplete."""
     try:
         plain: dict[str, Any] = json.loads(line)
         sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}

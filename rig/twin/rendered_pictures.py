@@ -1,7 +1,8 @@
-"""Rendered pictures of the twin by `sim`, with camera noise, and their truth.
+"""Pictures of the twin rendered with `sim`, including camera noise, and their truth.
 
-This is the only module of the rig that uses `sim`, which is imported when something is rendered or drawn, so that `rig`
-works without Mitsuba. Callers that request rendered pictures must have selected Mitsuba's variant before.
+This is the only module of the package rig that uses `sim`. It imports `sim` only for rendering or drawing random
+values, so that `rig` works without Mitsuba. Callers that request rendered pictures must have selected the Mitsuba
+variant before.
 """
 
 from __future__ import annotations
@@ -28,26 +29,26 @@ if TYPE_CHECKING:
     from rhizotwin.sim.world import TrueCamera, World
 
 Light = NDArray[np.float32]
-_NOISE = 106  # second key of the noise's random stream; those of the devices are in `rig.twin.world`
+_NOISE = 106  # second key of the random stream of the noise; the keys of the devices are in `rig.twin.world`
 _KEPT = 8
-"""Number of pictures cached for repeated states."""
+"""Number of pictures that are cached for repeated states."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigErrors:
-    """Random values of a scene's disturbances for a seed that concern the rig."""
+    """Rig errors drawn from a scene's disturbances for a given seed."""
 
     table_from_canister: frames.Array
     canister_from_strip: frames.Array
     distortion: tuple[float, float, float, float, float]
     ring_cameras: tuple[frames.Array, ...]
-    """``cam_from_rig`` of a manually placed camera, for each ring of the plan."""
+    """Transform ``cam_from_rig`` of a manually placed camera, for each ring of the plan."""
 
 
 def draw(scene: Scene, *, seed: int) -> RigErrors:
-    """Draw the random values as `sim.world.draw_world` does.
+    """Draw the rig errors of a scene in the same way as `sim.world.draw_world`.
 
-    The same scene and seed give the same values in simulated pictures and in the twin.
+    The same scene and seed result in the same values in simulated pictures and in the twin.
     """
     from rhizotwin.sim.world import draw_world
 
@@ -62,24 +63,26 @@ def draw(scene: Scene, *, seed: int) -> RigErrors:
 
 
 def calibrated_scene(scene: Scene) -> Scene:
-    """Return the scene as known to a laboratory: the nominal rig and the calibrated lens."""
+    """Return the scene as known to a laboratory, with nominal rig and calibrated lens."""
     from rhizotwin.sim.world import scene_for_reconstruction
 
     return scene_for_reconstruction(scene)
 
 
 class RenderedPictures:
-    """Renders a scene as `sim.simulate` does, with the ``backlit`` fidelity, for any position of camera and table.
+    """Renderer of a scene for any position of camera and table.
+
+    It uses the same method as `sim.simulate` with the ``backlit`` fidelity.
 
     Parameters
     ----------
     scene
-        Scene with its specimen (None for an empty canister) and disturbances; those of arm and table are simulated by
-        the devices of the twin.
+        Scene with its specimen (None for an empty canister) and disturbances. Disturbances of arm and table are
+        simulated by the devices of the twin instead.
     seed
-        Random seed of the disturbances and the noise.
+        Random seed of the disturbances and of the noise.
     samples
-        Rays per pixel, a square number; None for the default.
+        Number of rays per pixel, which must be a square number; None for the default.
     """
 
     def __init__(self, scene: Scene, *, seed: int, samples: int | None = None) -> None:
@@ -94,9 +97,9 @@ class RenderedPictures:
         self._masks: dict[bytes, bytes] = {}  # compressed
 
     def picture(self, sight: Sight) -> Grey:
-        """Return the picture that the camera stores for a state of the world.
+        """Return the picture (H, W) that the camera stores for a state of the world.
 
-        It depends on that state, the scene and the seed only.
+        The picture depends only on the state, the scene and the seed.
         """
         from rhizotwin.sim.exposure import expose
 
@@ -111,7 +114,7 @@ class RenderedPictures:
         return self._pictures[key].copy()
 
     def light(self, sight: Sight) -> Light:
-        """Return linear light (H, W), with 1 as full scale at nominal exposure, as the sum of the lamps."""
+        """Return the linear light (H, W) as the sum of the lamps, where 1 is full scale at nominal exposure."""
         width, height = self._scene.camera.image_wh
         both = min(sight.panel, sight.front)
         light = np.zeros((height, width), np.float32)
@@ -121,7 +124,7 @@ class RenderedPictures:
         return light
 
     def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
-        """Write the ``truth`` of a dataset, from each picture's file name and state of the world.
+        """Write the ``truth`` of a dataset, given the file name and the true state of each picture.
 
         The scene must have a specimen.
         """
@@ -139,7 +142,7 @@ class RenderedPictures:
         save_truth(folder, build_truth(world, self._solid, [(file, _camera(sight)) for file, sight in taken]))
 
     def _look(self, sight: Sight, *, panel: bool, front: bool) -> Light:
-        """Render with one lamp or both at full brightness; cache the mask."""
+        """Render the light (H, W) of one or both lamps at full brightness, and cache the mask."""
         from rhizotwin.sim.exposure import mask_picture
 
         renderer = self._renderer(panel=panel, front=front, band=sight.band)
@@ -171,7 +174,7 @@ class RenderedPictures:
         return self._world
 
     def _nearest_ring(self, sight: Sight) -> int:
-        """Return the ring with the nearest camera, for which the lens is focused."""
+        """Return the index of the ring whose camera is nearest, for which the lens is focused."""
         x, y, z = frames.invert(sight.cam_from_rig)[:3, 3]
         rings = self._scene.plan.rings
         return min(range(len(rings)), key=lambda i: np.hypot(np.hypot(x, y) - rings[i].distance_mm, z - rings[i].height_mm))

@@ -1,4 +1,4 @@
-"""Standalone twin in real time: serial ports for any program, a camera over HTTP, and a matching rig file."""
+"""Standalone twin in real time, with serial ports for any program, an HTTP camera server, and a matching rig file."""
 
 import os
 import select
@@ -24,24 +24,24 @@ from rhizotwin.scenes.picture_codec import Grey
 from rhizotwin.scenes.schema import to_plain
 
 Say = Callable[[str], None]
-HELP = "a fault (such as: reset, or: reply_late table amount=3), faults, where, help, quit"
+HELP = "faults (list the faults), where (show the true state), help, quit, or a fault such as: reset, or: reply_late table amount=3"
 
 
 class TwinServer:
-    """A twin with its ports and its camera server.
+    """Twin in real time with its ports and camera server.
 
     Parameters
     ----------
     twin
-        Twin, for exclusive use.
+        Twin to run, which no other code may use.
     folder
-        Folder of the ports' links.
+        Folder for the links to the ports.
     speed
-        Speed relative to real time.
+        Speed of the twin relative to real time.
     camera_port
-        Port of the camera server on this computer; 0 selects a free one.
+        Port of the camera server on this computer; 0 selects a free port.
     say
-        Receives lines for the user.
+        Function that receives messages for the user.
     """
 
     def __init__(self, twin: Twin, folder: Path, *, speed: float = 1.0, camera_port: int = 0, say: Say = lambda _: None) -> None:
@@ -51,7 +51,7 @@ class TwinServer:
 
     @property
     def rig(self) -> RigFile:
-        """Rig file that refers to this twin."""
+        """Rig file that refers to the ports and the camera of this twin."""
         rig, paths = self.twin.rig, self._ports.paths
         return replace(
             rig,
@@ -61,23 +61,23 @@ class TwinServer:
         )
 
     def start(self) -> None:
-        """Start to serve the ports."""
+        """Start to serve the ports and the camera."""
         self._ports.start()
         self._camera.start()
 
     def stop(self) -> None:
-        """Close everything."""
+        """Close the camera server and the ports."""
         self._camera.stop()
         self._ports.stop()
 
     def inject(self, fault: Fault) -> None:
-        """Add a fault."""
+        """Add a fault to the running twin."""
         with self._ports.lock:
             self.twin.inject(fault)
         self._ports.wake()
 
     def where(self) -> str:
-        """Return a description of the devices' true state."""
+        """Return a text with the true state of the devices."""
         with self._ports.lock:
             self._ports.catch_up()
             world = self.twin.world
@@ -96,7 +96,7 @@ class TwinServer:
         return self.twin.open_camera(part, clock=self._ports.real, look=self._look)
 
     def _look(self, exposure: float) -> Grey:
-        """Capture the present state of the world, and render it without blocking the ports."""
+        """Return a picture of the present state of the world, rendered without blocking the ports."""
         with self._ports.lock:
             self._ports.catch_up()
             sight = self.twin.world.sight(exposure=exposure)
@@ -104,28 +104,28 @@ class TwinServer:
 
 
 def rig_text(rig: RigFile) -> str:
-    """Return the text of a rig file, from which `rig.rig_file.load_rig` reads an equal rig."""
+    """Format a rig as the text of a rig file, from which `rig.rig_file.load_rig` reads an equal rig."""
     return toml_text.dumps(_without_none(to_plain(rig)))
 
 
 def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, camera_port: int = 0, commands: int | None = None) -> None:
-    """Run a twin until Ctrl-C (an exception) or the command quit.
+    """Run a twin until the command quit, or an exception such as KeyboardInterrupt.
 
     Parameters
     ----------
     twin : Twin
-        Twin, for exclusive use.
+        Twin to run, which no other code may use.
     speed : float
-        Speed relative to real time.
+        Speed of the twin relative to real time.
     write_rig : path or None
-        Path of the rig file, beside which the scene as known to a laboratory is written (``NAME_scene.toml``); None to
-        write neither.
+        Path of the rig file to write. The scene as known to a laboratory is written beside it (``NAME_scene.toml``).
+        None to write neither file.
     say : Say
-        Receives lines for the user.
+        Function that receives messages for the user.
     camera_port : int
-        Port of the camera's HTTP server on this computer; 0 selects a free one.
+        Port of the camera's HTTP server on this computer; 0 selects a free port.
     commands : int or None
-        File descriptor of console input; None for stdin.
+        File descriptor for commands of the user; None for stdin.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
         If a file cannot be written.
     """
     if speed <= 0.0:
-        raise UserError(f"speed {speed:g} must be positive; 1 is real time")
+        raise UserError(f"speed {speed:g} is invalid; it must be positive (1 is real time)")
     with tempfile.TemporaryDirectory(prefix="rhizotwin-") as folder:
         server = TwinServer(twin, Path(folder), speed=speed, camera_port=camera_port, say=say)
         try:
@@ -146,9 +146,9 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
                 scene_path = write_rig.with_name(f"{write_rig.stem}_scene.toml")
                 write_text(write_rig, rig_text(rig), new=True)
                 save_scene(twin.calibrated_scene(), scene_path, new=True)
-                say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
+                say(f"rig file: {write_rig}; scene with the calibrated lens: {scene_path}")
             server.start()
-            say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")
+            say(f"the twin is running at {speed:g} times real time; press Ctrl-C to stop. Commands: {HELP}")
             for word in _lines(_console_descriptor() if commands is None else commands):
                 if word == "quit":
                     break
@@ -158,7 +158,7 @@ def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, came
 
 
 def _console_descriptor() -> int | None:
-    """Return stdin's descriptor; None if there is none, or it belongs to another program in the foreground."""
+    """Return the descriptor of stdin; None if there is no stdin, or another program in the foreground uses it."""
     try:
         descriptor = sys.stdin.fileno()
         behind = os.isatty(descriptor) and os.tcgetpgrp(descriptor) != os.getpgrp()
@@ -168,7 +168,7 @@ def _console_descriptor() -> int | None:
 
 
 def _lines(descriptor: int | None) -> Iterator[str]:
-    """Yield each typed line; after the last one, wait for Ctrl-C."""
+    """Yield each line that was typed. After the last line, wait for Ctrl-C."""
     buffer = b""
     while data := b"" if descriptor is None else os.read(descriptor, 4096):
         *lines, buffer = (buffer + data).split(b"\n")
@@ -189,9 +189,9 @@ def _answer(server: TwinServer, word: str) -> str:
     except UserError as error:
         return str(error)
     server.inject(fault)
-    return f"{fault.kind} on the {fault.device}"
+    return f"fault {fault.kind} was added to the {fault.device}"
 
 
 def _without_none(value: Any) -> Any:
-    """Remove None, which TOML does not support; it only occurs for a rig without an arm."""
+    """Remove all entries that are None, which TOML does not support. They occur only for a rig without an arm."""
     return {key: _without_none(item) for key, item in value.items() if item is not None} if isinstance(value, dict) else value

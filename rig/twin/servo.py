@@ -1,9 +1,7 @@
 """Model of a bus servo: position control at uniform speed, backlash, gravity, temperature and supply.
 
-It is independent of protocols.
-
-Positions are counts of the servo (0.24 degrees each). ``sensed`` is the reading of its potentiometer, ``true`` the
-position of its output:
+The model is independent of protocols. Positions are in counts of the servo (0.24 deg). ``sensed`` is the reading of the
+potentiometer, and ``true`` the position of the output:
 
     true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the backlash + error of this move + sag
 """
@@ -16,64 +14,64 @@ from rhizotwin.rig.twin.imperfections import Imperfections, Key
 
 DEG_PER_COUNT = 0.24
 MAX_SPEED = 60.0 / 0.22 / DEG_PER_COUNT
-"""Maximum speed in counts/s: 60 degrees in 0.22 s."""
+"""Maximum speed, counts/s (60 deg in 0.22 s)."""
 STOPS = (-60.0, 1060.0)
-"""Mechanical end stops, counts."""
+"""Positions of the mechanical end stops, counts."""
 FRICTION = 0.45
-"""Torque, as a fraction of that of the stretched arm at the shoulder, below which a servo without current does not
-turn, because of the friction of its gears."""
+"""Torque below which friction of the gears keeps an unpowered servo from turning, as a fraction of the torque of the
+stretched arm at the shoulder."""
 FALL_SPEED = 400.0
-"""Speed of an unpowered servo at torque 1 beyond friction, counts/s."""
+"""Speed of an unpowered servo per torque above friction, counts/s."""
 SEEN_SAG = 0.5
-"""Fraction of the sag that the potentiometer measures; the rest is in the gears behind it."""
+"""Fraction of the sag that the potentiometer measures. The remaining sag is in the gears behind it."""
 IDLE_VOLT = 7.58
 AMBIENT_CELSIUS = 24.0
 WARM_UP_S = 300.0
-"""Time constant of heating and cooling."""
+"""Time constant of heating and cooling, s."""
 COOL_BELOW = 5.0
-"""Temperature below the limit, in degrees, at which an overheated servo holds again."""
+"""Difference below the temperature limit at which an overheated servo switches its torque on again, °C."""
 _ZERO, _MOVE = 1, 2
 
 
 class Supply:
-    """Power supply of the arm."""
+    """Power supply of the emulated arm."""
 
     def __init__(self, *, key: Key) -> None:
         self._volt = IDLE_VOLT + float(np.random.default_rng(key).uniform(-0.05, 0.05))
         self._low_for_s = 0.0
         self.load_volt = 0.0
-        """Voltage drop by moving servos."""
+        """Voltage drop caused by moving servos, V."""
 
     @property
     def millivolt(self) -> int:
-        """Present voltage."""
+        """Present supply voltage, mV."""
         return round(1000.0 * ((4.2 if self._low_for_s > 0.0 else self._volt) - self.load_volt))
 
     @property
     def up(self) -> bool:
-        """Whether the voltage is sufficient for the servos' processors."""
+        """Whether the voltage is sufficient for the processors of the servos."""
         return self._low_for_s <= 0.0
 
     def brown_out(self, for_s: float) -> None:
-        """Fail for a given time."""
+        """Interrupt the supply for a given time (s)."""
         self._low_for_s = for_s
 
     def advance(self, dt_s: float) -> None:
-        """Advance the time."""
+        """Advance the model by a time step (s)."""
         self._low_for_s = max(self._low_for_s - dt_s, 0.0)
 
 
 class Servo:
-    """One servo.
+    """Emulated bus servo.
 
     Parameters
     ----------
     start_counts
-        Reading of the potentiometer at power-up.
+        Position measured by the potentiometer at power-up, in counts.
     imperfections
         Errors of zero, scale, repeatability, backlash, sag and dead band.
     key
-        Key of its random streams; the error of move n depends on the key and n only.
+        Key of the servo's random streams. The error of move n depends only on the key and n.
     """
 
     def __init__(self, *, start_counts: float, imperfections: Imperfections, key: Key) -> None:
@@ -96,8 +94,8 @@ class Servo:
         self._into_s = 0.0
         self._duration_s = 0.0
         self.torque = 0.0
-        """Torque of gravity, in the direction of increasing counts, as a fraction of that of the stretched arm at the
-        shoulder."""
+        """Torque of gravity in the direction of increasing counts, as a fraction of the torque of the stretched arm at
+        the shoulder."""
         self.stalled = False
         """Whether the servo is blocked."""
         self.power_up()
@@ -107,7 +105,7 @@ class Servo:
         self.torque_on = False
         self.hot = False
         self.command = (min(max(round(self._sensed), 0), 1000), 0)
-        """Last commanded position and duration (ms)."""
+        """Last commanded position, counts, and duration, ms."""
         self.waiting: tuple[int, int] | None = None
         self.commanded = False
         self.temperature_limit = 85
@@ -115,22 +113,22 @@ class Servo:
 
     @property
     def counts(self) -> int:
-        """Position reported by the servo; may be outside 0 to 1000."""
+        """Position reported by the servo, in counts. May be outside 0 to 1000."""
         return round(self._sensed + SEEN_SAG * self._sag())
 
     @property
     def true_counts(self) -> float:
-        """True position of the output."""
+        """True position of the output, in counts."""
         return self.unbent_counts + self._sag()
 
     @property
     def unbent_counts(self) -> float:
-        """Position of the output without sag."""
+        """True position of the output without sag, in counts."""
         return 500.0 + (self._sensed - 500.0) * self._scale + self._zero + self._error
 
     @property
     def celsius(self) -> int:
-        """Temperature of the case."""
+        """Temperature of the case, °C."""
         return round(self._celsius)
 
     @property
@@ -145,13 +143,13 @@ class Servo:
 
     @property
     def falls(self) -> bool:
-        """Whether gravity turns the servo."""
+        """Whether gravity turns the unpowered servo."""
         return not self.holds and abs(self.torque) > FRICTION and STOPS[0] < self._sensed < STOPS[1]
 
     def move(self, counts: int, duration_ms: int) -> None:
-        """Move to a position at uniform speed within a given time, or at maximum speed if that is too short.
+        """Move to a position at uniform speed in a given time, or at maximum speed if the time is too short.
 
-        This switches the torque on.
+        The torque is switched on.
         """
         self.command = (counts, duration_ms)
         self.commanded = True
@@ -168,7 +166,11 @@ class Servo:
         self._duration_s = max(duration_ms / 1000.0, abs(way) / MAX_SPEED, 1e-3)
 
     def load(self, on: bool) -> None:
-        """Switch the torque; when on, the servo moves to its last command at maximum speed, or holds its position."""
+        """Switch the torque on or off.
+
+        When switched on, the servo moves to its last commanded position at maximum speed, or keeps its present position
+        if there is none.
+        """
         if on and not self.torque_on:
             if self.commanded:
                 self.move(self.command[0], 0)
@@ -177,25 +179,25 @@ class Servo:
         self.torque_on = on
 
     def turn_by_hand(self, counts: float) -> None:
-        """Rotate the unpowered servo by hand."""
+        """Rotate the unpowered servo by hand to a position, in counts."""
         self._sensed = counts
         self.stop()
 
     def stop(self) -> None:
-        """Hold the present position."""
+        """Stop the move, and keep the present position."""
         self._into_s = self._duration_s = 0.0
 
     def heat(self, celsius: float) -> None:
-        """Set the temperature."""
+        """Set the temperature of the case, °C."""
         self._celsius = celsius
         self._guard()
 
     def cool_down(self) -> None:
-        """Set the temperature to that of a servo at rest, unless it is cooler."""
+        """Set the temperature to that of a servo at rest, unless it is lower."""
         self.heat(min(self._celsius, AMBIENT_CELSIUS + self._warmth))
 
     def advance(self, dt_s: float) -> None:
-        """Advance the time."""
+        """Advance the model by a time step (s)."""
         moving = self.moving
         if moving and not self.stalled:
             self._into_s = min(self._into_s + dt_s, self._duration_s)
@@ -210,7 +212,7 @@ class Servo:
         self._guard()
 
     def _guard(self) -> None:
-        """Switch the current off above the temperature limit, and on again after cooling, in the present position."""
+        """Switch the torque off above the temperature limit, and on again, in the present position, after cooling."""
         if self.hot and self._celsius < self.temperature_limit - COOL_BELOW:
             self.hot = False
             self.stop()

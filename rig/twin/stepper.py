@@ -1,7 +1,7 @@
 """Model of the turntable: a stepper motor with a gear, driven in microsteps along a queue of moves.
 
-It is independent of protocols. Angles are degrees of the table. The motor's own count starts at 0 at power-up; the
-corresponding position of the table is stored in the world.
+The model is independent of protocols. Angles are in degrees of the table. The motor's step count starts at 0 at
+power-up, and the corresponding position of the table is stored in the world.
 """
 
 import math
@@ -17,12 +17,12 @@ MICROSTEPS = 32
 ACCELERATION_DEG_PER_S2 = 60.0
 MAX_SPEED_DEG_PER_S = 360.0
 QUEUE = 16
-"""Maximum number of queued moves behind the present one."""
+"""Maximum number of moves that are queued after the present move."""
 
 
 @dataclass(frozen=True)
 class _Move:
-    """One move from rest to rest: acceleration, constant speed, deceleration."""
+    """Move that begins and ends at rest: acceleration, constant speed, deceleration."""
 
     start_steps: int
     goal_steps: int
@@ -31,7 +31,7 @@ class _Move:
     duration_s: float
 
     def at(self, t_s: float) -> float:
-        """Return the position in steps, t_s after the start."""
+        """Return the position ``t_s`` after the start of the move, in steps."""
         if t_s >= self.duration_s:
             return float(self.goal_steps)
         way = abs(self.goal_steps - self.start_steps)
@@ -45,7 +45,7 @@ class _Move:
         return self.start_steps + math.copysign(done, self.goal_steps - self.start_steps)
 
     def pieces(self) -> Iterator[tuple[float, float, float, float]]:
-        """Yield begin, end, initial speed and acceleration of the three phases of the move."""
+        """Yield start time, end time, initial speed and acceleration of the three phases of the move."""
         top = math.copysign(self.speed, self.goal_steps - self.start_steps)
         gain, last_s = top / self.ramp_s, self.duration_s - self.ramp_s
         yield 0.0, self.ramp_s, 0.0, gain
@@ -54,16 +54,16 @@ class _Move:
 
 
 class Stepper:
-    """Stepper motor with its table.
+    """Emulated stepper motor with its turntable.
 
     Parameters
     ----------
     full_step_deg
-        Table angle of one full step.
+        Table angle of one full step of the motor, deg.
     imperfections
-        Errors within the steps, backlash, and jump at power-up.
+        Periodic error within the steps, backlash, and jump at power-up.
     key
-        Key of the random stream.
+        Key of the motor's random stream.
     """
 
     def __init__(self, *, full_step_deg: float, imperfections: Imperfections, key: Key) -> None:
@@ -96,7 +96,7 @@ class Stepper:
 
     @property
     def true_deg(self) -> float:
-        """True angle of the table, relative to that at power-up."""
+        """True angle of the table relative to its angle at power-up, deg."""
         return self._output_deg
 
     @property
@@ -106,16 +106,16 @@ class Stepper:
 
     @property
     def full(self) -> bool:
-        """Whether the queue is full."""
+        """Whether the queue of moves is full."""
         return len(self._moves) > QUEUE
 
     def remaining_s(self, *, moves: int = 0) -> float:
-        """Return the time until at most ``moves`` moves are left."""
+        """Return the time until at most ``moves`` moves remain, s."""
         left = list(self._moves)[: max(len(self._moves) - moves, 0)]
         return max(sum(move.duration_s for move in left) - self._into_s, 0.0) if left else 0.0
 
     def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
-        """Add a move to an angle of the motor's count; this switches the motor on."""
+        """Add a move to a table angle (deg) relative to power-up, and switch the motor on."""
         self.energise()
         start, goal = self.goal_steps, round(goal_deg * self.steps_per_deg)
         if start == goal:
@@ -127,7 +127,7 @@ class Stepper:
         self._moves.append(_Move(start, goal, speed, speed / gain, way / speed + speed / gain))
 
     def energise(self) -> None:
-        """Switch the coils on; the first time after power-up, the rotor jumps to the driver's phase."""
+        """Switch the coils on. The first time after power-up, the rotor jumps to the phase of the driver."""
         if self.energised:
             return
         self.energised = True
@@ -138,20 +138,20 @@ class Stepper:
         self._turn_output()
 
     def release(self) -> None:
-        """Switch the coils off; the rotor moves to the nearest full step."""
+        """Switch the coils off. The rotor moves to the nearest full step."""
         self.stop()
         self.energised = False
         self._turn_output()
 
     def stop(self) -> None:
-        """Stop immediately and clear the queue."""
+        """Stop immediately, and clear the queue."""
         self._steps = float(round(self._steps))
         self._moves.clear()
         self._into_s = 0.0
         self._turn_output()
 
     def power_up(self) -> None:
-        """Reset to the state after power-up: count 0, coils off, with the table in its present position."""
+        """Reset to the state after power-up: count 0 and coils off, without moving the table."""
         stood_deg = self._output_deg
         self.stop()
         self._steps = 0.0
@@ -164,7 +164,7 @@ class Stepper:
         self._turn_output()
 
     def advance(self, dt_s: float) -> None:
-        """Advance the time."""
+        """Advance the model by a time step (s)."""
         if not self._moves:
             return
         self._into_s += dt_s
@@ -180,7 +180,7 @@ class Stepper:
         self._turn_output()
 
     def motion(self, dt_s: float) -> Iterator[tuple[float, float, float]]:
-        """Yield the future motion of the table: duration in s, initial speed (deg/s), acceleration (deg/s2)."""
+        """Yield the future motion of the table: duration (s), initial speed (deg/s) and acceleration (deg/s2)."""
         into_s, left_s = self._into_s, dt_s
         for move in self._moves:
             for begin_s, end_s, speed, gain in move.pieces():
@@ -194,7 +194,7 @@ class Stepper:
             yield left_s, 0.0, 0.0
 
     def _motor_deg(self) -> float:
-        """Angle of the rotor: its error is periodic with the electrical period of four full steps."""
+        """Return the rotor's angle, deg, whose error has the electrical period of four full steps."""
         steps = self._steps
         if not self.energised:
             steps = round(steps / MICROSTEPS) * MICROSTEPS
@@ -202,6 +202,6 @@ class Stepper:
         return self._shift_deg + steps / self.steps_per_deg + self._wrong.table_microstep_deg * math.sin(electrical_rad)
 
     def _turn_output(self) -> None:
-        """Let the table follow the rotor with backlash."""
+        """Make the table follow the rotor with backlash."""
         motor_deg, half_deg = self._motor_deg(), self._wrong.table_play_deg / 2.0
         self._output_deg = min(max(self._output_deg, motor_deg - half_deg), motor_deg + half_deg)

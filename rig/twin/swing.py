@@ -1,4 +1,4 @@
-"""Torsional oscillation of hanging roots when their pot is turned, and its decay after a stop."""
+"""Torsional oscillation of hanging roots when their pot is rotated, and its decay after a stop."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,13 +7,13 @@ import numpy as np
 from scipy.linalg import expm
 
 STILL_DEG = 1e-4
-"""Smaller twists are set to zero: 0.05 um at 30 mm from the axis; pictures at rest are then identical to the last bit.
-"""
+"""Twist below which the oscillation is set to zero, deg. This is 0.05 um at 30 mm from the axis. Thus pictures at rest
+are identical to the last bit."""
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """An interval of constant acceleration."""
+    """Interval of constant acceleration of the pot."""
 
     seconds: float
     speed: float  # deg/s at its beginning
@@ -21,22 +21,22 @@ class _Piece:
 
 
 class Swing:
-    """Twist of the lowest tips relative to the pot.
+    """Twist of the lowest root tips relative to the pot.
 
-    The motion of the table is stored by intervals, and integrated when the twist is requested.
+    The motion of the table is stored as intervals of constant acceleration, and integrated when the twist is requested.
 
     Parameters
     ----------
     hz : float
-        Frequency without damping; 0 for no motion.
+        Undamped frequency, Hz; 0 for no motion.
     damping : float
-        Damping as a fraction of the critical one.
+        Damping as a fraction of critical damping.
 
     Notes
     -----
-    Roots hang from a pot that turns by ``W(t)``, in static water (a turn of one second moves only some millimetres of
-    water at the wall). Inertia, including the added mass of water, and drag depend on the motion relative to the water,
-    and the roots' stiffness on that relative to the pot. With ``d`` the damping and ``w = 2 pi hz``
+    Roots hang from a pot that rotates by ``W(t)`` in static water (a rotation of one second moves only some millimetres
+    of water at the wall). Inertia, including the added mass of water, and drag depend on the motion relative to the
+    water. The roots' stiffness depends on the motion relative to the pot. With damping ``d`` and ``w = 2 pi hz``
 
         twist'' + W' + 2 d w (twist' + W) + w^2 twist = 0
     """
@@ -52,16 +52,16 @@ class Swing:
         self._later: list[_Piece] = []
 
     def turn(self, seconds: float, speed_deg_per_s: float, gain_deg_per_s2: float) -> None:
-        """Turn the pot for a given time, beginning at a given speed.
+        """Rotate the pot for a given time, beginning at a given speed.
 
         Parameters
         ----------
         seconds : float
-            Duration.
+            Duration, s.
         speed_deg_per_s : float
-            Initial speed.
+            Initial speed, deg/s.
         gain_deg_per_s2 : float
-            Acceleration.
+            Acceleration, deg/s2.
         """
         if not self._moves or seconds <= 0.0:
             return
@@ -73,7 +73,7 @@ class Swing:
 
     @property
     def twist_deg(self) -> float:
-        """Present twist of the lowest tips relative to the pot."""
+        """Present twist of the lowest root tips relative to the pot, deg."""
         for piece in self._later:
             self._state[1] += self._state[2] - piece.speed  # a jump of the speed: the roots keep their velocity in space
             self._state[2:] = piece.speed, piece.gain

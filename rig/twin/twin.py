@@ -1,4 +1,4 @@
-"""A complete emulated rig within this process, in virtual time."""
+"""Complete emulated rig within this process, in virtual time."""
 
 import itertools
 import math
@@ -37,33 +37,34 @@ _NUMBERS = itertools.count(1)
 
 
 class Painter(Protocol):
-    """Source of the twin's pictures."""
+    """Interface of a source of the twin's pictures."""
 
     def picture(self, sight: Sight) -> Grey:
-        """Return the picture that the camera stores for a state of the world."""
+        """Return the picture (H, W) that the camera stores for a state of the world."""
 
 
 class Twin:
-    """An emulated rig with devices, world, camera and ports.
+    """Emulated rig with devices, world, camera and ports.
 
     Parameters
     ----------
     scene : Scene
-        Scene with its specimen and disturbances; those of arm and table are replaced by the errors of the devices.
+        Scene with its specimen and disturbances. Disturbances of arm and table are replaced by the errors of the
+        devices.
     seed : int
-        Random seed of all errors and noise.
+        Random seed of all errors and of the noise.
     profile_name : str
-        Profile of the devices' errors; none for ``clean``.
+        Disturbance profile that defines the errors of the devices; ``clean`` has no errors.
     faults : iterable of Fault
-        Faults of the devices.
+        Faults to simulate.
     pictures : {"render", "sketch"}
-        Rendered by `sim` (Mitsuba's variant must have been selected), or drawn in milliseconds.
+        Kind of pictures: rendered by `sim` (the Mitsuba variant must have been selected), or drawn in milliseconds.
     rig : RigFile or None
-        Rig file with the devices; its ports are replaced by those of the twin. None for `default_rig`.
+        Rig file with the devices, whose ports are replaced by the ports of the twin. None for `default_rig`.
     resets_on_open : bool
-        Whether opening the table's port resets the board, as on boards with a USB serial chip.
+        Whether opening the table's port resets the board, as it does on boards with a USB serial chip.
     samples : int or None
-        Rays per pixel of rendered pictures.
+        Number of rays per pixel of rendered pictures; None for the default.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Twin:
         samples: int | None = None,
     ) -> None:
         if seed < 0:
-            raise UserError(f"seed {seed} is negative; it must be 0 or a positive integer")
+            raise UserError(f"seed {seed} is negative, but must be 0 or a positive integer")
         if protocol_twin.PACKAGE not in serial.protocol_handler_packages:
             serial.protocol_handler_packages.append(protocol_twin.PACKAGE)
         self.scene = scene
@@ -113,54 +114,58 @@ class Twin:
             self._sockets.append(socket)
 
     def open_camera(self, part: CameraPart | None = None, *, clock: Clock | None = None, look: Look | None = None) -> TwinCamera:
-        """Return the camera.
+        """Create a driver of the twin's camera.
 
         Parameters
         ----------
         part : CameraPart or None
-            Settings of the camera; None for those of the rig file, which give the scene's brightness.
+            Settings of the camera; None for the settings of the rig file, which result in the scene's nominal
+            brightness.
         clock, look : Clock or None, Look or None
-            Clock of exposures and function that takes pictures, for a twin in real time.
+            Clock of exposures, and function that takes pictures, for a twin in real time.
 
         Returns
         -------
         TwinCamera
-            Camera, not yet open.
+            Driver of the camera, not yet open.
         """
         return TwinCamera(
             look or self.look, clock or self.clock, part=part or self.rig.camera, nominal=self.rig.camera, pending=self.pending
         )
 
     def look(self, exposure: float = 1.0) -> Grey:
-        """Return the picture that the camera stores for the present state of the world, and record it."""
+        """Return the picture (H, W) that the camera stores for the present state of the world, and record it."""
         return self.paint(self.world.sight(exposure=exposure))
 
     def paint(self, sight: Sight) -> Grey:
-        """Return the picture that the camera stores for a state of the world, and record it."""
+        """Return the picture (H, W) that the camera stores for a given state of the world, and record it."""
         image = self._painter.picture(sight)
         self.record.add(image, sight, self.clock.now_s())
         return image
 
     def calibrated_scene(self) -> Scene:
-        """Return the scene as known to a laboratory: nominal, with the calibrated lens, without specimen."""
+        """Return the scene as known to a laboratory: nominal rig, calibrated lens, and no specimen."""
         return rendering.calibrated_scene(self.scene)
 
     def put_camera(self, ring: int) -> None:
-        """Move the tripod to the position of a ring, with the accuracy of manual placement; for rigs without an arm."""
+        """Move the tripod to the position of a ring, with the accuracy of manual placement.
+
+        Only for rigs without an arm.
+        """
         self.world.tripod_cam_from_rig = self._ring_cameras[ring]
 
     def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> bool:
-        """Write the ``truth`` of a dataset taken with this twin: solid, skeleton, true poses, masks.
+        """Write the ``truth`` of a dataset taken with this twin: solid, skeleton, true poses and masks.
 
         Returns
         -------
         bool
-            Whether it was written; False for sketched pictures, and for a scene without a specimen.
+            Whether the truth was written. False for sketched pictures, and for a scene without a specimen.
 
         Raises
         ------
         UserError
-            If a frame was not taken by this twin, or by one whose record was loaded (`Record.keep_in`).
+            If a frame was taken neither by this twin nor by a twin whose record was loaded (`Record.keep_in`).
         """
         if self._rendered is None or not self.scene.is_planted:
             return False
@@ -169,17 +174,17 @@ class Twin:
             path = Path(folder) / frame.file
             shot = self.record.shot_of(decode_grey(path.read_bytes(), where=str(path)))
             if shot is None:
-                raise UserError(f"{path}: was not taken by this emulated rig, so that its true pose is unknown")
+                raise UserError(f"{path}: the picture was not taken by this emulated rig, so that its true pose is unknown")
             taken.append((frame.file, shot.sight))
         self._rendered.write_truth(Path(folder), taken)
         return True
 
     def inject(self, fault: Fault) -> None:
-        """Add a fault."""
+        """Add a fault to be simulated."""
         self.pending.add(fault)
 
     def break_device(self, fault: Fault) -> None:
-        """Apply a fault of kind "device" now."""
+        """Apply a fault of kind "device" immediately."""
         now_s = self.clock.now_s()
         self.pending.use(fault, now_s)
         until_s = now_s + fault.amount if fault.amount > 0.0 else math.inf
@@ -201,9 +206,9 @@ class Twin:
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
     def repair(self) -> None:
-        """Perform the repairs of a user before a stopped scan is resumed.
+        """Perform the repairs of a user before an interrupted scan is resumed.
 
-        All faults are removed, the arm is parked, and a halted board is reset.
+        All faults are removed, the arm is parked, and the board is reset if it has halted.
         """
         self.pending.clear()
         for line in self.lines.values():
@@ -226,11 +231,11 @@ class Twin:
             self._reset("External Reset")
 
     def next_s(self) -> float:
-        """Return the time of the next begin or end of a fault."""
+        """Return the time at which the next fault begins or ends, s."""
         return min([self.pending.next_s(), *(at_s for at_s, _ in self._later)])
 
     def advance_to(self, now_s: float) -> None:
-        """Advance the devices to now, then apply due faults."""
+        """Advance the devices to the given time (s), then apply due faults."""
         self.world.advance(now_s - self._was_s)
         self._was_s = now_s
         for name in self.lines:
@@ -258,9 +263,10 @@ def default_rig(protocol: ArmProtocol = "lx", *, scene: Scene | None = None) -> 
     Parameters
     ----------
     protocol : {"lx", "lsc"}
-        Protocol of the arm's servos.
+        Protocol of the servos of the arm.
     scene : Scene or None
-        Scene, whose first band with both lights on is white light; each of its other bands has its own lamp.
+        Scene that defines the bands. The first band with both lights on is white light. Each other band has a separate
+        lamp.
     """
     arm = ArmPart(protocol="lsc", baud=LSC_BAUD) if protocol == "lsc" else ArmPart()
     names = [] if scene is None else [band.name for band in scene.camera.bands]
@@ -278,4 +284,4 @@ def _with_ports(rig: RigFile, base: str) -> RigFile:
 
 
 def _do_nothing() -> None:
-    """Do nothing."""
+    """Do nothing when a port is opened."""

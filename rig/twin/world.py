@@ -19,7 +19,7 @@ from rhizotwin.scenes.model import Scene
 _SERVO, _SUPPLY, _TABLE, _LAMP, _START = 101, 102, 103, 104, 105
 
 FILTER_DEG = 5.0
-"""Maximum deviation of the filter wheel from a band's angle, within which the filter covers the light path."""
+"""Maximum deviation of the filter wheel from a band's angle, deg, for the filter to cover the light path."""
 GRIPPER = 1
 GRIPPER_CELSIUS = 47.0
 _MASSES = np.array([0.06, 0.06, 0.12])
@@ -29,54 +29,54 @@ _FALLING_STEP_S = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """State on which a picture depends."""
+    """True state of the rig that determines a picture."""
 
     cam_from_rig: frames.Array
     rig_from_canister: frames.Array
     table_deg: float
-    """True table angle, without the canister's offset and tilt."""
+    """True table angle, deg, without the offset and tilt of the canister."""
     panel: float
     front: float
-    """Levels of the lamps, as fractions of the scene's."""
+    """Levels of the lamps relative to those in the scene."""
     exposure: float = 1.0
-    """Exposure time and gain, relative to the nominal ones."""
+    """Product of exposure time and gain, relative to its nominal value."""
     band: str = ""
-    """Band of the camera for which lamps and filter are set; empty for none."""
+    """Band of the camera to which lamps and filter are set; empty for none."""
     twist_deg: float = 0.0
-    """Twist of the lowest tips relative to the pot; it decreases linearly towards the top."""
+    """Twist of the lowest root tips relative to the pot, deg. The twist decreases linearly towards the top."""
 
     @property
     def place_key(self) -> bytes:
-        """Digest of the poses of camera, canister and roots, to a millionth of a millimetre."""
+        """Digest of the poses of camera, canister and roots, rounded to a millionth of a millimetre."""
         return _digest(self.cam_from_rig, self.rig_from_canister, *self._twist)
 
     @property
     def key(self) -> bytes:
-        """Digest of the complete state."""
+        """Digest of all values that determine the picture."""
         band = np.frombuffer(self.band.encode(), np.uint8).astype(np.float64)
         return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]), *self._twist, band)
 
     @property
     def _twist(self) -> list[frames.Array]:
-        """Twist of moving roots; empty at rest, so that pictures at rest have the same digest."""
+        """Twist of moving roots, deg; empty at rest, so that pictures at rest have the same digest."""
         return [np.array([self.twist_deg])] if self.twist_deg else []
 
 
 class TwinWorld:
-    """The table, the arm and the lamps of a rig.
+    """True state of table, arm and lamps.
 
     Parameters
     ----------
     scene
         Scene with strip, canister and plan.
     rig
-        Nominal devices.
+        Rig file with the nominal devices.
     seed
         Random seed of all errors.
     imperfections
-        Magnitudes of the errors.
+        Magnitudes of the errors of the devices.
     table_from_canister
-        True pose of the canister on the table, 4x4.
+        True pose of the canister relative to the table, 4x4.
     """
 
     def __init__(self, scene: Scene, rig: RigFile, *, seed: int, imperfections: Imperfections, table_from_canister: frames.Array) -> None:
@@ -84,7 +84,7 @@ class TwinWorld:
         self.rig = rig
         self.table_from_canister = table_from_canister
         self.tripod_cam_from_rig = plan.views(scene)[0].cam_from_rig
-        """Pose of the camera for a rig without an arm."""
+        """True pose of the camera for a rig without an arm, 4x4."""
         self.table = Stepper(full_step_deg=rig.turntable.full_step_deg, imperfections=imperfections, key=(seed, _TABLE))
         self.swing = Swing(hz=imperfections.swing_hz, damping=imperfections.swing_damping)
         self._table_start_deg = float(np.random.default_rng([seed, _START]).uniform(0.0, 360.0))
@@ -92,7 +92,7 @@ class TwinWorld:
         self.panel = Lamp(full_rgb=lights.panel_rgb, imperfections=imperfections, key=(seed, _LAMP, 0))
         self.front = Lamp(full_rgb=lights.front_rgb, imperfections=imperfections, key=(seed, _LAMP, 1))
         self.outputs_on: set[int] = set()
-        """Switched outputs of the board that are on."""
+        """Numbers of the board's switched outputs that are on."""
         self.supply = Supply(key=(seed, _SUPPLY))
         self.servos: dict[int, Servo] = {}
         if rig.arm is not None:
@@ -105,11 +105,11 @@ class TwinWorld:
             self._weigh()
 
     def lamp(self, strip: int) -> Lamp:
-        """Return the lamp on a strip of the board."""
+        """Return the lamp that is connected as a given strip of the board."""
         return self.panel if strip == self.rig.lights.panel_strip else self.front
 
     def advance(self, dt_s: float) -> None:
-        """Advance all devices by a time."""
+        """Advance all devices by a time step (s)."""
         for piece in self.table.motion(dt_s):
             self.swing.turn(*piece)
         self.table.advance(dt_s)
@@ -129,42 +129,42 @@ class TwinWorld:
         self.supply.load_volt = 0.08 * sum(servo.moving for servo in self.servos.values())
 
     def brown_out(self, for_s: float) -> None:
-        """Let the arm's voltage fail for a time (0 for a moment): all servos restart without torque."""
+        """Interrupt the arm's supply for a time (s), or momentarily (0). All servos restart without torque."""
         self.supply.brown_out(for_s)
         for servo in self.servos.values():
             servo.power_up()
         self._weigh()
 
     def put_arm_to_rest(self) -> None:
-        """Move an unpowered arm to its parking position by hand."""
+        """Move the unpowered arm to its parking position by hand."""
         for joint, rest_deg in _rest(self.rig):
             self.servos[joint.servo].turn_by_hand(_counts(joint, rest_deg))
         self._weigh()
 
     @property
     def table_deg(self) -> float:
-        """True table angle, 0 when the strip's seam faces the camera's side."""
+        """True table angle, deg. It is 0 when the strip's seam faces the camera."""
         return self._table_start_deg + self.table.true_deg
 
     @property
     def joints_deg(self) -> tuple[float, ...]:
-        """True joint angles, base to wrist roll; empty without an arm."""
+        """True joint angles from base to wrist roll, deg; empty without an arm."""
         return () if (arm := self.rig.arm) is None else self._angles(arm, [self.servos[j.servo].true_counts for j in arm.joints])
 
     @property
     def cam_from_rig(self) -> frames.Array:
-        """True pose (4, 4) of the camera."""
+        """True pose of the camera (4, 4), from the rig frame to the camera's frame."""
         if self.rig.arm is None:
             return self.tripod_cam_from_rig
         return kinematics.cam_from_rig(self.rig.arm, self.joints_deg)
 
     @property
     def rig_from_canister(self) -> frames.Array:
-        """True pose of the canister, (4, 4)."""
+        """True pose of the canister (4, 4), from the canister's frame to the rig frame."""
         return plan.rig_from_table(self.scene, self.table_deg) @ self.table_from_canister
 
     def sight(self, *, exposure: float = 1.0) -> Sight:
-        """Return the state of a picture taken now."""
+        """Return the true state that determines a picture taken now."""
         band, panel, front = self._light()
         return Sight(
             cam_from_rig=self.cam_from_rig,
@@ -178,9 +178,10 @@ class TwinWorld:
         )
 
     def _light(self) -> tuple[str, float, float]:
-        """Return the band for which lamps, outputs and filter are set, and its levels of panel and front light.
+        """Return the band to which lamps, outputs and filter are set, and its levels of panel and front light.
 
-        A band's own lamp counts as full panel and front light. States that match no band count as white light.
+        A lamp on a switched output of a band counts as full panel and front light. States that match no band count as
+        white light.
         """
         for part in self.rig.camera.bands:
             if self.outputs_on != ({part.output} - {None}) or not self._filter_is_at(part.filter_deg):
@@ -195,7 +196,7 @@ class TwinWorld:
         return "", self.panel.level, self.front.level
 
     def _in_colour(self, lamp: Lamp, rgb: tuple[int, int, int], level: float | None) -> float | None:
-        """Return a lamp's level in a band's colour; None if it shows another colour."""
+        """Return the level of a lamp in a band's colour; None if the lamp shows a different colour."""
         if level == 0.0 or lamp.goal == 0.0:
             return lamp.level if level == 0.0 and lamp.goal == 0.0 else None
         share = lamp.share_of(rgb)
@@ -212,7 +213,7 @@ class TwinWorld:
         return tuple(joint.sign * (at - joint.zero_counts) / joint.counts_per_deg for joint, at in zip(arm.joints, counts, strict=True))
 
     def _weigh(self) -> None:
-        """Set the torques of gravity on the pitch servos in this pose."""
+        """Update the torques that gravity exerts on the pitch servos in the present pose."""
         if (arm := self.rig.arm) is None:
             return
         lean_rad = np.cumsum(np.deg2rad(self._angles(arm, [self.servos[j.servo].unbent_counts for j in arm.joints])[1:4]))
@@ -225,7 +226,7 @@ class TwinWorld:
 
 
 def _rest(rig: RigFile) -> list[tuple[Joint, float]]:
-    """Return the joints with their parking angles; empty without an arm."""
+    """Return the joints with their parking angles (deg); empty without an arm."""
     return [] if rig.arm is None else list(zip(rig.arm.joints, rig.arm.park_deg, strict=True))
 
 

@@ -119,8 +119,11 @@ def test_a_scene_with_a_band_that_the_rig_lacks_is_refused(tmp_path: Path) -> No
 
 HAT = RIG.hat
 WRONG = {
-    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*requires \[arm.filter\]"),
-    "beyond the wheel": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=1, max_deg=20.0))), "between arm.filter's -90 and 20 deg"),
+    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*requires the section \[arm.filter\]"),
+    "beyond the wheel": (
+        replace(RIG, arm=replace(WHEEL, filter=Joint(servo=1, max_deg=20.0))),
+        "between min_deg and max_deg of arm.filter, -90 and 20 deg",
+    ),
     "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "differ from the joints' servos"),
     "a pin in use": (
         replace(
@@ -128,9 +131,12 @@ WRONG = {
             turntable=replace(RIG.turntable, kind="hat"),
             camera=replace(RIG.camera, bands=(BandPart(name="nir", output=HAT.step_pin),)),
         ),
-        r"output = 23.*already used by \[hat\]",
+        r"output = 23.*must not be a pin that is used in \[hat\]",
     ),
-    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "different for each entry"),
+    "twice": (
+        replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))),
+        "the name of a band in the scene, and unique",
+    ),
 }
 
 

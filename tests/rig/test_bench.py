@@ -49,7 +49,7 @@ def test_a_sound_rig_is_all_ok(tmp_path: Path) -> None:
     assert not any(servo.torque_on for servo in twin.world.servos.values()), "the arm was at rest"
     wrong, lines = looked(twin_of(rig=RigFile(arm=None)), tmp_path)
     assert wrong == 0, lines
-    assert any(line.startswith("markers    ok    ") and "read" in line for line in lines)
+    assert any(line.startswith("markers    ok    ") and "reprojection error" in line for line in lines)
 
 
 BROKEN = [
@@ -74,7 +74,7 @@ def test_lamps_that_do_not_light_up_are_noticed(tmp_path: Path) -> None:
     rig = replace(RigFile(arm=None), lights=replace(RigFile().lights, panel_level=0.0, front_level=0.0))
     wrong, lines = looked(twin_of(rig=rig), tmp_path)
     assert wrong >= 1
-    assert any(line.startswith("lights     WRONG the picture is as bright without them") for line in lines)
+    assert any(line.startswith("lights     WRONG the picture is equally bright without") for line in lines)
 
 
 class Bench:
@@ -108,13 +108,13 @@ def test_table_is_turned_by_hand_once_its_angle_is_known() -> None:
     bench = Bench()
     start_deg = bench.twin.world.table_deg
     said = bench.types("table +9", "home 40", "table +9", "table 30  # back", "table 900", "help", "quit", "table 0")
-    assert "turntable: its angle is unknown; type home, or home 0 if the strip's seam faces the camera" in said
+    assert "turntable: the table's angle is unknown; enter home, or home 0 if the seam of the marker strip faces the camera" in said
     assert "table at 49.000 deg" in said
     assert {"home", "lights", "go", "park", "relax", "pose", "markers", "picture", "quit"} <= {line.split()[0] for line in said if line}
     assert "table at 30.000 deg" in said
     assert any("900 deg is outside -90 to 720 deg" in line for line in said)
     assert bench.twin.world.table_deg - start_deg == pytest.approx(-10.0, abs=0.06)  # a microstep
-    assert said[-1] == "turntable: its motor remains on, so that its angle is kept"
+    assert said[-1] == "turntable: the motor remains on, so that the table's angle is not lost"
 
 
 def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,8 +144,8 @@ def test_an_arm_that_cannot_be_aligned_is_an_error(monkeypatch: pytest.MonkeyPat
 def test_a_named_pose_is_gone_to() -> None:
     rig = replace(twin_of().rig, poses=(Pose(name="near", position_mm=(380.0, 0.0, -30.0)),))
     said = Bench(rig).types("look near", "pose", "look far", "look 400 0 -42 -1 0 0", "look 1 2")
-    assert any("by the joints the camera is 380" in line or "by the joints the camera is 379.9" in line for line in said)
-    assert "there is no pose 'far' in the rig file; it has near" in said
+    assert any("from the joint angles, the camera is 380" in line or "from the joint angles, the camera is 379.9" in line for line in said)
+    assert "the rig file has no pose 'far'; its poses are: near" in said
     assert any("is invalid" in line for line in said)
 
 
@@ -165,8 +165,8 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
     bench, seen, file = Bench(), list[tuple[float, ...]](), tmp_path / "look.png"
     lines = ("lights 1 1", "go 400 -20", "markers", "home", "pose", f"picture {file}", "joint 1 +3")
     said = bench.types(*lines, before_leaving=lambda: seen.append(bench.twin.world.joints_deg))
-    assert any("markers, " in line and "px error" in line for line in said), said
-    assert any("by the markers the camera is 4" in line or "by the markers the camera is 39" in line for line in said)
+    assert any("markers, " in line and "reprojection error" in line for line in said), said
+    assert any("from the markers, the camera is 4" in line or "from the markers, the camera is 39" in line for line in said)
     assert decode_grey(file.read_bytes(), where="look").shape == (300, 400)
     assert seen[0][0] == pytest.approx(3.0, abs=0.3)
     assert bench.twin.world.joints_deg == pytest.approx(bench.twin.rig.arm.park_deg, abs=0.5)
@@ -174,7 +174,7 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
 
 
 REFUSED = {
-    "dance": "there is no command 'dance'; there are table, home",
+    "dance": "there is no command 'dance'; available commands are table, home",
     "table fast": "'table fast' is invalid; usage: table +9 | table 90",
     "lights 2": "'lights 2' is invalid; usage: lights",
     "lights nan": "'lights nan' is invalid; usage: lights",

@@ -73,7 +73,7 @@ def test_a_sound_rig_on_a_tripod(tmp_path: Path) -> None:
 
 def test_a_table_that_turns_the_other_way_and_a_mirrored_picture_are_found(tmp_path: Path) -> None:
     other_way = replace(SCENE, turntable=Turntable(direction=-1), disturbances=Disturbances())
-    for step, named, options in (("table", "wrong direction", {"scene": other_way}), ("strip", "mirrored", {"mirrored": True})):
+    for step, named, options in (("table", "The direction is wrong", {"scene": other_way}), ("strip", "mirrored", {"mirrored": True})):
         found = of(walked(tmp_path, rig=TRIPOD, **options), step)
         assert found.verdict == "wrong"
         assert named in found.text
@@ -83,7 +83,7 @@ def test_joints_move_and_come_back(tmp_path: Path) -> None:
     found = walked(tmp_path, ask=answers(no="the shoulder lean"))
     joints = [one for one in found if one.step.startswith("joint")]
     assert [one.verdict for one in joints] == ["ok", "wrong", "ok", "ok", "ok"]
-    assert "set sign of arm.joints 2" in joints[1].text
+    assert "reverse the sign of arm.joints 2" in joints[1].text
     assert all(one.measured["moved_deg"] == pytest.approx(5.0, abs=1.5) for one in joints)
     # The arm goes nowhere before its joints are right.
     assert [of(found, step).verdict for step in ("arm", "focus", "strip", "panel", "table")] == [*["skipped"] * 4, "ok"]
@@ -102,7 +102,7 @@ def test_focus_is_not_judged_on_a_bare_panel(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(Jog, "shot", lambda _: np.rint(np.tile(np.linspace(48000.0, 50000.0, 400), (300, 1))).astype(np.uint16))
     found = of(walked(tmp_path, rig=TRIPOD), "focus")
     assert found.verdict == "wrong"
-    assert "no dark object in front of the panel" in found.text
+    assert "no dark object is visible in front of the panel" in found.text
 
 
 def test_an_answer_that_is_missing_leaves_the_rig_safe_and_the_report(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def look(goal: Path) -> None:
         whole = {text for name, text in before.items() if name.partition("/")[0] in ("deep", "old", "new", "result.json")}
         assert len(whole) < 2, before
     elif any((goal / mark).is_dir() for mark in (folders.OLD, folders.WHOLE)):
-        with pytest.raises(UserError, match="run that command again"):
+        with pytest.raises(UserError, match="run the same command again"):
             folders.check_readable(goal)
     assert texts(goal) == before
 
@@ -235,7 +235,7 @@ def race(work: Path, text: str) -> None:
                 for name in ("deep/a", "deep/b", "result.json"):
                     atomic.write_text(building / name, text)
         except UserError as error:
-            if "is using it" not in str(error) and "repeatedly locked" not in str(error):
+            if "is using it" not in str(error) and "lock it repeatedly" not in str(error):
                 raise
         else:
             sys.stdout.write("made\n")

@@ -51,10 +51,10 @@ def test_interrupt_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"a\.bin: cannot be written"):
+    with pytest.raises(UserError, match=r"a\.bin: this path cannot be written"):
         atomic.write_bytes(tmp_path / "file" / "a.bin", b"x")
     (tmp_path / "folder").mkdir()
-    with pytest.raises(UserError, match="folder: cannot be written"):
+    with pytest.raises(UserError, match="folder: this path cannot be written"):
         atomic.write_bytes(tmp_path / "folder", b"x")
     assert names(tmp_path) == ["file", "folder"]
 
@@ -80,7 +80,7 @@ def test_pictures_survive(tmp_path: Path, kind: type) -> None:
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2)), np.zeros((2, 2, 2), np.uint8), np.zeros(3, np.uint8), np.zeros((2, 2), bool)])
 def test_what_is_no_picture_is_refused(tmp_path: Path, image: Any) -> None:
-    with pytest.raises(ValueError, match="expected uint8 or uint16"):
+    with pytest.raises(ValueError, match="a uint8 or uint16 array"):
         atomic.write_image(tmp_path / "a.png", image)
 
 
@@ -101,7 +101,7 @@ def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     assert os.read(reader, 100) == b"through"
     os.close(reader)
     assert names(tmp_path) == ["pipe"]
-    with pytest.raises(UserError, match="null: already exists"):
+    with pytest.raises(UserError, match="null already exists"):
         atomic.write_bytes("/dev/null", b"x", new=True)
 
 
@@ -109,10 +109,10 @@ def test_a_new_file_replaces_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """Neither one that is there nor one that another process makes at the last moment, with links or without."""
     path = tmp_path / "a.toml"
     atomic.write_text(path, "mine", new=True)
-    with pytest.raises(UserError, match=r"a\.toml: already exists"):
+    with pytest.raises(UserError, match=r"a\.toml already exists"):
         atomic.write_text(path, "other", new=True)
     monkeypatch.setattr(os, "link", raising(OSError(errno.EPERM, "no links here")))
-    with pytest.raises(UserError, match=r"a\.toml: already exists"):
+    with pytest.raises(UserError, match=r"a\.toml already exists"):
         atomic.write_text(path, "other", new=True)
     atomic.write_text(tmp_path / "b.toml", "b", new=True)
     assert path.read_text() == "mine"

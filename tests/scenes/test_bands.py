@@ -20,8 +20,8 @@ SCENE = Scene(camera=Camera(bands=(WHITE, RED, NIR)), plan=CapturePlan(rings=(Ri
 
 WRONG: dict[str, tuple[Scene, str]] = {
     "no word": (replace(SCENE, camera=Camera(bands=(Band(name="near infrared"),))), r"\[camera.bands 1\] name.*one lower-case word"),
-    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*different for each band"),
-    "unknown in a ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"\[plan.rings 1\].*it has white, red, nir"),
+    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*must be one lower-case word, and unique"),
+    "unknown in a ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"\[plan.rings 1\].*which are white, red, nir"),
     "none in the camera": (Scene(plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"requires \[\[camera.bands\]\]"),
     "dark ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("red",)),))), "panel and front light are on"),
     "spectrum": (replace(SCENE, shoot=Shoot(spectrum=((800.0, 0.5), (700.0, 0.1)))), r"\[shoot\] spectrum.*increasing"),
@@ -62,7 +62,7 @@ FRAMES: dict[str, tuple[tuple[Frame, ...], Scene, str]] = {
     "same band": (
         (frame("a", band="red", view=0), frame("b", band="red", view=0)),
         SCENE,
-        r"\[frames 2\] view.*differ from that of images/a",
+        r"\[frames 2\] view.*differ from the view of images/a",
     ),
     "camera without bands": ((frame("a", band="red", view=0),), Scene(), r"\[frames 1\] band.*has no bands"),
 }

@@ -66,9 +66,9 @@ def of_frame(number: int, **changes: Any) -> Callable[[Any], None]:
 
 SHOWN = r"\[frames 1\] file.* must consist of printable characters"
 SAME_STEM = r"\[frames 2\] file = \"more/0.jpg\": .*images/0\.png.* rename"
-NO_POSE = r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has one"
+NO_POSE = r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has a pose"
 DAMAGES: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "newer version": (lambda d: d.update(schema_version=2), r"dataset\.json has version 2; this program reads 1"),
+    "newer version": (lambda d: d.update(schema_version=2), r"dataset\.json has version 2, but this program reads version 1"),
     "no version": (lambda d: d.pop("schema_version"), "has no schema_version"),
     "at least one frame": (lambda d: d.update(frames=[]), "at least one"),
     "unknown key": (lambda d: d.update(frams=[]), 'frams: unknown key.*"frames"'),
@@ -81,7 +81,7 @@ DAMAGES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "pose for some only": (of_frame(0, cam_from_canister=None), NO_POSE),
     "ring that is not in the plan": (of_frame(0, ring=2), "between 0 and 1"),
     "stretched pose": (lambda d: d["frames"][1]["cam_from_canister"][0].__setitem__(0, 3.0), "a rotation and a translation"),
-    "mirrored pose": (of_frame(1, cam_from_canister=np.diag([1.0, 1, -1, 1]).tolist()), "mirror image"),
+    "mirrored pose": (of_frame(1, cam_from_canister=np.diag([1.0, 1, -1, 1]).tolist()), "contains a reflection"),
 }
 """Changes of dataset.json, and what the message must say."""
 
@@ -99,7 +99,7 @@ def test_damaged_manifest_is_named(dataset: Dataset, change: Callable[[Any], Any
 def test_manifest_that_is_no_json_or_missing(dataset: Dataset, tmp_path: Path) -> None:
     for text in ("", '{"schema_version": 1', "[]", "[" * 100000, "\x00"):
         (dataset.folder / "dataset.json").write_text(text)
-        with pytest.raises(UserError, match=r"dataset\.json: is damaged"):
+        with pytest.raises(UserError, match=r"dataset\.json: the file is damaged"):
             load_dataset(dataset.folder)
     with pytest.raises(UserError, match="no such folder"):
         load_dataset(tmp_path / "nothing")
@@ -116,7 +116,7 @@ SPOILT: dict[str, tuple[Callable[[Path], Any], str]] = {
     "missing": (Path.unlink, "the picture is missing"),
     "truncated": (lambda path: path.write_bytes(path.read_bytes()[:-20]), "the picture is truncated"),
     "none": (lambda path: path.write_text("not here"), "is not a supported picture"),
-    "other size": (lambda path: write_image(path, np.zeros((20, 16), np.uint8)), "the picture is 16x20 pixels, but .* image_wh 20x16"),
+    "other size": (lambda path: write_image(path, np.zeros((20, 16), np.uint8)), "the picture has 16x20 pixels, but .* image_wh 20x16"),
     "exchanged": (lambda path: write_image(path, np.zeros((16, 20), np.uint8)), "differs from the recorded picture"),
     "folder": (folder_for_file, "is a folder"),
 }
@@ -125,7 +125,7 @@ SPOILT: dict[str, tuple[Callable[[Path], Any], str]] = {
 @pytest.mark.parametrize(("spoil", "says"), SPOILT.values(), ids=SPOILT.keys())
 def test_spoilt_picture_is_named(dataset: Dataset, spoil: Callable[[Path], Any], says: str) -> None:
     spoil(dataset.folder / "images/1.png")
-    with pytest.raises(UserError, match=rf"1\.png: {says}"):
+    with pytest.raises(UserError, match=rf"1\.png: .*{says}"):
         read_image(dataset, dataset.frames[1])
 
 
@@ -160,5 +160,5 @@ def test_damaged_truth_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"truth\.json: volume_mm3 = None: must be a number"):
         load_truth(tmp_path)
     edit(tmp_path, lambda d: d.update(schema_version=3), "truth/truth.json")
-    with pytest.raises(UserError, match=r"truth\.json has version 3; this program reads 1"):
+    with pytest.raises(UserError, match=r"truth\.json has version 3, but this program reads version 1"):
         load_truth(tmp_path)

@@ -83,7 +83,7 @@ def test_folder_that_is_there(tmp_path: Path) -> None:
 def test_folder_in_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     begun = False
-    with pytest.raises(UserError, match="out: cannot be written"), folders.new_folder(tmp_path / "file" / "deep" / "out"):
+    with pytest.raises(UserError, match="out: this path cannot be written"), folders.new_folder(tmp_path / "file" / "deep" / "out"):
         begun = True
     assert not begun
 
@@ -100,7 +100,7 @@ def test_what_others_put_there_meanwhile_stays(tmp_path: Path, caplog: pytest.Lo
         "result.json": "new",
         "work.txt": "years",
     }
-    assert "work.txt was added or changed by others during the run, and is kept" in caplog.text
+    assert "work.txt was added or changed by another program during the run, and is kept" in caplog.text
     assert names(out) == ["pictures", "result.json", "work.txt"]
 
 
@@ -152,13 +152,13 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
     atomic.temporary_path(out / "view" / "b").write_text("half")
     with folders.lock_folder(out):
         assert names(out / "view") == ["a"]
-    assert "process 7 on gone (since then) left it unfinished; continuing" in caplog.text
+    assert "process 7 on gone (since then) was stopped before it finished; its remaining files are recovered" in caplog.text
     assert names(out) == ["view"]
 
 
 def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path: Path) -> None:
     whole, half = made(tmp_path / "whole" / folders.WHOLE, dataset_json="x").parent, made(tmp_path / "half" / folders.OLD, a="1").parent
-    with pytest.raises(UserError, match=r"contains .rhizotwin-whole: .* run that command again"):
+    with pytest.raises(UserError, match=r"contains .rhizotwin-whole, .* run the same command again"):
         folders.check_readable(whole)
     with pytest.raises(UserError, match="is complete, although the run that wrote it was stopped"), folders.new_folder(whole):
         pass

@@ -61,7 +61,7 @@ NO_PICTURE = {
     "svg": (b"<svg/>", "is not a supported picture"),
     "empty": (b"", "empty"),
     "png without pixels": (b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND")), "is not a supported picture"),
-    "floats": (encoded(np.ones((4, 4), np.float32), ".tiff"), "8 or 16-bit"),
+    "floats": (encoded(np.ones((4, 4), np.float32), ".tiff"), "8- or 16-bit"),
 }
 
 

@@ -22,14 +22,14 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
     path = tmp_path / "two.toml"
     save_scene(scene, path)
     assert load_scene(path) == scene
-    assert "# Attachment point in the net pot's grid" in path.read_text()
+    assert "# Attachment point (x, y) in the net pot's grid" in path.read_text()
     assert path.read_text().count("# Mean diameter at the base of the root") == 6  # of the plants' own specimens, too
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is the name of another plant"),
+        ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is already the name of another plant"),
         ({"plants": [{"plant": "plant"}]}, "is reserved for plants without a name"),
         ({"plants": [{"plant": "A", "at_mm": [80, 0]}]}, "inside the canister's wall"),
         ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be at least 2 mm from A"),

@@ -89,7 +89,7 @@ def test_property_with_a_defined_unit(write: Write) -> None:
 
 def test_no_diameter_is_refused_unless_given(write: Write) -> None:
     path = write(f'<root label="tap">{LINE}</root><root>{LINE}{THICK}</root>')
-    with pytest.raises(UserError, match=r'wild\.rsml: root 1 \("tap"\) has no diameter; .*--specimen-diameter-mm D, or diameter_mm'):
+    with pytest.raises(UserError, match=r'wild\.rsml: root 1 \("tap"\) has no diameter; .*--specimen-diameter-mm D, or with diameter_mm'):
         read_rsml(path)
     first, second = read_rsml(path, diameter_mm=0.7)
     np.testing.assert_array_equal(first.diameters_mm, [0.7] * 3)
@@ -112,7 +112,7 @@ def test_empty_and_single_point_roots_are_left_out(write: Write) -> None:
     tap, grandchild = read_rsml(write(body))
     assert (grandchild.order, grandchild.parent, grandchild.label) == (1, 0, "grandchild")
     assert tap.order == 0
-    with pytest.raises(UserError, match="no root with two or more points"):
+    with pytest.raises(UserError, match="no root with at least two points"):
         read_rsml(write(f"<root/><root>{single}</root>"))
 
 
@@ -150,7 +150,7 @@ UNKNOWN = {
 @pytest.mark.parametrize("metadata", UNKNOWN.values(), ids=UNKNOWN.keys())
 def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> None:
     path = write(f"<root>{LINE}{THICK}</root>", metadata)
-    with pytest.raises(UserError, match=r"wild\.rsml: .*(--specimen-unit UNIT, or as unit in a scene file|resolution)"):
+    with pytest.raises(UserError, match=r"wild\.rsml: .*(--specimen-unit UNIT, or with unit in a scene file|resolution)"):
         read_rsml(path)
     assert one(path, unit="cm").points_mm[0, 2] == -10.0
     assert one(path, unit="0.5 mm").points_mm[0, 2] == -0.5
@@ -221,7 +221,7 @@ def test_what_is_no_rsml(tmp_path: Path) -> None:
         b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
     ):
         path.write_bytes(content)
-        with pytest.raises(UserError, match=r"wild\.rsml: is not an RSML file"):
+        with pytest.raises(UserError, match=r"wild\.rsml: the file is not an RSML file"):
             read_rsml(path)
 
 

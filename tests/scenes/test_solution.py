@@ -65,11 +65,11 @@ def test_factors_scale_every_salt_of_the_element() -> None:
     ("wrong", "said"),
     [
         (Solution(grams_per_l={"K2NO3": 1.0}), "without a remaining charge"),
-        (Solution(grams_per_l={"kno3": 1.0}), "is not a formula"),
+        (Solution(grams_per_l={"kno3": 1.0}), "must be a formula"),
         (Solution(grams_per_l={"K" * 100: 1.0}), "1 to 80 characters"),
         (Solution(grams_per_l={"": 1.0}), "1 to 80 characters"),
         (Solution(recipe="kliman_2022", factors={"Xy": 2.0}), "must be an element"),
-        (Solution(factors={"K": 2.0}), "it has none"),
+        (Solution(factors={"K": 2.0}), "whose compounds are none"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(wrong: Solution, said: str) -> None:

@@ -38,7 +38,7 @@ def test_cells_of_a_table_give_it_back() -> None:
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"date": "16.10.2022"}, "must be a date as 2022-10-06"),
+        ({"date": "16.10.2022"}, "must be a date such as 2022-10-06"),
         ({"plant": "a\nb"}, "one line"),
         ({"day": -1.0}, "must be between 0 and 36500"),
         ({"plnat": "P7"}, "did you mean"),

@@ -78,11 +78,11 @@ def test_the_empty_tank_lets_the_panel_through_and_keeps_the_strip_dry() -> None
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
-        ({"tank": {"front_mm": 70.0}}, "room for the canister"),
-        ({"tank": {"level_mm": -2.0}}, "below the net pot's skirt_bottom_mm"),
+        ({"tank": {"front_mm": 70.0}}, "so that the canister can rotate"),
+        ({"tank": {"level_mm": -2.0}}, "below skirt_bottom_mm of the net pot"),
         ({"tank": {"front_mm": 300.0}}, "below lights.backlight_distance_mm"),
         ({"tank": {"colour": "blue"}}, "unknown"),
-        ({"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}}, "strip's lower edge is seen through the tank's liquid"),
+        ({"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}}, "strip's lower edge is behind the tank's liquid"),
         ({"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}, "strip": {"rows": 0}}, None),
     ],
     ids=["too near", "too low", "beyond the backlight", "unknown key", "strip seen through it", "no strip"],

@@ -234,7 +234,7 @@ def test_series_name_plants_days_and_treatments() -> None:
     assert (one.subject.treatment, one.subject.day, one.subject.replicate) == ("low N", 3.0, 2)
     assert len({other.subject.plant for other in varied.values()}) == 4
     assert one.solution.ions_mmol_per_l["NO3"] == pytest.approx(0.5 * scene.solution.ions_mmol_per_l["NO3"])
-    with pytest.raises(UserError, match=r"treatment dry of scene .* it has none"):
+    with pytest.raises(UserError, match=r"treatment dry of scene .* whose compounds are none"):
         series.vary(files.load_scene("radish_day05a"), treatments=(("dry", 1.0, (("K", 0.5),)),))
     same = series.vary(scene, days=(5.0,))["radish_day05a_day05"]
     assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)

@@ -49,4 +49,4 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
     assert (" ml</td>" in shown) is trusted
     assert (">40</td>" in shown) is trusted  # their lengths
     assert ("not reliable" in shown) is not trusted
-    assert f"A and B ({'not assessed' if trusted else 'not reliable'}): nearest roots 7.00 mm apart" in shown
+    assert f"A and B ({'not assessed' if trusted else 'not reliable'}): the minimum distance of their roots is 7.00 mm" in shown

@@ -132,7 +132,7 @@ class Blocked:
         """Fail once, then load."""
         self.loads += 1
         if self.loads == 1:
-            raise UnsafeError("carousel: does not turn; remove what blocks it and go on")
+            raise UnsafeError("carousel: the carousel does not rotate; remove the obstacle and continue")
         assert self.runner is not None
         assert isinstance(self.runner.table, EmulatedTable)
         self.runner.table.put(place)
@@ -148,7 +148,7 @@ def test_blocked_carousel_is_tried_again(make_experiment):
     experiment, carousel, lines = load_experiment(make_experiment(plants=1, rounds=1)), Blocked(), list[str]()
     carousel.runner = Runner(experiment, listener=Listener(say=lines.append), changer=CarouselChanger(carousel))
     assert carousel.runner.run().scanned == 1
-    assert any("try 1 of 3 failed: carousel: does not turn" in line for line in lines)
+    assert any("try 1 of 3 failed: carousel: the carousel does not rotate" in line for line in lines)
 
 
 def test_listener_stops_the_run_between_scans(make_experiment):

@@ -26,9 +26,9 @@ def test_moves_all_joints_with_one_command_and_asks_nothing_meanwhile(tells: boo
 
 
 REFUSED = {
-    "above": ((0, 91.3, 0, 0, 0), r"servo 5\) cannot go to 91\.30 deg, its limits are -86 to 91"),
-    "below": ((-90.01, 0, 0, 0, 0), r"base \(servo 6\) cannot go to -90\.01 deg"),
-    "not a number": ((0, 0, float("nan"), 0, 0), "elbow .* cannot go to nan"),
+    "above": ((0, 91.3, 0, 0, 0), r"servo 5\) cannot be set to 91\.30 deg, because its limits are -86 to 91"),
+    "below": ((-90.01, 0, 0, 0, 0), r"base \(servo 6\) cannot be set to -90\.01 deg"),
+    "not a number": ((0, 0, float("nan"), 0, 0), "elbow .* cannot be set to nan"),
     "counts": ((0, 0, 0, -118.5, 0), r"wrist pitch .* would be at -4 counts, outside 0 to 1000"),
     "too few": ((0, 0, 0, 0), "4 joint angles are given but the arm has 5 joints"),
 }

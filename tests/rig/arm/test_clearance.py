@@ -232,7 +232,7 @@ def test_way_round_goes_through_a_drawn_in_arm() -> None:
     assert len(path) > 1
     assert path[-1] == end
     check_path(near(), SCENE, [begin, *path])
-    with pytest.raises(UnsafeError, match=r"the canister at the end of the path; .*no clear path with the arm retracted"):
+    with pytest.raises(UnsafeError, match=r"the canister at the end of the path; .*a path with a retracted arm is not clear"):
         plan_path(near(), SCENE, ARM.park_deg, (0.0, 90.0, 0.0, 0.0, 0.0))
 
 

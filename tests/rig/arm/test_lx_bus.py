@@ -71,7 +71,7 @@ def test_a_target_that_was_not_taken_is_sent_again_before_anything_moves() -> No
         bus.move(TO_500_AND_600, 1.0)
     with (
         scripted(LxBus, *ARMED[:2], *[(WAIT_2, SILENT), (ASK_WAIT_2, "55 55 02 07 08 00 00 00 00 ee")] * 4) as bus,
-        pytest.raises(NoAnswerError, match="servo 2 answers but does not accept commands"),
+        pytest.raises(NoAnswerError, match="servo 2 replies but does not accept commands"),
     ):
         bus.move(TO_500_AND_600, 1.0)
 

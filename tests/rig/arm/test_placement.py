@@ -76,18 +76,18 @@ REFUSED = {
     "too far": (
         RIG,
         Ring(distance_mm=350.0),
-        r"distance 350 mm, height -42 mm, tilt 0 deg is out of reach: .* 205 mm from the shoulder, the links reach 5 to 198 mm; move",
+        r"distance 350 mm, height -42 mm, tilt 0 deg is out of reach: .* 205 mm from the shoulder, but the links permit 5 to 198 mm; move",
     ),
     "too near": (
         with_arm(links_mm=(61.0, 150.0, 50.0, 95.0)),
         Ring(distance_mm=530.0),
-        r"would have to be 25 mm from the shoulder, the links reach 100 to 200 mm",
+        r"would have to be 25 mm from the shoulder, but the links permit 100 to 200 mm",
     ),
     "elbow": (RIG, Ring(distance_mm=450.0), r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"),
     "far aside": (
         with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0)),
         Ring(),
-        r"would be 16\.7 deg from the rig's x axis, and at most 15 deg face the backlight; move the arm's base .* nearer to y = 0",
+        r"would be 16\.7 deg from the rig's x axis, but at more than 15 deg it does not face the backlight; move .* nearer to y = 0",
     ),
 }
 
@@ -113,9 +113,9 @@ def test_corrections_that_cannot_be_are_refused() -> None:
     joints_deg = compute_joints(rig, wanted)
     with pytest.raises(UnsafeError, match=r"cannot be corrected within the joints' limits: elbow 81\.0 deg \(limits -88 to 77\.96"):
         correct_joints(rig, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, -4, 0, 0))), wanted)
-    with pytest.raises(UnsafeError, match=r"by the markers the .* more than a correction of 25 deg: check joints, links_mm"):
+    with pytest.raises(UnsafeError, match=r"the markers require the .* more than the maximum correction of 25 deg; check joints, links_mm"):
         correct_joints(RIG, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, 0, 0, 40))), wanted)
-    with pytest.raises(UnsafeError, match=r"distance 300 mm, .* cannot be reached: the camera would stay \d+\.\d mm off"):
+    with pytest.raises(UnsafeError, match=r"distance 300 mm, .* cannot be reached; the nearest position is \d+\.\d mm away"):
         correct_joints(RIG, joints_deg, cam_from_rig(ARM, joints_deg), planned_camera_pose(Ring(distance_mm=300.0)))
     with pytest.raises(RigError, match=r"has no \[arm\]"):
         compute_joints(RigFile(), wanted)
@@ -132,7 +132,7 @@ def test_a_pose_by_position_and_direction_is_held() -> None:
 
 
 def test_what_five_joints_cannot_hold_is_said_with_the_nearest() -> None:
-    with pytest.raises(UnsafeError, match=r"the nearest direction is \((.*)\)") as refused:
+    with pytest.raises(UnsafeError, match=r"the nearest direction that the five joints can reach is \((.*)\)") as refused:
         compute_joints_from_direction(RIG, (400.0, 30.0, -42.0), (-1.0, 0.5, 0.0))
     nearest = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(")").split(","))
     compute_joints_from_direction(RIG, (400.0, 30.0, -42.0), nearest)  # which can be had

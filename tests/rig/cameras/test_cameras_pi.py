@@ -207,7 +207,7 @@ WRONG_METADATA = [
     ("ColourGains", (2.0, 1.7), "ColourGains blue is 1.7 instead of 1.6"),
     ("ColourGains", None, "ColourGains red is missing"),
     ("SensorBlackLevels", None, "does not report its black level"),
-    ("SensorTimestamp", 1000 * 10000, "the same frame again"),  # that of the first frame
+    ("SensorTimestamp", 1000 * 10000, "the frame is the same as before"),  # that of the first frame
 ]
 
 
@@ -229,7 +229,7 @@ def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: _Sensor) 
     camera = opened()
     assert "imx477), 32x24 of 64x48 raw pixels of 12 bits, 10 ms, gain 2" in camera.describe()
     sensor.silent = True
-    with pytest.raises(RigError, match="camera 0: no longer delivers frames"):
+    with pytest.raises(RigError, match="camera 0: the camera no longer delivers frames"):
         camera.capture()
     assert sensor.opened[-1].cancelled
     assert sensor.opened[-1].closed
@@ -244,17 +244,17 @@ def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: _Sensor) 
 
 def test_a_camera_that_cannot_be_had_and_compressed_pixels_are_refused(sensor: _Sensor) -> None:
     sensor.stream_format = "RGGB_PISP_COMP1"
-    with pytest.raises(RigError, match="delivers raw pixels as RGGB_PISP_COMP1 64x48 instead of SRGGB12 64x48"):
+    with pytest.raises(RigError, match="delivers raw pixels as RGGB_PISP_COMP1 64x48, but only SRGGB12 64x48"):
         opened()
     sensor.cameras = 0
-    with pytest.raises(RigError, match=r"did not complete: Device or resource busy\); search for it with rpicam-hello"):
+    with pytest.raises(RigError, match=r"did not complete: Device or resource busy\); look for it with rpicam-hello"):
         opened()
 
 
 IMPOSSIBLE = [
     (CameraSettings(image_wh=(32, 24), exposure_s=1e-5), "ExposureTime 10 us is outside the sensor's range, 114 to 6.74192e"),
     (CameraSettings(image_wh=(32, 24), gain=0.5), "AnalogueGain 0.5 is outside the sensor's range, 1 to 22.26"),
-    (CameraSettings(image_wh=(30, 24)), "cannot take pictures of 30x24, only of 32x24, 16x12"),
+    (CameraSettings(image_wh=(30, 24)), "cannot take pictures of 30x24 pixels; available sizes: 32x24, 16x12"),
 ]
 
 
@@ -270,9 +270,9 @@ def test_the_finest_mode_of_the_hq_camera_is_taken() -> None:
     for image_wh, size, block in (((2028, 1520), (4056, 3040), 2), ((1014, 760), (4056, 3040), 4), ((1014, 540), (2028, 1080), 2)):
         mode = choose_mode(IMX477, image_wh, name="camera 0")
         assert (mode.size, mode.block) == (size, block)
-    with pytest.raises(RigError, match="cannot take pictures of 800x600, only of 2028x1520, 1014x760, 1014x540, 666x495 "):
+    with pytest.raises(RigError, match="cannot take pictures of 800x600 pixels; available sizes: 2028x1520, 1014x760, 1014x540, 666x495 "):
         choose_mode(IMX477, (800, 600), name="camera 0")
-    with pytest.raises(RigError, match="nothing: it has no Bayer colour sensor"):
+    with pytest.raises(RigError, match="none, because the camera has no Bayer colour sensor"):
         choose_mode([{"unpacked": "R10", "bit_depth": 10, "size": (1456, 1088)}], (728, 544), name="camera 0")
 
 
@@ -280,7 +280,7 @@ def test_without_picamera2_or_with_one_for_another_numpy_or_no_number(monkeypatc
     def fail(name: str) -> ModuleType:
         raise ValueError(f"{name}: numpy.dtype size changed")
 
-    with pytest.raises(RigError, match="is not the number of a camera"):
+    with pytest.raises(RigError, match="is not a camera number"):
         PiCamera("/dev/video0", SETTINGS)
     assert not sensor.opened
     monkeypatch.setitem(sys.modules, "picamera2", None)

@@ -170,7 +170,7 @@ def test_svg_pages_are_numbered_and_have_the_paper_s_size(tmp_path: Path) -> Non
 def test_what_does_not_fit_is_refused_with_the_sizes(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="too small for the strip"):
         strip_pages(SCENE, paper=Paper(size_mm=(120.0, 100.0)))
-    with pytest.raises(UserError, match="420 x 300 mm does not fit"):
+    with pytest.raises(UserError, match="420 x 300 mm, with its ruler, does not fit"):
         board_page(CharucoBoard(square_mm=60.0), paper=Paper())
     with pytest.raises(UserError, match=r"\.pdf or \.svg"):
         write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "strip.png", title="strip")

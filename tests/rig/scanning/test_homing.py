@@ -89,5 +89,5 @@ def test_markers_to_be_expected_are_read_but_not_those_of_another_strip() -> Non
     assert visible_markers(SCENE, level(Ring(height_mm=-200.0))) == 0
     other = replace(SCENE, strip=replace(SCENE.strip, columns=20))
     assert read_strip(image, other) is None
-    assert "do not fit the scene's strip" in unread_reason(image, other)
+    assert "do not fit the strip and camera of the scene" in unread_reason(image, other)
     assert "no markers" in unread_reason(np.zeros_like(image), SCENE)

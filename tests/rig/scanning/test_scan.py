@@ -37,7 +37,7 @@ def test_complete_scan_is_the_plan(tmp_path: Path) -> None:
 
 
 def test_angle_zero_is_the_seam_toward_the_camera_whatever_a_person_says(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match=r"declared to be at 30 deg, but the markers show 7[67]\.\d deg"):
+    with pytest.raises(RigError, match=r"--table-angle is 30 deg, but the markers show 7[67]\.\d deg"):
         run(World(), tmp_path / "d", table_angle_deg=30.0)
     world = World(table_true_deg=123.4)
     run(world, tmp_path / "e")
@@ -50,13 +50,13 @@ def test_angle_that_the_table_kept_is_used_again(tmp_path: Path) -> None:
         run(world, tmp_path / "d")
     world.on_call = lambda _: None
     run(world, tmp_path / "d", resume=True, said=said)
-    assert any(line.startswith("turntable: kept its angle") for line in said)
+    assert any(line.startswith("turntable: the angle is still known") for line in said)
     assert world.calls.count("table.declare") == 1
 
 
 def test_without_markers_a_person_is_asked_for_the_angle_and_it_is_not_guessed(tmp_path: Path) -> None:
     world, asked, answers = World(scene=BLIND), [], iter(["north", "77"])
-    with pytest.raises(RigError, match=r"angle is not known, and no markers were found.*--table-angle"):
+    with pytest.raises(RigError, match=r"angle is unknown \(no markers were found.*--table-angle"):
         run(World(scene=BLIND), tmp_path / "d")
     assert not (tmp_path / "d" / "dataset.json").exists()
     run(world, tmp_path / "d", ask=lambda question: asked.append(question) or next(answers))
@@ -71,14 +71,14 @@ def test_angle_that_was_given_is_taken_once(tmp_path: Path) -> None:
     assert (world.table_true_deg - world.counter_deg) % 360.0 == pytest.approx(0.0)
     world = World(scene=BLIND)
     Trouble("", "table.move", 3, World.reset_board).arm(world)
-    with pytest.raises(RigError, match="angle is not known"):
+    with pytest.raises(RigError, match="angle is unknown"):
         run(world, tmp_path / "e", table_angle_deg=77.0)
 
 
 REFUSALS = {
     "jitter": (with_rings(Ring(jitter_mm=1.0)), None, "plan.rings 1: jitter_mm and jitter_deg must be 0"),
     "far angle": (with_rings(Ring(first_deg=-180.0)), None, "plan.rings 1: first_deg moves the table to -180 deg"),
-    "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but no arm"),
+    "no arm": (with_rings(Ring(views=2), Ring(views=2, height_mm=0.0)), None, "the plan has 2 rings, but the rig has no arm"),
     "out of reach": (with_rings(Ring(views=2), Ring(views=2, height_mm=900.0)), ArmPart().park_deg, r"arm: .*reach"),
 }
 

@@ -55,7 +55,7 @@ def test_frames_are_listed_with_the_hash_of_what_is_on_the_disk(tmp_path: Path) 
     assert all(np.array_equal(read_image(dataset, frame), picture(k)) for k, frame in enumerate(dataset.frames))
     assert not dataset.origin["complete"]
     (tmp_path / "d" / "images" / "view_000.png").write_bytes(encode_png(picture(9)))
-    with pytest.raises(UserError, match=r"view_000\.png: differs from the recorded picture; remove it"):
+    with pytest.raises(UserError, match=r"view_000\.png differs from the recorded picture; remove it"):
         begin(tmp_path / "d", resume=True)
 
 
@@ -97,20 +97,20 @@ DIFFERENCES = {
 def test_differences_are_refused_by_name_but_a_device_may_have_another_port(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0)
     for named, changes in DIFFERENCES.items():
-        with pytest.raises(UserError, match=f"a scan with another {named}: use the same"):
+        with pytest.raises(UserError, match=f"a scan with different values of {named}; use the same"):
             begin(tmp_path / "d", resume=True, **changes)
-    with pytest.raises(UserError, match="stopped after 1 pictures: add --resume"):
+    with pytest.raises(UserError, match="interrupted after 1 pictures; add --resume"):
         begin(tmp_path / "d")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("x")
-    with pytest.raises(UserError, match="not empty and contains no stopped scan"):
+    with pytest.raises(UserError, match="not empty and contains no interrupted scan"):
         begin(tmp_path / "other", resume=True)
     moved = replace(RIG, turntable=replace(RIG.turntable, port="/dev/ttyUSB7"), arm=replace(RIG.arm, port="/dev/ttyACM3"), name="renamed")
     made = begin(tmp_path / "d", resume=True, rig=moved)
     assert len(made.remaining()) == 3
     made.close()
     save_dataset(replace(load_dataset(tmp_path / "d"), origin={"program": "rhizotwin simulate"}))
-    with pytest.raises(UserError, match="was not made by a scan"):
+    with pytest.raises(UserError, match="was not created by a scan"):
         begin(tmp_path / "d", resume=True)
 
 

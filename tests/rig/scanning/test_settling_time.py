@@ -88,7 +88,7 @@ def test_a_scan_turns_and_rests_as_it_saw_the_water_move(
     said: list[str] = []
     dataset = scan(opened, world.scene, tmp_path / "scan", observers=Observers(say=said.append))
     assert world.acceleration_deg_per_s2 == chosen_deg_per_s2
-    (line,) = [text for text in said if "each picture waits" in text]
+    (line,) = [text for text in said if "pause before each picture is" in text]
     rest_s = min(rests[-len(dataset.frames) :])
     assert least_s - 1e-6 <= rest_s <= most_s + 1e-6
     assert f"{rest_s:.1f}"[:2] in line

@@ -95,7 +95,9 @@ def test_a_replay_answers_as_it_was(replay: ReplayPort) -> None:
 
 def test_the_first_difference_is_named_and_stays(replay: ReplayPort) -> None:
     exchange(replay, b"M114\n")
-    with pytest.raises(ReplayError, match=r"turntable, replay of .*wire.jsonl: line 7 has b'M17\\n' sent, .* from byte 2 on: b'8\\n'"):
+    with pytest.raises(
+        ReplayError, match=r"turntable, replay of .*wire.jsonl: b'M17\\n' was sent in line 7, .* from byte 2 onwards: b'8\\n'"
+    ):
         replay.write(b"M18\n")
     for action in (lambda: replay.read(0.0), lambda: replay.write(b"M17\n"), replay.finish):
         with pytest.raises(ReplayError, match="line 7"):
@@ -112,14 +114,14 @@ def exchange(replay: ReplayPort, *sent: bytes) -> None:
 def test_every_other_order_is_a_difference(replay: ReplayPort, tmp_path: Path) -> None:
     assert not issubclass(ReplayError, RigError)
     other = replay_port(tmp_path / "wire.jsonl", "turntable")
-    with pytest.raises(ReplayError, match=r"line 4 has b'X:1' received, but b'M17\\n' was sent before"):
+    with pytest.raises(ReplayError, match=r"driver sent b'M17\\n' before it read b'X:1', which was received in line 4"):
         other.write(b"M114\nM17\n")
     exchange(replay, b"M114\n")
-    with pytest.raises(ReplayError, match=r"line 7 has b'M17.n' sent, but the driver stopped"):
+    with pytest.raises(ReplayError, match=r"the driver stopped before line 7, in which b'M17.n' was sent"):
         replay.finish()
     other = replay_port(tmp_path / "wire.jsonl", "turntable")
     exchange(other, b"M114\n", b"M17\n")
-    with pytest.raises(ReplayError, match="recording ends"):
+    with pytest.raises(ReplayError, match="after the end of the recording"):
         other.write(b"M18\n")
 
 
@@ -130,7 +132,7 @@ def test_sessions_are_told_apart(tmp_path: Path) -> None:
     recorder.close()
     replay_port(path, "turntable").write(b"M18\n")
     replay_port(path, "turntable", session=0).write(b"M114\n")
-    with pytest.raises(UserError, match="no device 'arm' in this session, only turntable"):
+    with pytest.raises(UserError, match="does not contain the device 'arm'; its devices are: turntable"):
         replay_port(path, "arm")
 
 

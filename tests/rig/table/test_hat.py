@@ -196,7 +196,7 @@ def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.Monkey
 
 def test_pins_that_clash_are_refused(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text("[hat]\nstep_pin = 24\n")
-    with pytest.raises(UserError, match="is already used for step_pin"):
+    with pytest.raises(UserError, match="must differ from step_pin"):
         load_rig(tmp_path / "rig.toml")
 
 

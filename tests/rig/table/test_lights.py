@@ -43,7 +43,7 @@ def test_the_bytes_of_both_lamps(board: Any, lights: MarlinLights) -> None:
 
 def test_levels_beyond_the_limits_are_refused(lights: MarlinLights) -> None:
     for panel, front in ((-0.1, 0.0), (0.0, 1.1), (float("nan"), 0.0)):
-        with pytest.raises(ValueError, match="expected 0 to 1"):
+        with pytest.raises(ValueError, match="must be from 0 to 1"):
             lights.set(panel=panel, front=front)
 
 

@@ -91,10 +91,10 @@ def test_a_reset_between_commands_is_seen_before_anything_is_sent(talk: Talk) ->
 
 HOPELESS = {
     "silence": ([()] * 6, "did not reply after M400", 26.0),
-    "refused for ever": ([REFUSED] * 11, "rejected it 10 times after M400", 6.0),
-    "busy for ever": ([(2.0, "echo:busy: processing") * 200], "busy without end after M400", LONGEST_S + 2.0),
-    "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends invalid data without end", 1.0),
-    "errors for ever": ([("Error:x", "ok")] * 6, "answered with errors after M400 .last received: 'Error:x'.", 6.0),
+    "refused for ever": ([REFUSED] * 11, "rejected the line 10 times after M400", 6.0),
+    "busy for ever": ([(2.0, "echo:busy: processing") * 200], "the board remained busy after M400", LONGEST_S + 2.0),
+    "noise for ever": ([(b"\xaa" * 4096,) * 20], "sends invalid data continuously", 1.0),
+    "errors for ever": ([("Error:x", "ok")] * 6, "replied with errors after M400 .last received: 'Error:x'.", 6.0),
 }
 
 
@@ -218,10 +218,12 @@ def test_another_firmware_and_silence_are_named_in_time(make_board: Any) -> None
     link = MarlinLink(Script(make_board().clock, GREETING[0], *[(f"N{n} M115", ("Grbl 1.1f", "ok")) for n in (1, 2, 3)]))
     with pytest.raises(LostError, match="not connected"):
         link.command("M400")
-    with pytest.raises(NoAnswerError, match=r"does not answer M115 as Marlin does \('Grbl 1.1f'\)"):
+    with pytest.raises(NoAnswerError, match=r"the reply to M115 is not that of a Marlin board \('Grbl 1.1f'\)"):
         link.start()
     assert not link.ready
     script = Script(make_board().clock, *[(GREETING[0][0], ())] * 6)
-    with pytest.raises(NoAnswerError, match="turntable on fake: did not reply after M110 N0; check supply, cable, port and baud rate"):
+    with pytest.raises(
+        NoAnswerError, match="turntable on fake: the board did not reply after M110 N0; check supply, cable, port and baud rate"
+    ):
         MarlinLink(script).start()
     assert script.clock.now_s() < 30.0

@@ -20,7 +20,7 @@ def test_canisters_are_changed_in_virtual_time():
     assert table == [7, 0, 1, 0]
 
 
-@pytest.mark.parametrize(("place", "words"), [(3, "place 3 is empty"), (4, "has no place 4, only 1 to 3")])
+@pytest.mark.parametrize(("place", "words"), [(3, "place 3 is empty"), (4, "there is no place 4, only places 1 to 3")])
 def test_places_without_a_canister(place: int, words: str):
     with pytest.raises(UnsafeError, match=words):
         TwinCarousel(VirtualClock(), [1, 7, 0], lambda _: None).load(place)
@@ -29,5 +29,5 @@ def test_places_without_a_canister(place: int, words: str):
 def test_blocked():
     carousel = TwinCarousel(VirtualClock(), [1], lambda _: None)
     carousel.blocked = True
-    with pytest.raises(UnsafeError, match="remove what blocks it"):
+    with pytest.raises(UnsafeError, match="remove the obstacle"):
         carousel.prepare()

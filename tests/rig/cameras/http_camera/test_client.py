@@ -97,7 +97,7 @@ def test_each_capture_is_a_new_picture_even_if_requests_arrive_twice(server: Cam
         shot = remote.capture()
         assert (shot.exposure_s, shot.gain) == (None, None)
     remote.close()
-    with pytest.raises(RigError, match="not open; prepare it first"):
+    with pytest.raises(RigError, match="not open; open it first"):
         remote.capture()
 
 
@@ -108,10 +108,10 @@ def flipped(answer: bytes) -> bytes:
 
 FAULTS: dict[str, tuple[Callable[[bytes], bytes | None], str]] = {
     "lost": (lambda _: None, "closed connection without response"),
-    "cut in the picture": (lambda answer: answer[:-7], "of [0-9]+ bytes arrived"),
-    "damaged": (flipped, "the picture was damaged on its way"),
-    "of another": (lambda answer: re.sub(rb"(?<=Picture: ).{32}", A.encode(), answer), "the answer to another request"),
-    "without length": (lambda answer: answer.replace(b"Content-Length", b"X"), "without its length"),
+    "cut in the picture": (lambda answer: answer[:-7], "of [0-9]+ bytes were received"),
+    "damaged": (flipped, "the picture was damaged during transmission"),
+    "of another": (lambda answer: re.sub(rb"(?<=Picture: ).{32}", A.encode(), answer), "the reply is for a different request"),
+    "without length": (lambda answer: answer.replace(b"Content-Length", b"X"), "does not state its length"),
 }
 """What happens to the answer of a capture, and what is said of it."""
 
@@ -131,7 +131,7 @@ def test_an_answer_that_does_not_arrive_costs_no_picture_and_none_ever_ends_in_a
     with proxy(server, lambda answer, _: mangle(answer)) as url:
         with pytest.raises(NoAnswerError, match=said) as caught:
             remote_of(url).prepare()
-        assert f"camera at {url}: no complete answer after 4 attempts" in str(caught.value)
+        assert f"camera at {url}: no complete reply after 4 attempts" in str(caught.value)
     assert camera.taken == 4
 
 
@@ -145,7 +145,7 @@ def test_a_server_that_stops_and_is_started_again(server: CameraServer, camera: 
     second = CameraServer(camera, port=port)
     second.start()
     try:
-        with pytest.raises(LostError, match="the camera server was started again"):
+        with pytest.raises(LostError, match="the camera server was restarted"):
             remote.capture()
         remote.prepare()
         assert number_of(remote.capture()) == 3
@@ -164,9 +164,9 @@ def test_a_camera_that_fails_is_named_at_once(server: CameraServer, camera: Numb
 
 
 OTHER_SETTINGS = [
-    ({"shape": (12, 32)}, "gives pictures of 32x12 pixels, not 32x24"),
-    ({"shape": (600, 800)}, r"announces an answer of [0-9]+ bytes, more than the maximum of [0-9]+"),
-    ({"dtype": np.uint8}, "gives pictures of 8 bits instead of 12"),
+    ({"shape": (12, 32)}, "the pictures have 32x12 pixels instead of 32x24"),
+    ({"shape": (600, 800)}, r"the reply has [0-9]+ bytes, more than the maximum of [0-9]+"),
+    ({"dtype": np.uint8}, "the pictures have 8 bits instead of 12"),
     ({"exposure_s": 0.02}, "the exposure was 20 ms instead of 10 ms"),
     ({"gain": 4.0}, "the gain was 4 instead of 2"),
     ({"exposure_s": float("nan")}, "the header Rhizotwin-Exposure-S is 'nan', not a number"),
@@ -245,7 +245,7 @@ TRICKLES: dict[str, Callable[[int], bytes]] = {
 def test_a_picture_has_one_deadline_whatever_trickles_in(pieces: Callable[[int], bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http_module, "ANSWER_S", 0.4)
     begun_s = time.monotonic()
-    with answering(pieces) as address, pytest.raises(NoAnswerError, match="no complete answer"):
+    with answering(pieces) as address, pytest.raises(NoAnswerError, match="no complete reply"):
         remote_of(address).prepare()
     assert time.monotonic() - begun_s < 4.0
 
@@ -255,8 +255,11 @@ def with_body(head: bytes, body: bytes) -> bytes:
 
 
 STRANGE = {
-    "another program": (with_body(b"HTTP/1.0 200 OK", b'{"program": "no"}'), "the answer is not from a rhizotwin camera of this version"),
-    "length of 5000 digits": (b"HTTP/1.1 200 OK\r\nContent-Length: " + b"9" * 5000 + b"\r\n\r\n", r"answer of 999999999999\.\.\. bytes"),
+    "another program": (with_body(b"HTTP/1.0 200 OK", b'{"program": "no"}'), "the reply is not from a rhizotwin camera of this version"),
+    "length of 5000 digits": (
+        b"HTTP/1.1 200 OK\r\nContent-Length: " + b"9" * 5000 + b"\r\n\r\n",
+        r"the reply has 999999999999\.\.\. bytes",
+    ),
     "escapes": (with_body(b"HTTP/1.1 503 x", b'{"error": "\\u001b[2J\\u001b]0;bad\\u0007"}'), r"127.0.0.1:\d+: +\[2J *\]0;bad"),
 }
 

@@ -21,7 +21,7 @@ from tests.rig.cameras.http_camera.numbered import SETTINGS, A, B, NumberedCamer
 
 def test_another_computer_takes_the_camera_and_a_port_is_taken_once(server: CameraServer, camera: NumberedCamera) -> None:
     first, second = client(server), client(server)
-    with pytest.raises(LostError, match="another computer took its camera"):
+    with pytest.raises(LostError, match="another computer has taken over the camera"):
         first.capture()
     second.capture()
     port = urlsplit(server.url).port or 0
@@ -94,7 +94,7 @@ REFUSED = [
     Refused("name that ends like ours", 403, "not a name of this computer", headers={"Host": f"{socket.gethostname()}.evil.example"}),
     Refused("broken host", 403, "not a name of this computer", headers={"Host": "[::1"}),
     Refused("form of another site", 415, "application/json", headers={"Content-Type": "text/plain"}),
-    Refused("no length", 411, "length", headers={"Content-Length": ""}, body=b""),
+    Refused("no length", 411, "Content-Length", headers={"Content-Length": ""}, body=b""),
     Refused("too long", 413, "4096 bytes", body=b" " * 5000 + PREPARE),
     Refused("no JSON", 400, "not JSON", body=b"{"),
     Refused("nested too deeply", 400, "not JSON|must be a table", body=b"[" * 4000),
@@ -102,7 +102,7 @@ REFUSED = [
     Refused("strange session", 400, "32 hexadecimal digits", body=PREPARE.replace(b"aa", b"../")),
     Refused("exposure for ever", 400, "must be between", body=PREPARE.replace(b'"image_wh": [32, 24]', b'"exposure_s": 1e9')),
     Refused("no such page", 404, "available paths are /describe", path="/../etc/passwd"),
-    Refused("not prepared", 409, "started again", path="/capture", body=CAPTURE),
+    Refused("not prepared", 409, "restarted", path="/capture", body=CAPTURE),
 ]
 
 
@@ -135,6 +135,6 @@ def test_serve_camera_says_where_and_gives_the_camera_back(monkeypatch: pytest.M
     said: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         serve_camera(CameraPart(), image_wh=(32, 24), bits=12, host="0.0.0.0", port=0, say=said.append)
-    assert re.fullmatch(rf"camera of the test; serving it at http://{re.escape(socket.gethostname())}:\d+, Ctrl-C stops", said[0])
-    assert said[1:] == ["everyone on this network can take pictures"]
+    assert re.fullmatch(rf"camera of the test; available at http://{re.escape(socket.gethostname())}:\d+; press Ctrl-C to stop", said[0])
+    assert said[1:] == ["every computer on this network can take pictures with this camera"]
     assert camera.closed == 1
