@@ -134,12 +134,12 @@ class TrustSettings:
     fill: tuple[float, float] = bounded((0.35, 0.5), 0.0, 1.0)
     """Fair and bad limits for the fraction of the root zone that thin roots cover in the pictures. Above one half,
     silhouettes no longer distinguish roots from gaps."""
-    missed: tuple[float, float] = bounded((0.05, 0.1), 0.0, 1.0)
+    missed: tuple[float, float] = bounded((0.05, 0.3), 0.0, 1.0)
     """Fair and bad limits for the fraction of the coverage that lies outside the hull of all views. Views with
-    inconsistent geometry carve roots away. The fraction is at most 0.03 for simulated plants and printed phantoms. In
-    simulated scans with random combinations of disturbances, it is at most 0.06 if the volume is correct, and at least
-    0.20 if 24 to 37 % of the volume are lost. The bad limit is the geometric mean of 0.06 and 0.20
-    (`docs/log/2026-11-22-mixtures.md`)."""
+    inconsistent geometry carve roots away. The fraction is at most 0.03 for simulated plants and printed phantoms.
+    Between 0.1 and 0.3, correct and wrong volumes occur alike, and the intervals have a calibration of their own
+    (`recon.uncertainty.calibration`). Above 0.3, more than a third of the volume was lost in most random scans
+    (`docs/intervals.md`)."""
     sway_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
     """Fair and bad limits for the root mean square displacement of the roots in single pictures from their common
     position, mm. The displacement is 0.023 to 0.059 mm for static plants in the twin. The volume lost by motion grows

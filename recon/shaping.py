@@ -35,6 +35,7 @@ from rhizotwin.recon.uncertainty import (
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration, find_calibration
 from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -236,6 +237,7 @@ def make_solid(carved: CarvedHull, system: RootSystem | None, coverage: Coverage
         if hidden is not None and settings.hull.extrapolate_taproot:
             budget = replace(budget, volume_mm3=volume + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
             bounds = bounds[0], bounds[1] + hidden.interval_mm3[1]
+        budget = replace(budget, calibration=_calibration(carved, budget, roots, system, missed))
         checks = _checks(system, budget, missed)
     solid = measure(
         hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=solids.kept_mm3, monitor=monitor
@@ -306,11 +308,10 @@ def _budget(
         canister_uncertainty.canister_term(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
     )
     fill, unexplained = (0.0, 0.0) if tubes is None else (tubes.fill, tubes.unexplained)
-    budget = Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
-    return replace(budget, calibration=_calibration(carved, budget, missed))
+    return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
 
 
-def _calibration(carved: CarvedHull, budget: Budget, missed: float) -> Calibration:
+def _calibration(carved: CarvedHull, budget: Budget, roots: Sequence[Root], system: RootSystem | None, missed: float) -> Calibration:
     """Return the calibration of the intervals, for photographs of a canister with markers."""
     if carved.cameras.markers is None or carved.bank.optics.tank is not None or any(one.binary for one in carved.silhouettes):
         return NOT_CALIBRATED
@@ -318,8 +319,10 @@ def _calibration(carved: CarvedHull, budget: Budget, missed: float) -> Calibrati
     return find_calibration(
         views=carved.bank.count,
         px_a_mm=projection.px_a_mm(carved.bank, carved.water.centre_mm),
+        missed=missed,
+        translucent=system is not None and system.attenuation.mu_per_mm is not None,
+        width_mm=rsml.mean_diameter_mm(roots) if roots else None,
         hidden=hidden_mm3 / max(budget.volume_mm3, 1e-9),
-        consistent=_agreement(budget, missed).state != "bad",
     )
 
 
@@ -327,12 +330,8 @@ def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[C
     """Check the motion of the roots, and the agreement between the silhouettes and the shape."""
     calibration = None if system is None else system.cameras.roots
     sway_mm = None if system is None or calibration is None else calibration.after_px / system.px_a_mm
-    return shape_checks.check_motion(sway_mm, budget.trust), _agreement(budget, missed)
-
-
-def _agreement(budget: Budget, missed: float) -> Check:
-    """Check that views and shape agree."""
-    return shape_checks.check_agreement(missed=missed, unexplained=budget.unexplained, fill=budget.fill, trust=budget.trust)
+    agreed = shape_checks.check_agreement(missed=missed, unexplained=budget.unexplained, fill=budget.fill, trust=budget.trust)
+    return shape_checks.check_motion(sway_mm, budget.trust), agreed
 
 
 def measure(

@@ -51,6 +51,13 @@ def length_mm(roots: Iterable[Root]) -> float:
     return float(sum(polyline.length_mm(root.points_mm) for root in roots))
 
 
+def mean_diameter_mm(roots: Iterable[Root]) -> float:
+    """Return the mean diameter of roots, weighted by length, mm; 0 without length."""
+    pieces = [(polyline.steps_mm(root.points_mm), 0.5 * (root.diameters_mm[:-1] + root.diameters_mm[1:])) for root in roots]
+    total_mm = sum(float(steps.sum()) for steps, _ in pieces)
+    return sum(float(steps @ diameters) for steps, diameters in pieces) / total_mm if total_mm > 0.0 else 0.0
+
+
 def plant_roots(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
     """Return the roots of one plant, with parents renumbered within this plant. Parents on another plant become -1."""
     number = {index: place for place, index in enumerate(k for k, root in enumerate(roots) if root.plant == plant)}

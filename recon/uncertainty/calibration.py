@@ -22,6 +22,11 @@ VIEWS = (12, 60)
 """Range of the number of views of the calibration scans."""
 PX_A_MM = (1.4, 4.0)
 """Range of the scale at the centre of the water, px/mm, in the calibration scans (pictures 320 to 800 px wide)."""
+INCONSISTENT = 0.1
+"""Minimum fraction of the coverage outside the hull of all views at which the views count as inconsistent."""
+THIN_PX = 1.3
+"""Mean width of the roots, px, below which they count as thin. The blur of a pixel then changes the coverage along most
+of their length."""
 HIDDEN = 0.02
 """Minimum ratio of the term ``occluded`` to the volume at which a part of the roots counts as hidden."""
 
@@ -53,8 +58,10 @@ NOT_CALIBRATED = Calibration()
 """Calibration of scans unlike the calibration scans, and of volumes without a budget."""
 
 
-def find_calibration(*, views: int, px_a_mm: float, hidden: float, consistent: bool) -> Calibration:
+def find_calibration(*, views: int, px_a_mm: float, missed: float, translucent: bool, width_mm: float | None, hidden: float) -> Calibration:
     """Return the calibration of a scan of roots in a canister with markers.
+
+    The first regime that applies is used, in the order of the parameters from ``missed`` on.
 
     Parameters
     ----------
@@ -62,14 +69,25 @@ def find_calibration(*, views: int, px_a_mm: float, hidden: float, consistent: b
         Number of views.
     px_a_mm : float
         Scale at the centre of the water, px/mm.
+    missed : float
+        Fraction of the coverage outside the hull of all views.
+    translucent : bool
+        Whether the attenuation of the roots was estimated.
+    width_mm : float or None
+        Mean diameter of the roots, mm. None if there are only solids.
     hidden : float
         Ratio of the budget's term ``occluded`` to the volume.
-    consistent : bool
-        Whether the check of the agreement between views and shape is good or fair.
     """
     if not (VIEWS[0] <= views <= VIEWS[1] and PX_A_MM[0] <= px_a_mm <= PX_A_MM[1]):
         return NOT_CALIBRATED
-    regime = "inconsistent views" if not consistent else "hidden top" if hidden >= HIDDEN else "visible roots"
+    regimes = {
+        "inconsistent views": missed > INCONSISTENT,
+        "translucent roots": translucent,
+        "thin roots": width_mm is not None and width_mm * px_a_mm < THIN_PX,
+        "hidden parts": hidden >= HIDDEN,
+        "clear": True,
+    }
+    regime = next(name for name, applies in regimes.items() if applies)
     return Calibration(regime=regime, factors=_table().get(regime, {}))
 
 

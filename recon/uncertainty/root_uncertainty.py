@@ -136,7 +136,6 @@ def estimates(
     residuals = [view for view in views if view is not None]
     length_mm = rsml.length_mm(roots)
     shared = (length_mm - rsml.length_mm(merge_shared_stretches(roots)[0])) / max(length_mm, 1e-9)
-    diameter_mm = float(sum(_mean(root) for root in roots)) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     width = [view.width for view in residuals]
     changes = {
@@ -145,7 +144,7 @@ def estimates(
             _Change([_LEVEL * view.surplus + shared for view in residuals], [_LEVEL * view.missing for view in residuals]),
         ),
         "tips": (tips, _Change([view.surplus_tips for view in residuals], [view.missing_tips for view in residuals])),
-        "mean_diameter_mm": (diameter_mm, _Change([max(0.0, -_mean_of(width))], [max(0.0, _mean_of(width))], width)),
+        "mean_diameter_mm": (rsml.mean_diameter_mm(roots), _Change([max(0.0, -_mean_of(width))], [max(0.0, _mean_of(width))], width)),
     }
     return tuple(_estimate(name, value, change, lost, calibration.factor(name)) for name, (value, change) in changes.items())
 
@@ -210,12 +209,6 @@ _WORDS = {
     "tips": "the number of tips is",
     "mean_diameter_mm": "the mean diameter (mm) is",
 }
-
-
-def _mean(root: Root) -> float:
-    """Return a root's length times its mean diameter."""
-    steps = polyline.steps_mm(root.points_mm)
-    return float(steps @ (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0)
 
 
 def _compare(silhouette: Silhouette, drawn: NDArray[np.float32], places: _Places, view: int) -> _Residual | None:

@@ -9,18 +9,24 @@ from rhizotwin.recon.uncertainty.calibration import NOT_CALIBRATED, Calibration,
 TERMS = (Term.symmetric("outlines", 3.0, "outlines"), Term(name="occluded", less_mm3=0.0, more_mm3=4.0, why="hidden"))
 
 
-@pytest.mark.parametrize(("views", "px_a_mm"), [(8, 2.0), (100, 2.0), (24, 0.7), (24, 12.0)])
-def test_scans_unlike_the_calibration_scans_are_not_calibrated(views: int, px_a_mm: float) -> None:
-    assert find_calibration(views=views, px_a_mm=px_a_mm, hidden=0.0, consistent=True) == NOT_CALIBRATED
+def find(**changes) -> Calibration:
+    return find_calibration(
+        **{"views": 24, "px_a_mm": 2.0, "missed": 0.0, "translucent": False, "width_mm": None, "hidden": 0.0, **changes}
+    )
+
+
+@pytest.mark.parametrize("changes", [{"views": 8}, {"views": 100}, {"px_a_mm": 0.7}, {"px_a_mm": 12.0}])
+def test_scans_unlike_the_calibration_scans_are_not_calibrated(changes) -> None:
+    assert find(**changes) == NOT_CALIBRATED
     assert NOT_CALIBRATED.factor("volume_mm3") == 1.0
 
 
-def test_regimes() -> None:
-    def regime(hidden: float, consistent: bool) -> str | None:
-        return find_calibration(views=24, px_a_mm=2.0, hidden=hidden, consistent=consistent).regime
-
-    assert len({regime(0.0, True), regime(0.1, True), regime(0.1, False)}) == 3
-    assert regime(0.0, False) == regime(0.1, False)
+def test_the_first_regime_that_applies_is_used() -> None:
+    assert find().regime == find(width_mm=2.0).regime == "clear"
+    assert find(hidden=0.1).regime == "hidden parts"
+    assert find(hidden=0.1, width_mm=0.3).regime == "thin roots"
+    assert find(hidden=0.1, width_mm=0.3, translucent=True).regime == "translucent roots"
+    assert find(hidden=0.1, width_mm=0.3, translucent=True, missed=0.2).regime == "inconsistent views"
 
 
 def test_a_factor_scales_both_half_widths_and_those_of_parts() -> None:
