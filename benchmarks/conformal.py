@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,10 @@ from scipy.stats import beta, norm
 
 from benchmarks.intervals_table import TRAITS, ratios
 
+Factors = Mapping[str, Mapping[str, float]]
+"""Factors on half-widths by regime and trait."""
 CONFIDENCE = 0.9
+"""Nominal coverage of the intervals."""
 LEAST_SCANS = 10
 """Minimum number of calibration scans of a regime: with fewer than 9 scans, the factor would be the largest ratio or
 infinite."""
@@ -33,7 +37,7 @@ def is_eligible(table: pd.DataFrame) -> pd.Series:
     return codes.map(lambda found: all(code in GEOMETRIC or code.startswith("high_") for code in found)) & table["regime"].notna()
 
 
-def calibrate(table: pd.DataFrame) -> dict[str, dict[str, float]]:
+def calibrate(table: pd.DataFrame) -> Factors:
     """Return the factor on the half-widths by regime and trait.
 
     Parameters
@@ -64,7 +68,7 @@ def conformal_quantile(scores: NDArray[np.float64]) -> float:
     return float(np.sort(scores)[min(rank, len(scores)) - 1])
 
 
-def apply(table: pd.DataFrame, factors: dict[str, dict[str, float]], *, widest: float) -> pd.DataFrame:
+def apply(table: pd.DataFrame, factors: Factors, *, widest: float) -> pd.DataFrame:
     """Return a table with calibrated intervals, and with the reliability that follows from them.
 
     Parameters

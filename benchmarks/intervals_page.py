@@ -40,7 +40,7 @@ FEW = 18
 """Number of views below which they are few."""
 
 
-def page(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], *, widest: float) -> str:
+def page(table: pd.DataFrame, factors: conformal.Factors, *, widest: float) -> str:
     """Return the tables as Markdown.
 
     Parameters
@@ -54,7 +54,7 @@ def page(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], *, wid
     """
     table = table[table["volume_mm3.value"].notna()]
     judged = table[~conformal.is_calibration(table)]
-    before, after = (conformal.apply(judged, some, widest=widest) for some in ({}, dict(factors)))
+    before, after = (conformal.apply(judged, some, widest=widest) for some in ({}, factors))
     lines = [
         "| trait | regime | factor | scans | hold | 90 % band | median width | score | uncalibrated: hold | score |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -69,7 +69,7 @@ def page(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], *, wid
                 f"| {label} | {regime} | {factor} | {new['scans']} | {_share(new)} | {100 * low:.0f}-{100 * high:.0f} % "
                 f"| {100 * new['width']:.1f} % | {new['score']:.3f} | {_share(old)} of {old['scans']} | {old['score']:.3f} |"
             )
-    return "\n".join([*lines, "", *_totals(conformal.apply(table, dict(factors), widest=widest)), ""])
+    return "\n".join([*lines, "", *_totals(conformal.apply(table, factors, widest=widest)), ""])
 
 
 def _share(found: Mapping[str, float]) -> str:
@@ -103,7 +103,7 @@ def _names_cause(row: pd.Series) -> bool:
     return any(cause in present for code in str(row["reasons"]).split() for cause in CAUSES.get(code, ()))
 
 
-def draw(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], path: Path) -> None:
+def draw(table: pd.DataFrame, factors: conformal.Factors, path: Path) -> None:
     """Draw reliability diagrams and histograms of the probability integral transform, by trait and regime.
 
     Parameters
@@ -125,7 +125,7 @@ def draw(table: pd.DataFrame, factors: Mapping[str, Mapping[str, float]], path: 
             some = judged[(judged["regime"] == regime) & ratios(judged, trait).notna()]
             if not len(some):
                 continue
-            scaled = conformal.apply(some, dict(factors), widest=np.inf)
+            scaled = conformal.apply(some, factors, widest=np.inf)
             pit = conformal.probability_integral(scaled, trait)
             observed = [float((np.abs(pit - 0.5) <= 0.5 * level).mean()) for level in LEVELS]
             diagram.plot(LEVELS, observed, marker=".", label=f"{regime} ({len(some)})")

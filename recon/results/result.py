@@ -211,7 +211,7 @@ class Result:
         used = sum(camera.used for camera in self.cameras)
         rows = [
             ("volume", f"{ml(self.volume_mm3, half_mm3=0.5 * (self.interval_mm3[1] - self.interval_mm3[0]))} ml"),
-            ("90 % interval", interval_ml(*self.interval_mm3)),
+            ("90 % interval", f"{interval_ml(*self.interval_mm3)} ({self.solid.volume.calibration.text})"),
             ("usable", "yes" if self.trusted else f"no: {self.verdict}"),
             ("roots", f"{len(self.roots)}, total length {self.solid.length_mm:.0f} mm" if self.roots else "no centre lines"),
             ("views", f"{used} of {len(self.cameras)} used"),

@@ -44,6 +44,13 @@ class Calibration:
         """Return the factor of a trait; 1 if it is not calibrated."""
         return self.factors.get(trait, 1.0)
 
+    @property
+    def text(self) -> str:
+        """Regime of the calibration, in a phrase."""
+        if self.regime is None or not self.factors:
+            return "not calibrated: no calibration scans of this kind"
+        return f"calibrated on scans with the regime '{self.regime}'"
+
     def plain(self) -> dict[str, object]:
         """Return the calibration as JSON values."""
         return {"regime": self.regime, "factors": dict(self.factors)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, Literal
 
+from rhizotwin.recon.uncertainty.calibration import Calibration
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.formatting import decimals, interval_ml, ml, round_digits
@@ -93,7 +94,9 @@ def uncertainty_causes(summary: dict[str, Any]) -> list[str]:
     sentences = [f"The volume may be {_deviation(term['less_mm3'], term['more_mm3'])}, because {term['why']}." for term in listed]
     if rest := len(terms) - len(listed):
         sentences.append(f"{rest} other cause{'s' if rest > 1 else ''} of uncertainty, each smaller than 5 % of the largest cause.")
-    return sentences
+    calibration = Calibration.from_plain(summary.get("calibration"))
+    factor = f", by the factor {calibration.factor('volume_mm3'):.2g}" if calibration.factors else ""
+    return [*sentences, f"The interval is {calibration.text}{factor}."] if terms else sentences
 
 
 def trait_text(definition: Definition, value: float | int | None, assessed: Assessment) -> tuple[str, str, str, str]:
