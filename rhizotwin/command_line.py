@@ -1,4 +1,4 @@
-"""Command line: the commands as a cyclopts application, their help, and messages for invalid arguments."""
+"""Command-line parser: a cyclopts application of all commands with help texts and messages for invalid arguments."""
 
 import inspect
 import re
@@ -39,7 +39,12 @@ _SECTION = re.compile(r"\n\n(?=\w+\n-+\n)")
 
 
 def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
-    """Parse a command line to the function of its command and the function's arguments.
+    """Parse a command line.
+
+    Returns
+    -------
+    tuple of (callable, inspect.BoundArguments)
+        Function that implements the command, and its arguments.
 
     Raises
     ------
@@ -55,14 +60,14 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
         command = " ".join(["rhizotwin", *(error.command_chain or ())])
         raise UserError(f"{_sentence(error, words)}; see {command} --help") from None
     except RecursionError:  # lists of lists are read as JSON
-        raise UserError("the value of an option is nested too deeply; see rhizotwin --help") from None
+        raise UserError("the value of an option has too many nested brackets; see rhizotwin --help") from None
     return function, bound
 
 
 def build(words: Sequence[str] = ()) -> App:
-    """Build the application.
+    """Build the cyclopts application.
 
-    Only the module of the command in ``words`` is imported; its docstring becomes the help text.
+    Only the module of the command in ``words`` is imported; the docstring of the command is its help text.
     """
     typed_names = [" ".join(words[:count]) for count in (1, 2)]
     app = App(
@@ -97,10 +102,10 @@ def build(words: Sequence[str] = ()) -> App:
 
 
 def _help(source: Any) -> tuple[str, str]:
-    """Return the description and the examples in the docstring of a module or function.
+    """Return the description and the examples from the docstring of a module or function.
 
-    The lines of each paragraph are joined, so that they are wrapped at the width of the terminal; indented lines are
-    kept. The descriptions of parameters, which cyclopts reads from the docstring, are joined likewise.
+    The lines of a paragraph are joined, so that the paragraph is wrapped at the width of the terminal. Indented lines
+    are not joined. The descriptions of parameters, which cyclopts reads from the docstring, are joined in place.
     """
     about, *sections = _SECTION.split(inspect.getdoc(source) or "")
     typed = [section.splitlines()[2:] for section in sections if section.startswith("Examples\n")]
@@ -111,7 +116,7 @@ def _help(source: Any) -> tuple[str, str]:
 
 
 def _joined(section: str) -> str:
-    """Join the indented lines of each parameter in a section of a docstring."""
+    """Join the lines of each parameter description in a section of a docstring."""
     lines: list[str] = []
     for line in section.splitlines():
         if line.startswith("    ") and lines[-1].startswith("    "):
@@ -122,7 +127,7 @@ def _joined(section: str) -> str:
 
 
 def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
-    """Return the error message for invalid arguments, with the argument and its value."""
+    """Return the error message for an invalid argument, which includes its name and value."""
     argument = error.argument
     name = "" if argument is None else _name(argument)
     if isinstance(error, MissingArgumentError) and argument is not None:
@@ -153,7 +158,7 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
 
 
 def _name(argument: Any) -> str:
-    """Return the name of an argument in messages: its option, such as ``--output (-o)``, or its metavar."""
+    """Return the name of an argument for messages: its option, such as ``--output (-o)``, or its metavar."""
     options = [name for name in argument.names if name.startswith("-")]
     if not options:
         return str(argument.parameter.metavar or argument.names[0].upper())
