@@ -36,13 +36,16 @@ MAX_SAMPLES = 1 << 16
 MAX_SEEDS = 1000
 
 
-def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Define a command-line parameter with a single value; ``read`` converts the text or raises ValueError."""
+def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None, **more: Any) -> Parameter:
+    """Define a command-line parameter with a single value; ``read`` converts the text or raises ValueError.
+
+    Other arguments are passed to `cyclopts.Parameter`.
+    """
 
     def convert(_: Any, tokens: Any) -> object:
         return read(tokens[0].value)
 
-    return Parameter(name=name, converter=convert, n_tokens=1, accepts_keys=False, metavar=metavar)
+    return Parameter(name=name, converter=convert, n_tokens=1, accepts_keys=False, metavar=metavar, **more)
 
 
 def options(read: Callable[[str], object], metavar: str) -> Parameter:
@@ -175,7 +178,7 @@ def read_image_wh(text: str) -> tuple[int, int]:
 Device: TypeAlias = Literal["auto", "cpu", "cuda"]
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 SceneName: TypeAlias = Annotated[str, with_metavar("SCENE")]
-Profile: TypeAlias = Annotated[str, with_metavar("clean|bench|camera|harsh|real")]
+Profile: TypeAlias = Annotated[str, with_metavar("PROFILE")]
 ResultFolder: TypeAlias = Annotated[Path, with_metavar("RESULT")]
 DatasetFolder: TypeAlias = Annotated[Path, with_metavar("DATASET")]
 OutputDataset: TypeAlias = Annotated[Path, output("DATASET")]
@@ -215,7 +218,7 @@ def read_shift_mm(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-SolutionName = Annotated[Solution, option(read_solution, "NAME|FILE[,K=0.5,...]")]
+SolutionName = Annotated[Solution, option(read_solution, "SOLUTION")]
 
 
 @Parameter(name="*", group="Plant")

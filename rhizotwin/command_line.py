@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import version
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.exceptions import (
@@ -17,17 +17,27 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
     ValidationError,
 )
+from cyclopts.help import format_usage
 
 from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.name_suggestion import most_similar
 
 ABOUT = (
-    "Measure the roots of plants in round water canisters: reconstruct shape, volume and traits in 3D from pictures "
-    "taken all around the canister, with the refraction of water and wall. A digital twin of the imaging rig simulates "
-    "such pictures with known ground truth."
+    "Measure the roots of plants that grow in round, transparent water canisters. The program reconstructs the 3D shape, "
+    "the volume and the traits of the roots from pictures taken all around the canister, and takes into account the "
+    "refraction by water and wall. It also controls the imaging rig, and simulates it together with its pictures."
 )
 MORE = (
+    "Terms:\n"
+    "  rig      turntable with the canister, light panel behind it, and camera\n"
+    "  twin     the rig simulated by this program, with known true roots (ground truth)\n"
+    "  scene    description of canister, plant, rig and camera positions: a name from the library, or a file\n"
+    "  ring     one turn of the turntable with the camera at one height and tilt\n"
+    "  dataset  folder with the pictures of a scan\n"
+    "  result   folder with the roots reconstructed from a dataset\n"
+    "  traits   measured properties of roots, such as length, diameter and depth\n"
+    "\n"
     "First steps: rhizotwin demo\n"
     "The same in single steps:\n"
     "  rhizotwin simulate printed_8ml -o my_dataset\n"
@@ -70,13 +80,14 @@ def build(words: Sequence[str] = ()) -> App:
     Only the module of the command in ``words`` is imported; the docstring of the command is its help text.
     """
     typed_names = [" ".join(words[:count]) for count in (1, 2)]
+    is_help = not {"--help", "-h"}.isdisjoint(words)
     app = App(
         name="rhizotwin",
         help=ABOUT,
         help_epilogue=MORE,
         help_format="plaintext",
         version=lambda: version("rhizotwin"),
-        default_parameter=Parameter(negative=()),
+        default_parameter=Parameter(negative=(), show_default=_format_default),
     )
     groups: dict[str, App] = {}
     for order, (name, short) in enumerate(COMMANDS.items()):
@@ -90,15 +101,44 @@ def build(words: Sequence[str] = ()) -> App:
             if own is not None:
                 groups[name].default(own)
             app.command(groups[name])
+            if own is not None and is_help:
+                groups[name].usage = _usage(app, name)
         elif name in typed_names:
             module, _, function = place(name).partition(":")
             command = getattr(import_module(module), function)
             help_, examples = _help(command)
             above.command(command, name=step, help=help_, help_epilogue=examples, sort_key=order)
+            if is_help:
+                above[step].usage = _usage(app, name)
         else:
             above.command(place(name), name=step, help=short, sort_key=order)
     app.register_install_completion_command(help="Install shell completion of commands and options (bash, zsh, fish).")
     return app
+
+
+def _usage(app: App, name: str) -> str:
+    """Return the usage line of a command; three dots follow an argument that may be given several times."""
+    chain = name.split()
+    command = app
+    for word in chain:
+        command = command[word]
+    words = ["[COMMAND]" if word == "COMMAND" else word for word in format_usage(app, chain).plain.split() if word != "[ARGS]"]
+    positional = [argument for argument in command.assemble_argument_collection() if argument.index is not None and argument.show]
+    required = sum(argument.required for argument in positional)
+    words = words[: len(words) - required]
+    for argument in positional:
+        label = argument.names[0].lstrip("-").upper()
+        repeats = get_origin(argument.hint) is list or Ellipsis in get_args(argument.hint)
+        words.append(f"{label}{'...' if repeats else ''}" if argument.required else f"[{label}]")
+    return " ".join(words)
+
+
+def _format_default(value: object) -> str | None:
+    """Format the default of an option for its help; None if the default is not shown."""
+    if value is None or value == "" or value == ():
+        return None
+    values = value if isinstance(value, tuple) else (value,)
+    return ",".join(f"{one:g}" if isinstance(one, float) else str(one) for one in values)
 
 
 def _help(source: Any) -> tuple[str, str]:

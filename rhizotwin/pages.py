@@ -69,13 +69,13 @@ def _pair(text: str) -> tuple[str, str] | None:
 class PageOptions:
     """Options for the paper and the scale of the printer."""
 
-    page: Annotated[str | tuple[float, float], option(read_page, "a4|a3|letter|WxH")] = "a4"
-    """Paper size: a4, a3, letter, or width and height in mm."""
+    page: Annotated[str | tuple[float, float], option(read_page, "SIZE")] = "a4"
+    """Paper size: a4, a3, letter, or width and height in mm, such as 297x210."""
     landscape: Flag = False
     """Print in landscape orientation; default: the orientation that fits better."""
     portrait: Flag = False
     """Print in portrait orientation."""
-    printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM|MMxMM")] = (100.0, 100.0)
+    printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM")] = (100.0, 100.0)
     """Lengths in mm of the 100 mm ruler as measured on an earlier print, across and down the page, such as 99.6 or \
 99.6x99.8. The drawing is scaled to compensate for the error of the printer."""
 
@@ -103,7 +103,7 @@ class PageOptions:
 class BoardOptions:
     """Options that describe a calibration board."""
 
-    squares: Annotated[tuple[int, int] | None, option(read_squares, "CxR")] = None
+    squares: Annotated[tuple[int, int] | None, option(read_squares, "NxN")] = None
     """Number of squares across and down; default: 7x5."""
     square_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
     """Side length of the squares in mm; default: 30."""
