@@ -17,7 +17,6 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
     ValidationError,
 )
-from cyclopts.help import format_usage
 
 from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
 from rhizotwin.scenes.errors import UserError
@@ -31,8 +30,9 @@ ABOUT = (
 MORE = (
     "Terms:\n"
     "  rig      turntable with the canister, light panel behind it, and camera\n"
-    "  twin     the rig simulated by this program, with known true roots (ground truth)\n"
-    "  scene    description of canister, plant, rig and camera positions: a name from the library, or a file\n"
+    "  twin     emulated rig in this program, whose true roots are known (ground truth)\n"
+    "  net pot  holder of the plant on the canister, with a strip of printed markers\n"
+    "  scene    description of canister, plant and rig: a library name, or a file\n"
     "  ring     one turn of the turntable with the camera at one height and tilt\n"
     "  dataset  folder with the pictures of a scan\n"
     "  result   folder with the roots reconstructed from a dataset\n"
@@ -118,6 +118,8 @@ def build(words: Sequence[str] = ()) -> App:
 
 def _usage(app: App, name: str) -> str:
     """Return the usage line of a command; three dots follow an argument that may be given several times."""
+    from cyclopts.help import format_usage  # slow import
+
     chain = name.split()
     command = app
     for word in chain:

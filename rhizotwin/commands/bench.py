@@ -275,7 +275,7 @@ def gate(
     file: Annotated[Path, with_metavar("RESULTS.json")],
     /,
     *,
-    baseline: Annotated[Path, with_metavar("FILE")],
+    baseline: Annotated[Path, with_metavar("BASELINE")],
     junit: Annotated[Path | None, with_metavar("FILE")] = None,
 ) -> int:
     """Compare results with a baseline; the exit code is 1 if a value is worse.

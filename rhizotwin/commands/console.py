@@ -43,9 +43,8 @@ def console(
     The web page shows the devices, a live picture, the running scan with a coarse 3D sketch of the roots, the plants
     with their schedule, and the reconstructions. Other programs can use the same functions through a REST API.
 
-    By default, the page can be opened only on this computer, with the printed address. For other computers, set --host
-    and a password, which is read from the environment variable RHIZOTWIN_CONSOLE_PASSWORD or asked for at the start.
-    Press Ctrl-C to stop; a running scan is then stopped safely and can be finished later.
+    By default, the page can be opened only on this computer. For other computers, set --host and a password (typed, or
+    in the environment variable RHIZOTWIN_CONSOLE_PASSWORD). Ctrl-C stops the console and a running scan safely.
 
     Parameters
     ----------
@@ -56,8 +55,8 @@ def console(
     experiment : Path, optional
         Experiment file (TOML; 'rhizotwin timelapse example' writes an example), which replaces --rig and --output.
     scene : str, optional
-        Scene, which describes canister, marker strip, camera and camera positions: a name listed by 'rhizotwin scenes',
-        or a scene file (TOML). Required with a rig file; default for the emulated rig: printed_8ml.
+        Scene of the rig: a name listed by 'rhizotwin scenes', or a scene file (TOML). Required with a rig file; default
+        for the emulated rig: printed_8ml.
     plan : str, optional
         Camera positions that replace those of the scene: a TOML file with [[plan.rings]], or the name of a scene.
     twin : TwinPictures

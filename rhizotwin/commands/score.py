@@ -75,7 +75,7 @@ def score(
 
     Give exactly one reference:
       DATASET      simulated dataset with known true roots: errors of all quantities
-      --truth      mesh of a known part, aligned with the result: errors of volume and shape
+      --truth      mesh of a known part: errors of volume and shape
       --volume-ml  measured volume: error of the volume
       --pictures   pictures that the reconstruction did not use: errors in pixels
 

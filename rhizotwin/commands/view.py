@@ -43,9 +43,7 @@ def view(
         check_readable(strange[0], deep=False)
         raise UserError(f"{strange[0]} is neither a result nor a dataset; give a folder written by 'rhizotwin reconstruct'")
     if not results or len(datasets) > 1:
-        raise UserError(
-            f"{len(results)} results and {len(datasets)} datasets were given, but the viewer needs at least one result and at most one dataset"
-        )
+        raise UserError(f"{len(results)} results and {len(datasets)} datasets were given; give at least one result and at most one dataset")
     from rhizotwin.viewer import guard
 
     served = guard.serve(host=page.host, port=page.port)

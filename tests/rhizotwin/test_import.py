@@ -176,11 +176,11 @@ BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
     "lens that folds the picture": ({"k1": -9.0}, "[camera] distortion"),
     "half pixels": ({"w": 64.5}, "whole numbers"),
     "k4": ({"k4": 0.1}, "k4 is not part"),
-    "scaled world": ({"applied_scale": 0.5}, "applied_scale is not 1"),
+    "scaled world": ({"applied_scale": 0.5}, "applied_scale must be 1"),
     "mirrored world": ({"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "mirroring"),
-    "at least one frame": ({"frames": []}, "no list 'frames'"),
+    "at least one frame": ({"frames": []}, "the list 'frames' is missing"),
     "frame without a file": ({"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "file_path is missing"),
-    "lens per frame": (frame(fl_x=2.0), "fl_x is given for this frame"),
+    "lens per frame": (frame(fl_x=2.0), "fl_x is set for a single picture"),
     "scaled pose": (frame(pose=(2 * np.eye(4)).tolist()), "frames[0]"),
     "short pose": (frame(pose=[[1, 2], [3]]), "4 rows of 4 numbers"),
     "metres": (frame(pose=frames.translation(0.4, 0.0, -0.04).tolist()), "inside"),
@@ -199,7 +199,7 @@ def test_bad_cameras_are_refused_by_name(changed: dict[str, Any], named: str, tm
 
 
 def test_pictures_that_would_collide_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"a\.jpg and a\.png, which differ only in extension"):
+    with pytest.raises(UserError, match=r"a\.jpg and a\.png, whose names differ only in the suffix"):
         list_pictures(write_pictures(tmp_path / "in", "a.png", "a.jpg"))
 
 
@@ -254,5 +254,5 @@ def test_pictures_in_bands_are_views_by_the_ends_of_their_names(scene: Scene, tm
     ]
     assert load_dataset(tmp_path / "d") == made
     write_pictures(tmp_path / "q", "a.png")
-    with pytest.raises(UserError, match=r"ends with none of the camera's bands: call it a_white\.png"):
+    with pytest.raises(UserError, match=r"does not end with one of the camera's bands; rename the file, for example to a_white\.png"):
         import_pictures(tmp_path / "q", scene=banded, out=tmp_path / "e")

@@ -153,7 +153,7 @@ def test_empty_masks(rig: Path, tmp_path: Path, command: Command) -> None:
     (tmp_path / "cameras.json").write_text(
         json.dumps({**lens, "frames": [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k in range(4)]})
     )
-    command.fails(*words, "--cameras", tmp_path / "cameras.json", named=["masks", "all silhouettes are empty", "roots must be white"])
+    command.fails(*words, "--cameras", tmp_path / "cameras.json", named=["masks", "all silhouettes are completely black", "roots must be white"])
     nothing_left(tmp_path, "masks", "cameras.json")
 
 

@@ -58,7 +58,7 @@ def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, mo
     pytest.importorskip("distributed")
     monkeypatch.setattr("rhizotwin.batches.cluster.WAIT_S", 0.5)
     words = ("batch", dataset(tmp_path / "scans" / "a").parent, "-o", tmp_path / "r", "--cluster", "tcp://127.0.0.1:9")
-    assert "no Dask scheduler answers there" in command(*words).err
+    assert "the Dask scheduler could not be reached" in command(*words).err
 
 
 def test_what_is_finished_is_known_by_dataset_settings_and_code(
@@ -187,7 +187,7 @@ def test_addresses_are_found_fetched_and_put(elsewhere: str, tmp_path: Path) -> 
     assert places.read(f"{elsewhere}/jobs/a.json") == b"{}"
     assert places.read(f"{elsewhere}/jobs/b.json") is None
     assert fsspec.filesystem("memory").exists("/batch/scans/one/dataset.json")
-    with pytest.raises(UserError, match="cannot be reached"):
+    with pytest.raises(UserError, match="could not be opened"):
         places.find_datasets("nowhere://x")
 
 

@@ -52,7 +52,7 @@ def test_refusals(folders: ScanFolders) -> None:
 def test_an_interrupted_reconstruction_begins_again(folders: ScanFolders) -> None:
     queue = open_queue(folders)
     queue.add("P7")
-    with pytest.raises(UserError, match="in the queue already"):
+    with pytest.raises(UserError, match="already in the queue"):
         queue.add("P7")
     until(lambda: states(queue)["P7"] == "running")
     queue.close()  # kills its process, as the end of the console does

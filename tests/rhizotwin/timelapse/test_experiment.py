@@ -42,7 +42,7 @@ def test_each_scan_has_a_folder_at_the_shortest_interval(make_experiment):
     ("old", "new", "words"),
     [
         ("canister = 2", "canister = 1", r"\[plants 2\] canister = 1: is the canister of plant P1"),
-        ('"P2"', '"P1"', r"is too much like the name 'P1'"),
+        ('"P2"', '"P1"', r"is too similar to the name 'P1'"),
         ('"P2"', '""', "is empty"),
         ("canister = 2", "canister = 27", "enough for 26 strips of 22"),
         ("rounds = 2", "rounds = 0", "rounds = 0"),
