@@ -56,7 +56,7 @@ def refuse_place(output: Path, source: Path) -> None:
     recover(output)
     there = contents(output)
     if there and not (output / "result.json").is_file():
-        raise UserError(f"the folder {output} has contents but is not a result; choose a new folder for the result")
+        raise UserError(f"the folder {output} is not empty and is not a result; choose a new folder for the result")
     strange = [name for name in there if name not in RESULT_NAMES]
     if strange:
         raise UserError(f"{output} contains {strange[0]}, which would be deleted with the earlier result; move it or choose a new folder")

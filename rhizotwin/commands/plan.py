@@ -56,10 +56,10 @@ class Grid:
     """Numbers of views per ring, separated by commas."""
     heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "HEIGHTS")] = ()
     """Camera heights above the rim of the canister in mm, one for each ring, separated by commas, with an equals \
-sign: --heights=-42,10. A height may be followed by a colon and the downward tilt in degrees (default: aimed at \
-the same point as the first ring of the scene), and by @ and the distance from the turntable axis in mm, such as \
-10:8@200. Repeat the option for each set of rings to compare. Default: the first ring of the scene, with and \
-without a second ring 52 mm above it."""
+sign, such as '--heights=-42,10'. A height may be followed by a colon and the downward tilt in degrees (default: \
+aimed at the same point as the first ring of the scene), and by @ and the distance from the turntable axis in mm, \
+such as 10:8@200. Repeat the option for each set of rings to compare. Default: the first ring of the scene, with \
+and without a second ring 52 mm above it."""
     image_wh: Annotated[tuple[tuple[int, int], ...] | None, option(list_of(read_image_wh), "WxH,WxH,...")] = None
     """Picture sizes in pixels, separated by commas, such as 400x300,800x600; default: as in the scene."""
 

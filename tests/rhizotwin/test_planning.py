@@ -97,7 +97,7 @@ def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, com
     assert lines[1].startswith("-42,5,200x150,5,")
 
     before = [path.stat().st_mtime_ns for path in scores]
-    assert "no plan has a volume error within 0.01 %" in command.works(*words, "--within", "0.01").out
+    assert "no plan has a volume error of at most 0.01 %" in command.works(*words, "--within", "0.01").out
     assert [path.stat().st_mtime_ns for path in scores] == before
 
 

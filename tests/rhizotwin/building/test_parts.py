@@ -160,7 +160,7 @@ def test_what_cannot_be_printed_is_refused() -> None:
             net_pot(replace(Scene(), net_pot=pot), MEASURES)
     with pytest.raises(UserError, match=r"clearance.floor_z_mm -165 leaves"):
         table.table_foot(Scene(), MEASURES, -165.0)
-    with pytest.raises(UserError, match="does not fit the build volume of 150 x 150"):
+    with pytest.raises(UserError, match="does not fit the printer's build volume of 150 x 150"):
         check_bed(PARTS["scene"][0], (150.0, 150.0, 200.0))
 
 

@@ -33,7 +33,7 @@ def test_one_client_has_control_and_everyone_sees_who(lab: Lab) -> None:
     robot.release_control()
     assert anna.state()["controls"]["name"] is None
     for name in ("", " ", "x" * 41, "bell\x07"):
-        with pytest.raises(UserError, match="1 to 40 printable letters"):
+        with pytest.raises(UserError, match="1 to 40 printable characters"):
             anna.take_control(name)
 
 
@@ -214,9 +214,9 @@ def test_a_scan_is_not_written_through_a_link(lab: Lab, tmp_path: Path) -> None:
     assert not list(outside.iterdir())
     assert not (tmp_path / "made").exists()
     for name in ("\U0001d400" * 100, "growth"):  # too long for a file system; the folder of the growth curves
-        with pytest.raises(UserError, match="is not a name of a scan"):
+        with pytest.raises(UserError, match="is not a valid name of a scan"):
             console.start_scan(name=name)
-        with pytest.raises(UserError, match="is not a name of a scan"):
+        with pytest.raises(UserError, match="is not a valid name of a scan"):
             console.report(name)
 
 

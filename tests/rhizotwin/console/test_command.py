@@ -20,7 +20,9 @@ def test_mistakes(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv(PASSWORD_VARIABLE, raising=False)
     command.fails("console", named=["either --rig RIG and --output FOLDER, or --experiment FILE"])
     command.fails("console", "--rig", tmp_path / "rig.toml", "-o", tmp_path / "lab", named=["--scene is missing"])
-    command.fails("console", "--rig", "twin", "--experiment", tmp_path / "e.toml", named=["--rig and --output cannot be used with --experiment"])
+    command.fails(
+        "console", "--rig", "twin", "--experiment", tmp_path / "e.toml", named=["--rig and --output cannot be used with --experiment"]
+    )
     words = ("console", "--rig", "twin", "-o", tmp_path / "lab", "--fidelity", "sketch", "--no-browser")
     command.fails(*words, "--host", "0.0.0.0", named=["needs a password", PASSWORD_VARIABLE])
     monkeypatch.setenv(PASSWORD_VARIABLE, "short")

@@ -134,7 +134,7 @@ def test_a_canister_without_a_strip_is_not_scanned(lab: ScheduleLab) -> None:
     lab.client.start_schedule()
     lab.question("P1")
     lab.client.answer("7")
-    assert "that of no plant in the catalogue" in lab.question("P1")
+    assert "matches no plant in the catalogue" in lab.question("P1")
     lab.client.stop_schedule()
 
 
