@@ -47,8 +47,8 @@ def test_entry_is_completed_but_not_contradicted(catalogue: Catalogue):
     assert catalogue.plant("P1") == Plant(name="P1", treatment="control", species="Raphanus sativus")
     catalogue.add_plant(Plant(name="P1", replicate=0))
     for change, words in (
-        (Plant(name="P1", treatment="low N"), "treatment control, not low N"),
-        (Plant(name="P1", replicate=1), "replicate 0, not 1"),
+        (Plant(name="P1", treatment="low N"), "treatment of plant P1 is control in the catalogue, but low N"),
+        (Plant(name="P1", replicate=1), "replicate of plant P1 is 0 in the catalogue, but 1"),
     ):
         with pytest.raises(UserError, match=words):
             catalogue.add_plant(change)
